@@ -1,0 +1,91 @@
+# Pathloom's front door. `make` = tools, build, demo; `make test` = every test; `make help` = the rest.
+
+.DEFAULT_GOAL := demo
+.DELETE_ON_ERROR:
+.PHONY: demo image test test-full asan bench peers tools build stages clean help
+SHELL := /bin/sh
+
+BUILD ?= build
+JOBS ?= $(shell nproc)
+# The variables of a picture (SCENE METHOD SPP ...) go through to pipelines/still.mk, which has their defaults.
+
+# Debian packages: what the build needs, then what only `make peers` needs.
+PACKAGES := g++ cmake ninja-build ccache pkg-config \
+	libembree-dev libopenexr-dev libopenimageio-dev libassimp-dev libhdf5-dev libpugixml-dev libcli11-dev \
+	libtbb-dev libeigen3-dev libfmt-dev libspdlog-dev zlib1g-dev libgtest-dev libbenchmark-dev
+PEER_PACKAGES := python3-venv
+
+STAGES := $(patsubst stages/%/main.cpp,loom-%,$(wildcard stages/*/main.cpp))
+
+# $(call install,PACKAGES): asks for root only when a package is missing. All output of tools and
+# compilers goes to stderr: stdout is for results.
+install = have=" $$(dpkg-query -W -f='$${db:Status-Status} $${Package}\n' $(1) 2>/dev/null \
+		| sed -n 's/^installed //p' | tr '\n' ' ') "; \
+	missing=$$(for p in $(1); do case "$$have" in (*" $$p "*) ;; (*) printf '%s ' $$p ;; esac; done); \
+	if [ -n "$$missing" ] && command -v apt-get >/dev/null; then \
+		echo "installing: $$missing" >&2; \
+		root=$$([ $$(id -u) = 0 ] || echo sudo); \
+		$$root apt-get update -qq >&2 && \
+		$$root env DEBIAN_FRONTEND=noninteractive apt-get install -y -q --no-install-recommends $$missing >&2; \
+	elif [ -n "$$missing" ]; then \
+		echo "no apt-get here; the build needs the equivalents of: $$missing" >&2; \
+	fi
+
+# $(call compile,FOLDER,OPTIONS,TARGETS): configures once, with Ninja and ccache where they are, and builds.
+# Variables of this make (OUT, DEFINES, ...) are none of the compiler's business, hence `unset`.
+compile = unset MAKEFLAGS MFLAGS; \
+	if ! [ -f $(1)/build.ninja ] && ! [ -f $(1)/Makefile ]; then \
+		cmake --fresh -S . -B $(1) $(2) \
+			$$(command -v ninja >/dev/null && echo -G Ninja) \
+			$$(command -v ccache >/dev/null && echo -DCMAKE_CXX_COMPILER_LAUNCHER=ccache) >&2; \
+	fi && cmake --build $(1) --parallel $(JOBS) $(if $(3),--target $(3)) >&2
+
+demo: stages ## (default) install, build, trace a small scene, show where the results lie; takes SCENE= too
+	@$(MAKE) --no-print-directory -f pipelines/still.mk PASSES=$(or $(PASSES),4) demo
+
+image: stages ## render SCENE; with -s the only line on stdout is the path of the EXR
+	@$(MAKE) --no-print-directory -f pipelines/still.mk image
+
+test: build ## install, build and run all tests
+	cd $(BUILD) && ctest --output-on-failure --no-tests=error
+
+test-full: build ## the tests with the longer statistical runs
+	cd $(BUILD) && LOOM_TEST_FULL=1 ctest --output-on-failure --no-tests=error
+
+asan: tools ## unit and formats tests under AddressSanitizer and UndefinedBehaviorSanitizer
+	@$(call compile,$(BUILD)-asan,-DCMAKE_BUILD_TYPE=Debug -DLOOM_SANITIZE=ON,test_unit test_formats)
+	cd $(BUILD)-asan && ctest --output-on-failure --no-tests=error -R '^(unit|formats)$$'
+
+bench: build ## measure throughput against a bare Embree loop
+	$(BUILD)/bin/loom-bench
+
+peers: stages ## (optional) throughput beside Mitsuba 3, which is fetched from PyPI into a virtual environment
+	@[ -n '$(PEERS_PYTHON)' ] || [ -x $(BUILD)/peers/bin/python ] || { $(call install,$(PEER_PACKAGES)); }
+	@[ -n '$(PEERS_PYTHON)' ] || [ -e $(BUILD)/peers/ready ] || { python3 -m venv $(BUILD)/peers && \
+		$(BUILD)/peers/bin/pip install -q mitsuba==3.8.0 >&2 && touch $(BUILD)/peers/ready; }
+	$(or $(PEERS_PYTHON),$(BUILD)/peers/bin/python) tests/peers/throughput.py --trace $(BUILD)/bin/loom-trace \
+		$(if $(SPP),--spp $(SPP)) $(if $(THREADS),--threads $(THREADS)) \
+		$(if $(SCENE),'$(SCENE)')
+
+tools: ## install the Debian packages that are missing
+	@$(call install,$(PACKAGES))
+
+build: tools ## compile everything, tests included
+	@$(call compile,$(BUILD),-DCMAKE_BUILD_TYPE=Release)
+
+stages: tools # what a picture needs, without the tests
+	@$(call compile,$(BUILD),-DCMAKE_BUILD_TYPE=Release,$(STAGES))
+
+clean: ## remove build folders and out/
+	rm -rf $(BUILD) $(BUILD)-asan out
+
+help: ## list targets and variables
+	@echo 'Targets:'
+	@sed -n 's/^\([a-z-]*\):[^#]*## \(.*\)/\1\t\2/p' Makefile | sort | awk -F'\t' '{printf "  %-10s %s\n", $$1, $$2}'
+	@echo 'Variables of demo, image and peers:'
+	@sed -n 's/^\([A-Z]*\) ?= *\(.*[^ ]\)  *## \(.*\)/\1=\2\t\3/p; s/^# *\([A-Z]*\)=  *## \(.*\)/\1=\t\2/p' \
+		pipelines/still.mk | awk -F'\t' '{printf "  %-28s %s\n", $$1, $$2}'
+	@echo 'Variables of the build:'
+	@printf '  %-28s %s\n' 'BUILD=$(BUILD)' 'build folder' 'JOBS=$(JOBS)' 'compilations at a time' \
+		'PEERS_PYTHON=$(PEERS_PYTHON)' 'an interpreter that has mitsuba, for peers'
+	@echo 'Example: make image SCENE=scenes/cornell-box.xml METHOD=pt SPP=64 DEFINES="resx=320 resy=320"'

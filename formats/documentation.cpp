@@ -1,0 +1,57 @@
+#include "formats/documentation.h"
+
+#include <fmt/format.h>
+
+#include "formats/image.h"
+#include "formats/path_graph.h"
+
+namespace loom {
+namespace {
+
+constexpr std::string_view preamble = R"(# Formats
+
+Printed by `loom-inspect --formats` from the declarations in this folder; a test fails when it is stale.
+
+Stages meet in files. HDF5 files hold contiguous datasets of exact extent without filters, little-endian, those of 64 KiB
+and more aligned to 4 KiB, so that a reader may map them. Each dataset has the attributes `units`, `axes` (slowest first)
+and `description`. Equal inputs, options and seed give equal bytes.
+
+Attributes of the root, and text attributes in the header of an EXR file:
+
+| attribute | what it is |
+|---|---|
+| `filetype` | name of the format |
+| `version` | [major, minor]; readers take any minor of their major (in EXR files "major.minor") |
+| `producer` | stage, release and commit |
+| `command` | options as resolved, defaults included |
+| `seed` | seed of the random numbers |
+| `inputs` | content hash (XXH64) and name of each input |
+| `plan` | what was on, what was off and why |
+
+What it cost to make a file (seconds, rays, samples, memory, parents) is in `FILE.cost.json` beside it.
+
+A dataset with `?` is there only when the scene needs it. Datasets that share the name of their first axis have the same
+number of rows; `path+1` is one row more than `path`. Octahedral directions are two signed 16-bit numbers: with (x, y) =
+(u, v) / 32767 and z = 1 - |x| - |y|, where z < 0 replace (x, y) by ((1 - |y|) sign x, (1 - |x|) sign y); then normalize.
+)";
+
+template <class Format>
+std::string section() {
+    Format data;
+    Documenter documenter;
+    Format::fields(data, documenter);
+    return fmt::format("\n## {} {}.{} (HDF5)\n\n{}", Format::format.name, Format::format.major,
+                       Format::format.minor, documenter.markdown());
+}
+
+}  // namespace
+
+std::string formats_markdown() {
+    return std::string(preamble) + section<PathGraph>() +
+           fmt::format(
+               "\n## {} {}.{} (OpenEXR)\n\nfloat32, row 0 on top; the header says `samples` per pixel "
+               "too.\n\n{}",
+               Image::format.name, Image::format.major, Image::format.minor, image_markdown());
+}
+
+}  // namespace loom

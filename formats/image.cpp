@@ -1,0 +1,77 @@
+#include "formats/image.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+#include <stdexcept>
+
+#include "formats/io/error.h"
+#include "formats/io/field_checker.h"
+
+namespace loom {
+namespace {
+
+std::string channel_name(std::string_view layer, char component) {
+    return layer.empty() ? std::string(1, component) : fmt::format("{}.{}", layer, component);
+}
+
+}  // namespace
+
+std::span<const float> Image::find(std::string_view name) const {
+    const auto found =
+        std::find_if(channels.begin(), channels.end(), [&](const Channel& c) { return c.name == name; });
+    return found == channels.end() ? std::span<const float>{} : std::span<const float>(found->values);
+}
+
+std::span<float> Image::add(const std::string& name) {
+    for (auto& channel : channels) {
+        if (channel.name == name) return channel.values;
+    }
+    return channels.emplace_back(Channel{name, std::vector<float>(n_pixels())}).values;
+}
+
+std::vector<float> Image::interleaved(std::string_view layer) const {
+    std::vector<float> triples(3 * n_pixels());
+    for (std::size_t c = 0; c < 3; ++c) {
+        const std::string name = channel_name(layer, "RGB"[c]);
+        const auto values = find(name);
+        if (values.empty() && n_pixels() > 0)
+            throw InputError(fmt::format("the image has no channel {}", name));
+        for (std::size_t i = 0; i < values.size(); ++i) triples[3 * i + c] = values[i];
+    }
+    return triples;
+}
+
+void Image::set_layer(std::string_view layer, std::string_view axes, std::span<const float> triples) {
+    if (axes.size() != 3 || triples.size() != 3 * n_pixels()) {
+        throw std::logic_error(
+            fmt::format("layer {}: {} numbers for {} pixels", layer, triples.size(), n_pixels()));
+    }
+    for (std::size_t c = 0; c < 3; ++c) {
+        const auto values = add(channel_name(layer, axes[c]));
+        for (std::size_t i = 0; i < values.size(); ++i) values[i] = triples[3 * i + c];
+    }
+}
+
+std::size_t count_nonfinite(const Image& image) {
+    std::size_t n = 0;
+    for (const auto& channel : image.channels) {
+        n += static_cast<std::size_t>(std::count_if(channel.values.begin(), channel.values.end(),
+                                                    [](float x) { return !std::isfinite(x); }));
+    }
+    return n;
+}
+
+std::string image_markdown() {
+    return "| channels | units | what it is |\n|---|---|---|\n"
+           "| `R`, `G`, `B` | W m^-2 sr^-1 | mean radiance over the samples of a pixel |\n"
+           "| `VarMean.R`, `VarMean.G`, `VarMean.B` ? | (W m^-2 sr^-1)^2 | variance of that mean: s^2 / "
+           "samples |\n"
+           "| `Albedo.R`, `Albedo.G`, `Albedo.B` ? | 1 | reflectance at the first hit |\n"
+           "| `N.X`, `N.Y`, `N.Z` ? | 1 | shading normal at the first hit, world space, mean over the "
+           "samples |\n"
+           "| `Depth.Z` ? | m | distance from the camera to the first hit |\n";
+}
+
+}  // namespace loom

@@ -1,0 +1,49 @@
+#include <OpenImageIO/imageio.h>
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+#include <stdexcept>
+
+#include "formats/image.h"
+
+namespace loom {
+namespace {
+
+/// Linear to sRGB, 8 bits.                                    [IEC 61966-2-1]
+std::uint8_t srgb_byte(double linear) {
+    const double x = std::clamp(linear, 0.0, 1.0);
+    const double encoded = x <= 0.0031308 ? 12.92 * x : 1.055 * std::pow(x, 1.0 / 2.4) - 0.055;
+    return static_cast<std::uint8_t>(std::lround(255.0 * encoded));
+}
+
+}  // namespace
+
+std::size_t write_png(const Image& image, const std::filesystem::path& path, double exposure_ev) {
+    const std::vector<float> rgb = image.interleaved("");
+    const double gain = std::exp2(exposure_ev);
+    std::vector<std::uint8_t> bytes(rgb.size());
+    std::size_t n_bad = 0;
+    for (std::size_t i = 0; i < rgb.size(); i += 3) {
+        bool finite = true;
+        for (std::size_t c = 0; c < 3; ++c) {
+            finite = finite && std::isfinite(rgb[i + c]);
+            bytes[i + c] = std::isnan(rgb[i + c]) ? 0 : srgb_byte(gain * rgb[i + c]);
+        }
+        n_bad += finite ? 0 : 1;
+    }
+    OutputFile output(path);
+    const auto png = OIIO::ImageOutput::create("png");
+    OIIO::ImageSpec spec(static_cast<int>(image.width), static_cast<int>(image.height), 3,
+                         OIIO::TypeDesc::UINT8);
+    spec.attribute("oiio:ColorSpace", "sRGB");
+    if (!png || !png->open(output.partial().native(), spec) ||
+        !png->write_image(OIIO::TypeDesc::UINT8, bytes.data()) || !png->close()) {
+        throw std::runtime_error(
+            fmt::format("{}: cannot write: {}", path.native(), png ? png->geterror() : OIIO::geterror()));
+    }
+    output.commit();
+    return n_bad;
+}
+
+}  // namespace loom

@@ -1,0 +1,50 @@
+#pragma once
+#include <cstddef>
+#include <span>
+#include <utility>
+#include <vector>
+
+namespace loom {
+
+/// One array of a format: its own, or borrowed from a mapped file or an arena. Rows of several numbers
+/// lie behind one another. An optional column that is absent is empty.
+template <class T>
+class Column {
+  public:
+    using Element = T;
+
+    Column() = default;
+    Column(std::vector<T> values) : owned_(std::move(values)), view_(owned_) {}
+    Column(std::initializer_list<T> values) : Column(std::vector<T>(values)) {}
+    Column(Column&& other) noexcept
+        : owned_(std::move(other.owned_)), view_(std::exchange(other.view_, std::span<const T>{})) {}
+    Column& operator=(Column&& other) noexcept {
+        owned_ = std::move(other.owned_);
+        view_ = std::exchange(other.view_, std::span<const T>{});
+        return *this;
+    }
+
+    /// A column over memory that outlives it.
+    static Column borrow(std::span<const T> values) {
+        Column column;
+        column.view_ = values;
+        return column;
+    }
+
+    std::span<const T> values() const { return view_; }
+    operator std::span<const T>() const { return view_; }
+    const T* data() const { return view_.data(); }
+    std::size_t size() const { return view_.size(); }
+    bool empty() const { return view_.empty(); }
+    const T& operator[](std::size_t i) const { return view_[i]; }
+    auto begin() const { return view_.begin(); }
+    auto end() const { return view_.end(); }
+    /// Row i of a column of the given width.
+    std::span<const T> row(std::size_t i, std::size_t width) const { return view_.subspan(i * width, width); }
+
+  private:
+    std::vector<T> owned_;
+    std::span<const T> view_;
+};
+
+}  // namespace loom

@@ -1,0 +1,99 @@
+#include "formats/io/cost.h"
+
+#include <fmt/format.h>
+
+#include <charconv>
+
+#include "formats/io/error.h"
+#include "formats/io/json.h"
+#include "formats/io/mapped_file.h"
+#include "formats/io/output_file.h"
+
+namespace loom {
+namespace {
+
+/// The one list of members, for the writer and the reader.
+template <class Self, class Visitor>
+void members(Self& cost, Visitor&& visit) {
+    visit("stage", cost.stage);
+    visit("wall_s", cost.wall_s);
+    visit("cpu_s", cost.cpu_s);
+    visit("rays", cost.rays);
+    visit("samples", cost.samples);
+    visit("peak_memory_bytes", cost.peak_memory_bytes);
+    visit("bytes_written", cost.bytes_written);
+    visit("parents", cost.parents);
+}
+
+struct Writer {
+    JsonWriter& json;
+    void operator()(const char* key, const std::string& value) const { json.text(key, value); }
+    void operator()(const char* key, double value) const { json.number(key, value); }
+    void operator()(const char* key, std::uint64_t value) const { json.integer(key, value); }
+    void operator()(const char* key, const std::vector<std::string>& values) const {
+        json.begin_array(key);
+        for (const auto& value : values) json.text({}, value);
+        json.end_array();
+    }
+};
+
+struct Reader {
+    const JsonValue& json;
+    const std::string& file;
+
+    template <class T>
+    const T& get(const char* key) const {
+        const JsonValue* member = json.find(key);
+        const T* value = member == nullptr ? nullptr : std::get_if<T>(&member->value);
+        if (value == nullptr)
+            throw InputError(fmt::format("{}: \"{}\" is missing or of another type", file, key));
+        return *value;
+    }
+    template <class T>
+    void number(const char* key, T& value) const {
+        const std::string& text = get<JsonValue::Number>(key).text;
+        const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
+        if (error != std::errc{} || end != text.data() + text.size()) {
+            throw InputError(fmt::format("{}: \"{}\" is {}, which is no such number", file, key, text));
+        }
+    }
+    void operator()(const char* key, std::string& value) const { value = get<std::string>(key); }
+    void operator()(const char* key, double& value) const { number(key, value); }
+    void operator()(const char* key, std::uint64_t& value) const { number(key, value); }
+    void operator()(const char* key, std::vector<std::string>& values) const {
+        for (const JsonValue& element : get<JsonValue::Array>(key)) {
+            const auto* text = std::get_if<std::string>(&element.value);
+            if (text == nullptr)
+                throw InputError(fmt::format("{}: \"{}\" is not a list of names", file, key));
+            values.push_back(*text);
+        }
+    }
+};
+
+}  // namespace
+
+std::filesystem::path cost_path(const std::filesystem::path& output) {
+    std::filesystem::path path = output;
+    path += ".cost.json";
+    return path;
+}
+
+void write_cost(const Cost& cost, const std::filesystem::path& output) {
+    JsonWriter json;
+    json.begin_object();
+    members(cost, Writer{json});
+    json.end_object();
+    write_text_file(cost_path(output), json.str());
+}
+
+Cost read_cost(const std::filesystem::path& output) {
+    const std::string file = cost_path(output).native();
+    const MappedFile mapped(file);
+    const auto bytes = mapped.bytes();
+    const JsonValue json = parse_json({reinterpret_cast<const char*>(bytes.data()), bytes.size()}, file);
+    Cost cost;
+    members(cost, Reader{json, file});
+    return cost;
+}
+
+}  // namespace loom

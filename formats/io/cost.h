@@ -1,0 +1,28 @@
+#pragma once
+#include <cstdint>
+#include <filesystem>
+#include <string>
+#include <vector>
+
+namespace loom {
+
+/// What making one output took. It lies beside the output, never in it: equal inputs give equal bytes, but
+/// never equal seconds. Costs are added up along the chain of parents.
+struct Cost {
+    std::string stage;
+    double wall_s = 0, cpu_s = 0;
+    std::uint64_t rays = 0;     // closest-hit and shadow rays
+    std::uint64_t samples = 0;  // paths, or whatever the stage counts its work in
+    std::uint64_t peak_memory_bytes = 0, bytes_written = 0;
+    std::vector<std::string> parents;  // names of the inputs' files
+    bool operator==(const Cost&) const = default;
+};
+
+/// "x.h5" -> "x.h5.cost.json"
+std::filesystem::path cost_path(const std::filesystem::path& output);
+void write_cost(const Cost& cost, const std::filesystem::path& output);
+/// The cost of an output.
+/// throws:  InputError when there is none, or it is damaged
+Cost read_cost(const std::filesystem::path& output);
+
+}  // namespace loom

@@ -1,0 +1,14 @@
+#pragma once
+#include <stdexcept>
+#include <string>
+
+namespace loom {
+
+/// An input that cannot be used: a file, a scene, an option. The message is complete: it names the
+/// file and the place, and says what was expected. A stage that throws it ends with exit code 2.
+class InputError : public std::runtime_error {
+  public:
+    explicit InputError(const std::string& message) : std::runtime_error(message) {}
+};
+
+}  // namespace loom

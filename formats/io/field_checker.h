@@ -1,0 +1,61 @@
+#pragma once
+#include <cstdint>
+#include <map>
+#include <span>
+#include <string>
+
+#include "formats/io/field.h"
+
+namespace loom {
+
+/// Position of the first NaN or infinity; the size when there is none.
+std::size_t first_nonfinite(std::span<const float> values);
+std::size_t first_nonfinite(std::span<const double> values);
+std::size_t first_nonfinite(std::span<const Half> values);
+
+/// Visits a filled format: columns that share an axis have one length, floats are finite.
+class FieldChecker : public FieldVisitor<FieldChecker> {
+  public:
+    /// finite: look at every float too, not just at the lengths.
+    explicit FieldChecker(bool finite) : finite_(finite) {}
+
+    /// The first thing that is wrong, naming the dataset; empty when all is well.
+    const std::string& problem() const { return problem_; }
+
+    template <class T>
+    void column_of(const Field& field, const Column<T>& column) {
+        if (field.presence == Presence::optional && column.empty()) return;
+        check_length(field, column.size());
+        if constexpr (std::is_floating_point_v<T> || std::is_same_v<T, Half>) {
+            if (finite_ && field.finite == Finite::required && problem_.empty()) {
+                check_finite(field, column.size(), first_nonfinite(column.values()));
+            }
+        }
+    }
+    template <class V>
+    void value_of(const Field& field, const V& value) {
+        using Element = typename ValueTraits<V>::Element;
+        if constexpr (std::is_floating_point_v<Element>) {
+            const std::span<const Element> numbers(reinterpret_cast<const Element*>(&value),
+                                                   field.row_size());
+            if (finite_ && problem_.empty()) check_finite(field, numbers.size(), first_nonfinite(numbers));
+        }
+    }
+    void names_of(const Field& field, const std::vector<std::string>& texts) {
+        check_length(field, texts.size());
+    }
+
+  private:
+    struct Count {
+        std::size_t n;
+        std::string first_name;
+    };
+    void check_length(const Field& field, std::size_t n_elements);
+    void check_finite(const Field& field, std::size_t n_elements, std::size_t first_bad);
+
+    bool finite_;
+    std::string problem_;
+    std::map<std::string, Count, std::less<>> counts_;  // by first axis
+};
+
+}  // namespace loom

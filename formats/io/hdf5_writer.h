@@ -1,0 +1,47 @@
+#pragma once
+#include <filesystem>
+#include <memory>
+#include <span>
+
+#include "formats/io/field.h"
+#include "formats/io/output_file.h"
+#include "formats/io/provenance.h"
+
+namespace loom {
+
+/// Writes the fields of a format: contiguous datasets of exact extent, no filter, aligned to pages so that
+/// readers can map them; every dataset with `units`, `axes`, `description`. Equal fields give equal bytes.
+class Hdf5Writer : public FieldVisitor<Hdf5Writer> {
+  public:
+    Hdf5Writer(const std::filesystem::path& path, const FormatId& format, const Provenance& provenance);
+    ~Hdf5Writer();
+    /// Syncs the file and gives it its name. Without it nothing is left.
+    void commit(Sync sync);
+
+    template <class T>
+    void column_of(const Field& field, const Column<T>& column) {
+        if (field.presence == Presence::optional && column.empty()) return;
+        std::vector<std::size_t> extents = field.row_shape;
+        extents.insert(extents.begin(), column.size() / field.row_size());
+        write(field, extents, std::as_bytes(column.values()));
+    }
+    template <class V>
+    void value_of(const Field& field, const V& value) {
+        if constexpr (std::is_same_v<V, std::string>)
+            write_texts(field, {}, {&value, 1});
+        else
+            write(field, field.row_shape, std::as_bytes(std::span(&value, 1)));
+    }
+    void names_of(const Field& field, const std::vector<std::string>& texts) {
+        write_texts(field, {texts.size()}, texts);
+    }
+
+  private:
+    struct Impl;
+    void write(const Field& field, const std::vector<std::size_t>& extents, std::span<const std::byte> data);
+    void write_texts(const Field& field, const std::vector<std::size_t>& extents,
+                     std::span<const std::string> texts);
+    std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace loom

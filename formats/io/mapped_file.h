@@ -1,0 +1,27 @@
+#pragma once
+#include <cstddef>
+#include <filesystem>
+#include <span>
+
+namespace loom {
+
+/// A file's bytes, mapped for reading; unmapped when destroyed.
+class MappedFile {
+  public:
+    /// throws:  InputError when the path is missing, a directory or not readable
+    explicit MappedFile(const std::filesystem::path& path);
+    ~MappedFile();
+    MappedFile(const MappedFile&) = delete;
+    MappedFile& operator=(const MappedFile&) = delete;
+
+    std::span<const std::byte> bytes() const { return bytes_; }
+
+  private:
+    std::span<const std::byte> bytes_;
+};
+
+/// Refuses a path that is missing, not a regular file, not readable, or empty.
+/// throws:  InputError
+void require_readable(const std::filesystem::path& path);
+
+}  // namespace loom

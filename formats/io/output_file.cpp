@@ -1,0 +1,79 @@
+#include "formats/io/output_file.h"
+
+#include <fcntl.h>
+#include <fmt/format.h>
+#include <unistd.h>
+
+#include <cerrno>
+#include <cstring>
+#include <fstream>
+#include <system_error>
+
+#include "formats/io/error.h"
+
+namespace loom {
+namespace {
+
+std::filesystem::path folder_of(const std::filesystem::path& path) {
+    return path.has_parent_path() ? path.parent_path() : std::filesystem::path(".");
+}
+
+void sync_path(const std::filesystem::path& path, int flags) {
+    const int fd = ::open(path.c_str(), flags | O_CLOEXEC);
+    const bool synced = fd >= 0 && ::fsync(fd) == 0;
+    const int error = errno;
+    if (fd >= 0) ::close(fd);
+    if (!synced) {
+        throw std::runtime_error(fmt::format("{}: cannot sync: {}", path.native(), std::strerror(error)));
+    }
+}
+
+}  // namespace
+
+void check_output_path(const std::filesystem::path& path) {
+    std::error_code ignored;
+    if (path.filename().empty() || std::filesystem::is_directory(path, ignored)) {
+        throw InputError(fmt::format("{}: is a directory; an output must be a file", path.native()));
+    }
+    const auto folder = folder_of(path);
+    if (!std::filesystem::is_directory(folder, ignored)) {
+        throw InputError(fmt::format("{}: there is no folder {}", path.native(), folder.native()));
+    }
+    if (::access(folder.c_str(), W_OK) != 0) {
+        throw InputError(
+            fmt::format("{}: cannot write in {}: {}", path.native(), folder.native(), std::strerror(errno)));
+    }
+}
+
+OutputFile::OutputFile(std::filesystem::path path) : path_(std::move(path)), partial_(path_) {
+    check_output_path(path_);
+    partial_ += ".partial";
+}
+
+OutputFile::~OutputFile() {
+    std::error_code ignored;
+    if (!committed_) std::filesystem::remove(partial_, ignored);
+}
+
+void OutputFile::commit(Sync sync) {
+    if (sync == Sync::yes) sync_path(partial_, O_RDONLY);
+    std::filesystem::rename(partial_, path_);
+    committed_ = true;
+    if (sync == Sync::yes) sync_path(folder_of(path_), O_RDONLY | O_DIRECTORY);
+}
+
+void write_text_file(const std::filesystem::path& path, std::string_view text) {
+    OutputFile output(path);
+    {
+        std::ofstream stream(output.partial(), std::ios::binary);
+        stream << text;
+        stream.close();
+        if (!stream) {
+            throw std::runtime_error(
+                fmt::format("{}: cannot write: {}", path.native(), std::strerror(errno)));
+        }
+    }
+    output.commit();
+}
+
+}  // namespace loom

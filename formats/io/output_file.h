@@ -1,0 +1,38 @@
+#pragma once
+#include <filesystem>
+#include <string_view>
+
+namespace loom {
+
+/// Whether the bytes must be on the device before the name appears. `no` is for timed runs only.
+enum class Sync { no, yes };
+
+/// Write-then-rename: the work goes to NAME.partial in the same folder; commit() syncs it and gives it
+/// its name. A writer that throws, or never commits, leaves neither.
+class OutputFile {
+  public:
+    /// throws:  InputError when the folder is missing or the path is a directory
+    explicit OutputFile(std::filesystem::path path);
+    ~OutputFile();
+    OutputFile(const OutputFile&) = delete;
+    OutputFile& operator=(const OutputFile&) = delete;
+
+    const std::filesystem::path& path() const { return path_; }
+    /// The temporary name to write to.
+    const std::filesystem::path& partial() const { return partial_; }
+    /// NEEDS the partial file to be closed by whoever wrote it.
+    void commit(Sync sync = Sync::yes);
+
+  private:
+    std::filesystem::path path_, partial_;
+    bool committed_ = false;
+};
+
+/// The check that OutputFile makes, for a stage to make before it starts to compute.
+/// throws:  InputError
+void check_output_path(const std::filesystem::path& path);
+
+/// Writes a small text file by write-then-rename.
+void write_text_file(const std::filesystem::path& path, std::string_view text);
+
+}  // namespace loom

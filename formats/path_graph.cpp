@@ -1,0 +1,208 @@
+#include "formats/path_graph.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <limits>
+
+#include "formats/io/hdf5_format.h"
+
+namespace loom {
+namespace {
+
+/// Rows at least `count` that an index column names; empty when there are none.
+template <class T>
+std::string bad_index(std::string_view name, const Column<T>& column, std::size_t count,
+                      std::string_view what) {
+    T largest = 0;
+    for (T value : column) largest = std::max(largest, value);
+    if (column.empty() || largest < count) return {};
+    std::size_t row = 0;
+    while (column[row] < count) ++row;
+    return fmt::format("{}: row {} is {}, but there are {} {}", name, row, column[row], count, what);
+}
+
+/// First row for which `good` is false; the size when there is none. Counts in blocks without a branch, so
+/// that a check runs at the speed of memory.
+template <class Good>
+std::size_t first_bad(std::size_t n, Good good) {
+    constexpr std::size_t block = 4096;
+    for (std::size_t begin = 0; begin < n; begin += block) {
+        const std::size_t end = std::min(n, begin + block);
+        unsigned n_bad = 0;
+        for (std::size_t i = begin; i < end; ++i) n_bad += good(i) ? 0u : 1u;
+        if (n_bad == 0) continue;
+        while (good(begin)) ++begin;
+        return begin;
+    }
+    return n;
+}
+
+std::string bad_offsets(const PathGraph& g) {
+    const auto& first = g.paths.first_vertex;
+    const std::size_t n_paths = g.n_paths();
+    if (first[0] != 0) return fmt::format("paths/first_vertex: starts at {}, not at 0", first[0]);
+    const std::size_t row = first_bad(n_paths, [&](std::size_t i) { return first[i] <= first[i + 1]; });
+    if (row < n_paths) {
+        return fmt::format("paths/first_vertex: decreases from {} to {} at row {}", first[row],
+                           first[row + 1], row + 1);
+    }
+    if (first[n_paths] != g.n_vertices()) {
+        return fmt::format("paths/first_vertex: ends at {}, but there are {} vertices", first[n_paths],
+                           g.n_vertices());
+    }
+    const std::size_t n_pixels = g.n_pixels();
+    const bool whole = n_pixels == 0
+                           ? n_paths == 0
+                           : n_paths % n_pixels == 0 && n_paths / n_pixels == g.tracing.samples_per_pixel;
+    if (!whole) {
+        return fmt::format(
+            "paths/first_vertex: has {} paths, but the sensor has {} x {} pixels of {} samples", n_paths,
+            g.sensor.width, g.sensor.height, g.tracing.samples_per_pixel);
+    }
+    return {};
+}
+
+/// `continued` must be set on every vertex of a path but the last, which must say how it ended.
+std::string bad_flags(const PathGraph& g) {
+    const auto& first = g.paths.first_vertex;
+    const auto& flags = g.vertices.flags;
+    for (std::size_t i = 0; i < g.n_paths(); ++i) {
+        for (std::uint64_t j = first[i]; j < first[i + 1]; ++j) {
+            const bool continued = (flags[j] & vertex_flag::continued) != 0;
+            const int ending = static_cast<int>(ending_of(flags[j]));
+            if (continued != (j + 1 < first[i + 1])) {
+                return fmt::format("vertices/flags: row {} is {}continued, but is {}the last of path {}", j,
+                                   continued ? "" : "not ", continued ? "" : "not ", i);
+            }
+            if (continued != (ending == 0) || ending >= n_endings) {
+                return fmt::format("vertices/flags: row {} is {}continued and has ending {}", j,
+                                   continued ? "" : "not ", ending);
+            }
+        }
+    }
+    return {};
+}
+
+std::string bad_vertices(const PathGraph& g) {
+    const auto& x = g.vertices;
+    const std::size_t n = g.n_vertices();
+    const float* wo = x.wo.data();
+    const std::size_t long_wo = first_bad(n, [&](std::size_t j) {
+        const float* w = wo + 3 * j;
+        return std::fabs(w[0] * w[0] + w[1] * w[1] + w[2] * w[2] - 1.0f) < 1e-3f;
+    });
+    if (long_wo < n) return fmt::format("vertices/wo: row {} is not a unit vector", long_wo);
+    const std::size_t negative = first_bad(n, [&](std::size_t j) { return x.pdf_w[j] >= 0; });
+    if (negative < n) return fmt::format("vertices/pdf_w: row {} is negative", negative);
+    const std::size_t bad_q =
+        first_bad(x.q.size(), [&](std::size_t j) { return x.q[j] >= 0 && x.q[j] <= 1; });
+    if (bad_q < x.q.size()) return fmt::format("vertices/q: row {} is {}, not in [0, 1]", bad_q, x.q[bad_q]);
+    return {};
+}
+
+std::string bad_edges(const PathGraph& g) {
+    const auto& e = g.light_edges;
+    const std::size_t n = g.n_light_edges();
+    const std::size_t unknown = first_bad(n, [&](std::size_t k) { return e.technique[k] <= 1; });
+    if (unknown < n) {
+        return fmt::format("light_edges/technique: row {} is {}, not 0 or 1", unknown, e.technique[unknown]);
+    }
+    const std::size_t unsorted = first_bad(n < 2 ? 0 : n - 1, [&](std::size_t k) {
+        return e.vertex[k] < e.vertex[k + 1] ||
+               (e.vertex[k] == e.vertex[k + 1] && e.technique[k] <= e.technique[k + 1]);
+    });
+    if (n >= 2 && unsorted < n - 1) {
+        return fmt::format("light_edges/vertex: row {} is not in order (by vertex, then technique)",
+                           unsorted + 1);
+    }
+    const std::size_t bad_w =
+        first_bad(n, [&](std::size_t k) { return e.y[4 * k + 3] == 0 || e.y[4 * k + 3] == 1; });
+    if (bad_w < n)
+        return fmt::format("light_edges/y: row {} has w = {}, not 0 or 1", bad_w, e.y[4 * bad_w + 3]);
+    const std::size_t negative =
+        first_bad(n, [&](std::size_t k) { return e.pdf_nee_w[k] >= 0 && e.pdf_bsdf_w[k] >= 0; });
+    if (negative < n) return fmt::format("light_edges/pdf_nee_w or pdf_bsdf_w: row {} is negative", negative);
+    return {};
+}
+
+/// A parameter that some material leaves to its vertices must be there.
+std::string missing_parameter(const PathGraph& g) {
+    const auto& x = g.vertices;
+    const std::array<std::pair<std::string_view, const Column<Half>*>, 5> columns{
+        {{"vertices/diffuse", &x.diffuse},
+         {"vertices/specular", &x.specular},
+         {"vertices/transmittance", &x.transmittance},
+         {"vertices/alpha", &x.alpha},
+         {"vertices/opacity", &x.opacity}}};  // in the order of the bits of textured_parameter
+    for (std::size_t row = 0; g.n_vertices() > 0 && row < g.materials.textured.size(); ++row) {
+        for (std::size_t bit = 0; bit < columns.size(); ++bit) {
+            if ((g.materials.textured[row] >> bit & 1) == 0 || !columns[bit].second->empty()) continue;
+            return fmt::format("materials/textured: row {} leaves a parameter to {}, which is not there", row,
+                               columns[bit].first);
+        }
+    }
+    return {};
+}
+
+}  // namespace
+
+std::string_view ending_name(Ending ending) {
+    constexpr std::array<std::string_view, n_endings> names{"none",           "escaped",   "roulette",
+                                                            "invalid sample", "max depth", "hit emitter"};
+    const auto k = static_cast<std::size_t>(ending);
+    return k < names.size() ? names[k] : "unknown";
+}
+
+std::string_view emitter_kind_name(std::uint8_t kind) {
+    constexpr std::array<std::string_view, n_emitter_kinds> names{"area",        "point",    "spot",
+                                                                  "directional", "constant", "envmap"};
+    return kind < names.size() ? names[kind] : "unknown";
+}
+
+std::string PathGraph::problem() const {
+    if (sensor.kind != "perspective" && sensor.kind != "orthographic") {
+        return fmt::format("sensor/kind: is {}, expected perspective or orthographic", sensor.kind);
+    }
+    // Offsets first: the later checks walk through them.
+    if (auto bad = bad_offsets(*this); !bad.empty()) return bad;
+    if (auto bad = bad_index("vertices/material", vertices.material, materials.id.size(), "materials");
+        !bad.empty())
+        return bad;
+    if (auto bad = bad_index("vertices/shape", vertices.shape, shapes.id.size(), "shapes"); !bad.empty())
+        return bad;
+    if (auto bad = bad_index("light_edges/vertex", light_edges.vertex, n_vertices(), "vertices");
+        !bad.empty())
+        return bad;
+    if (auto bad = bad_index("light_edges/emitter", light_edges.emitter, emitters.id.size(), "emitters");
+        !bad.empty())
+        return bad;
+    if (auto bad = missing_parameter(*this); !bad.empty()) return bad;
+    if (auto bad = bad_flags(*this); !bad.empty()) return bad;
+    if (auto bad = bad_vertices(*this); !bad.empty()) return bad;
+    return bad_edges(*this);
+}
+
+void write_path_graph(const PathGraph& graph, const std::filesystem::path& path, Sync sync) {
+    if (graph.n_vertices() > std::numeric_limits<std::uint32_t>::max()) {
+        throw InputError(
+            fmt::format("{}: {} vertices are more than one path graph can number; use fewer samples per "
+                        "file",
+                        path.native(), graph.n_vertices()));
+    }
+    write_format(graph, path, sync);
+}
+
+PathGraph read_path_graph(const std::filesystem::path& path) {
+    return read_format<PathGraph>(path);
+}
+
+std::vector<ColumnBytes> column_bytes(const PathGraph& graph) {
+    ColumnSizer sizer;
+    PathGraph::fields(graph, sizer);
+    return sizer.sizes;
+}
+
+}  // namespace loom

@@ -1,0 +1,302 @@
+#pragma once
+// path_graph: paths as they were traced, with what a neighbour needs to reuse them.
+//
+// A path is one camera sample. Its vertices lie behind one another, and so the continuation of vertex j is
+// vertex j + 1 when its flag `continued` is set. Light edges join a vertex to a light point that next-event
+// estimation or its own BSDF ray found. Techniques that were attempted and failed are flags of the vertex:
+// estimators that pool densities over neighbours must count them too.
+
+#include <array>
+#include <cstdint>
+#include <filesystem>
+#include <memory>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "formats/io/documenter.h"
+#include "formats/io/field.h"
+#include "formats/io/mapped_file.h"
+#include "formats/io/output_file.h"
+#include "formats/io/provenance.h"
+
+namespace loom {
+
+/// Bits of `vertices/flags`. Bits 8 to 10 hold the Ending.
+namespace vertex_flag {
+inline constexpr std::uint16_t attempted_nee = 1;
+inline constexpr std::uint16_t attempted_bsdf = 2;
+inline constexpr std::uint16_t continued = 4;
+}  // namespace vertex_flag
+
+/// Bits of `materials/textured`: parameters that vertices hold for themselves.
+namespace textured_parameter {
+inline constexpr std::uint8_t diffuse = 1;
+inline constexpr std::uint8_t specular = 2;
+inline constexpr std::uint8_t transmittance = 4;
+inline constexpr std::uint8_t alpha = 8;
+inline constexpr std::uint8_t opacity = 16;
+}  // namespace textured_parameter
+
+/// Why a path has no vertex after this one.
+enum class Ending : std::uint8_t {
+    none = 0,  // it has one
+    escaped = 1,
+    roulette = 2,
+    invalid_sample = 3,
+    max_depth = 4,
+    hit_emitter = 5,  // an emitter without BSDF
+};
+inline constexpr int n_endings = 6;
+std::string_view ending_name(Ending ending);
+
+constexpr std::uint16_t flags_with_ending(std::uint16_t flags, Ending ending) {
+    return static_cast<std::uint16_t>((flags & ~0x700u) | (static_cast<unsigned>(ending) << 8));
+}
+constexpr Ending ending_of(std::uint16_t flags) {
+    return static_cast<Ending>((flags >> 8) & 7u);
+}
+
+/// What found a light point; the value is what `light_edges/technique` holds.
+enum class LightTechnique : std::uint8_t { next_event = 0, bsdf_hit = 1 };
+
+/// The value is what `emitters/kind` holds. Append only.
+enum class EmitterKind : std::uint8_t {
+    area = 0,
+    point = 1,
+    spot = 2,
+    directional = 3,
+    constant = 4,
+    envmap = 5
+};
+inline constexpr int n_emitter_kinds = 6;
+std::string_view emitter_kind_name(std::uint8_t kind);
+
+struct PathGraph {
+    static constexpr FormatId format{"path_graph", 1, 0};
+
+    struct Sensor {
+        std::string kind = "perspective";  // or "orthographic"
+        std::uint32_t width = 0, height = 0;
+        std::array<std::array<double, 4>, 4> world_from_camera{};
+        std::array<double, 3> origin{};
+        double fov_x_deg = 0;
+        std::array<double, 2> principal_point{};  // offset, in widths and heights
+        double near_clip = 0, far_clip = 0;
+        std::string rfilter = "box";
+        double rfilter_radius = 0.5;
+    } sensor;
+
+    struct Tracing {
+        std::uint64_t first_sample = 0, samples_per_pixel = 0;
+        std::int32_t max_depth = -1;
+        std::string roulette = "none";
+        std::int32_t roulette_depth = 5;
+        std::string sampler = "independent";
+    } tracing;
+
+    struct Paths {
+        Column<std::uint64_t> first_vertex;
+        Column<float> Le, origin;
+    } paths;
+
+    struct Vertices {
+        Column<float> p, wo;
+        Column<std::int16_t> ns, ng, n_side, tangent;
+        Column<std::uint16_t> material, flags;
+        Column<std::uint32_t> shape;
+        Column<std::uint8_t> lobe;
+        Column<float> pdf_w, q, eta;
+        Column<Half> diffuse, specular, transmittance, alpha, opacity;
+    } vertices;
+
+    struct LightEdges {
+        Column<std::uint32_t> vertex;
+        Column<std::uint8_t> technique;
+        Column<float> y;
+        Column<std::int16_t> n;
+        Column<float> Li, pdf_nee_w, pdf_bsdf_w;
+        Column<std::uint16_t> emitter;
+        Column<float> eta;
+    } light_edges;
+
+    struct Materials {
+        std::vector<std::string> id;
+        Column<std::uint8_t> kind, distribution, two_sided, nonlinear, sample_visible, textured;
+        Column<float> int_ior, ext_ior, opacity, alpha, exponent;
+        Column<float> diffuse, specular, transmittance, eta_c, k_c;
+        Column<float> fdr_int, fdr_ext, external_transmittance;
+    } materials;
+
+    struct Emitters {
+        std::vector<std::string> id;
+        Column<std::uint8_t> kind;
+        Column<float> pmf;
+    } emitters;
+
+    struct Shapes {
+        std::vector<std::string> id;
+    } shapes;
+
+    Provenance provenance;
+    std::shared_ptr<const MappedFile> storage;  // what the columns are borrowed from, if from a file
+
+    std::size_t n_pixels() const { return std::size_t{sensor.width} * sensor.height; }
+    std::size_t n_paths() const { return paths.first_vertex.empty() ? 0 : paths.first_vertex.size() - 1; }
+    std::size_t n_vertices() const { return vertices.flags.size(); }
+    std::size_t n_light_edges() const { return light_edges.vertex.size(); }
+
+    /// The invariants that go beyond types, lengths and finite floats; empty when all hold.
+    std::string problem() const;
+
+    template <class Self, class Visitor>
+    static void fields(Self& g, Visitor& v);
+};
+
+/// needs:   columns of one axis of one length
+void write_path_graph(const PathGraph& graph, const std::filesystem::path& path, Sync sync = Sync::yes);
+/// Reads, maps and checks the whole file.
+/// throws:  InputError naming the file and the dataset
+PathGraph read_path_graph(const std::filesystem::path& path);
+
+/// Bytes of each column that is there.
+std::vector<ColumnBytes> column_bytes(const PathGraph& graph);
+
+template <class Self, class Visitor>
+void PathGraph::fields(Self& g, Visitor& v) {
+    auto& s = g.sensor;
+    v.value("sensor/kind", s.kind, "", "1", "perspective or orthographic");
+    v.value("sensor/width", s.width, "", "px", "image width");
+    v.value("sensor/height", s.height, "", "px", "image height");
+    v.value("sensor/world_from_camera", s.world_from_camera, "row,column", "1 and m",
+            "world from camera; the camera looks along +z, +y is up, +x is left");
+    v.value("sensor/origin", s.origin, "xyz", "m", "pinhole, world space");
+    v.value("sensor/fov_x_deg", s.fov_x_deg, "", "degree",
+            "full horizontal field of view; 0 for orthographic");
+    v.value("sensor/principal_point", s.principal_point, "xy", "1",
+            "offset of the principal point in image widths and heights");
+    v.value("sensor/near_clip", s.near_clip, "", "m", "near clip distance along the optical axis");
+    v.value("sensor/far_clip", s.far_clip, "", "m", "far clip distance along the optical axis");
+    v.value("sensor/rfilter", s.rfilter, "", "1", "pixel filter that the scene asks for");
+    v.value("sensor/rfilter_radius", s.rfilter_radius, "", "px", "radius of the pixel filter");
+
+    auto& t = g.tracing;
+    v.value("tracing/first_sample", t.first_sample, "", "1", "index of the first sample of each pixel");
+    v.value("tracing/samples_per_pixel", t.samples_per_pixel, "", "1", "samples of each pixel in this file");
+    v.value("tracing/max_depth", t.max_depth, "", "1", "largest number of edges of a path; -1 for no limit");
+    v.value("tracing/roulette", t.roulette, "", "1", "rule of Russian roulette");
+    v.value("tracing/roulette_depth", t.roulette_depth, "", "1", "depth from which roulette is played");
+    v.value("tracing/sampler", t.sampler, "", "1",
+            "sampler; its numbers are a function of (seed, pixel, sample, dimension)");
+
+    auto& p = g.paths;
+    v.field("paths/first_vertex", p.first_vertex, 1, "path+1", "1",
+            "offsets into vertices; path i is sample first_sample + i / (width height) of pixel i mod (width "
+            "height), pixel = y width + x, row 0 on top");
+    v.field("paths/Le", p.Le, 3, "path,rgb", "W m^-2 sr^-1",
+            "radiance seen directly: emitter at the first hit, or environment of a camera ray that escaped",
+            Finite::counted);
+    v.optional("paths/origin", p.origin, 3, "path,xyz", "m",
+               "origin of the camera ray; absent: sensor/origin");
+
+    auto& x = g.vertices;
+    v.field("vertices/p", x.p, 3, "vertex,xyz", "m", "position, world space");
+    v.field("vertices/wo", x.wo, 3, "vertex,xyz", "1",
+            "unit direction to where light leaves to, the previous vertex or the camera");
+    v.field("vertices/ns", x.ns, 2, "vertex,uv", "1/32767", "shading normal, octahedral");
+    v.optional("vertices/ng", x.ng, 2, "vertex,uv", "1/32767", "geometric normal, octahedral; absent: ns");
+    v.optional("vertices/n_side", x.n_side, 2, "vertex,uv", "1/32767",
+               "shading normal before bump or normal maps, octahedral; absent: ns");
+    v.optional("vertices/tangent", x.tangent, 2, "vertex,uv", "1/32767",
+               "first tangent of the shading frame, octahedral; absent: the frame follows from ns alone");
+    v.field("vertices/material", x.material, 1, "vertex", "1", "row of materials");
+    v.field("vertices/shape", x.shape, 1, "vertex", "1", "row of shapes");
+    v.field("vertices/flags", x.flags, 1, "vertex", "1",
+            "bit 0 next-event estimation attempted, bit 1 BSDF sample attempted, bit 2 continued by the next "
+            "row; bits 8-10 ending: 0 none, 1 escaped, 2 roulette, 3 invalid sample, 4 max depth, 5 hit an "
+            "emitter without BSDF");
+    v.field("vertices/lobe", x.lobe, 1, "vertex", "1",
+            "lobe of the BSDF sample: 0 none, 1 diffuse, 2 glossy reflection, 3 glossy transmission, 4 delta "
+            "reflection, 5 delta transmission, 6 null");
+    v.field(
+        "vertices/pdf_w", x.pdf_w, 1, "vertex", "sr^-1",
+        "density of the BSDF sample, survival of roulette folded in; for a delta lobe its probability (1)");
+    v.optional("vertices/q", x.q, 1, "vertex", "1", "survival probability of roulette; absent: 1");
+    v.optional("vertices/eta", x.eta, 1, "vertex", "1",
+               "absolute refractive index along the segment from the previous vertex; absent: 1");
+    v.optional("vertices/diffuse", x.diffuse, 3, "vertex,rgb", "1",
+               "diffuse reflectance, for materials where it is textured");
+    v.optional("vertices/specular", x.specular, 3, "vertex,rgb", "1",
+               "factor on specular reflection, for materials where it is textured");
+    v.optional("vertices/transmittance", x.transmittance, 3, "vertex,rgb", "1",
+               "factor on specular transmission, for materials where it is textured");
+    v.optional("vertices/alpha", x.alpha, 2, "vertex,uv", "1",
+               "microfacet roughness, for materials where it is textured");
+    v.optional("vertices/opacity", x.opacity, 1, "vertex", "1",
+               "1 - probability of passing straight on, for materials where it is textured");
+
+    auto& e = g.light_edges;
+    v.field("light_edges/vertex", e.vertex, 1, "edge", "1", "row of vertices; never decreasing");
+    v.field("light_edges/technique", e.technique, 1, "edge", "1",
+            "0 next-event estimation, 1 hit by the BSDF sample; in this order for a vertex");
+    v.field("light_edges/y", e.y, 4, "edge,xyzw", "m, or 1 at infinity",
+            "homogeneous light point: w = 1 position; w = 0 unit direction towards the light");
+    v.optional("light_edges/n", e.n, 2, "edge,uv", "1/32767", "normal at the light point, octahedral");
+    v.field("light_edges/Li", e.Li, 3, "edge,rgb", "W m^-2 sr^-1",
+            "radiance that arrives at the vertex; for point, spot and directional lights the irradiance on a "
+            "plane facing the light, so that f cos Li / pdf_nee_w is the estimate",
+            Finite::counted);
+    v.field("light_edges/pdf_nee_w", e.pdf_nee_w, 1, "edge", "sr^-1",
+            "density of next-event estimation at the vertex, choice of emitter included; the probability (1) "
+            "for delta lights; 0 where it cannot find this point");
+    v.field("light_edges/pdf_bsdf_w", e.pdf_bsdf_w, 1, "edge", "sr^-1",
+            "density of the BSDF sample, roulette folded in; 0 where it cannot find this point");
+    v.field("light_edges/emitter", e.emitter, 1, "edge", "1", "row of emitters");
+    v.optional("light_edges/eta", e.eta, 1, "edge", "1",
+               "absolute refractive index along the edge; absent: 1");
+
+    auto& m = g.materials;
+    v.names("materials/id", m.id, "material", "id in the scene file, or a made-up one");
+    v.field("materials/kind", m.kind, 1, "material", "1",
+            "0 diffuse, 1 rough diffuse, 2 conductor, 3 rough conductor, 4 dielectric, 5 thin dielectric, 6 "
+            "rough dielectric, 7 plastic, 8 rough plastic, 9 phong, 10 ward, 11 null");
+    v.field("materials/distribution", m.distribution, 1, "material", "1", "microfacets: 0 GGX, 1 Beckmann");
+    v.field("materials/two_sided", m.two_sided, 1, "material", "1", "1: reflects alike from behind");
+    v.field("materials/nonlinear", m.nonlinear, 1, "material", "1",
+            "1: internal scattering of a plastic shifts its colour");
+    v.field("materials/sample_visible", m.sample_visible, 1, "material", "1",
+            "1: microfacets are sampled by their visible area");
+    v.field("materials/textured", m.textured, 1, "material", "1",
+            "parameters that a texture gives, to be read at the vertex: bit 0 diffuse, bit 1 specular, "
+            "bit 2 transmittance, bit 3 alpha, bit 4 opacity");
+    v.field("materials/int_ior", m.int_ior, 1, "material", "1",
+            "absolute refractive index behind the normal");
+    v.field("materials/ext_ior", m.ext_ior, 1, "material", "1", "absolute refractive index outside");
+    v.field("materials/opacity", m.opacity, 1, "material", "1", "1 - probability of passing straight on");
+    v.field("materials/alpha", m.alpha, 2, "material,uv", "1", "microfacet roughness");
+    v.field("materials/exponent", m.exponent, 1, "material", "1", "Phong exponent");
+    v.field("materials/diffuse", m.diffuse, 3, "material,rgb", "1", "diffuse reflectance");
+    v.field("materials/specular", m.specular, 3, "material,rgb", "1", "factor on specular reflection");
+    v.field("materials/transmittance", m.transmittance, 3, "material,rgb", "1",
+            "factor on specular transmission");
+    v.field("materials/eta_c", m.eta_c, 3, "material,rgb", "1",
+            "conductor: real part of the index, over outside");
+    v.field("materials/k_c", m.k_c, 3, "material,rgb", "1",
+            "conductor: imaginary part of the index, over outside");
+    v.field("materials/fdr_int", m.fdr_int, 1, "material", "1",
+            "plastic: diffuse Fresnel reflectance from inside");
+    v.field("materials/fdr_ext", m.fdr_ext, 1, "material", "1",
+            "plastic: diffuse Fresnel reflectance from outside");
+    v.optional("materials/external_transmittance", m.external_transmittance, 64, "material,cos_theta", "1",
+               "rough plastic: what the interface lets through, cosines evenly over [0, 1]");
+
+    auto& l = g.emitters;
+    v.names("emitters/id", l.id, "emitter", "id in the scene file, or a made-up one");
+    v.field("emitters/kind", l.kind, 1, "emitter", "1",
+            "0 area, 1 point, 2 spot, 3 directional, 4 constant, 5 envmap");
+    v.field("emitters/pmf", l.pmf, 1, "emitter", "1", "probability of being chosen by next-event estimation");
+
+    v.names("shapes/id", g.shapes.id, "shape", "id in the scene file, or a made-up one");
+}
+
+}  // namespace loom

@@ -1,0 +1,207 @@
+#include "stages/core/app/command.h"
+
+#include <algorithm>
+#include <cstdio>
+#include <exception>
+#include <filesystem>
+#include <new>
+
+#include "formats/io/error.h"
+#include "formats/io/output_file.h"
+#include "version.h"
+
+namespace loom::app {
+namespace {
+
+/// A list option is bounded only by the command line's own length.
+constexpr int any_number = 1 << 20;
+
+std::string program_of(const std::string& about) {
+    return "loom-" + about.substr(0, about.find(':'));
+}
+
+/// Absolute paths, alone or as the value of a definition, tell where a run took place: base name only.
+std::string without_place(const std::string& word) {
+    const std::size_t value = word.find('=') == std::string::npos ? 0 : word.find('=') + 1;
+    if (value >= word.size() || word[value] != '/') return word;
+    return word.substr(0, value) + base_name(std::string_view(word).substr(value));
+}
+
+}  // namespace
+
+std::string base_name(std::string_view path) {
+    return std::filesystem::path(path).filename().string();
+}
+
+std::string shell_word(std::string_view word) {
+    const auto plain = [](char c) {
+        return (c >= '0' && c <= '9') || (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') ||
+               std::string_view("_-+./,:=@%").find(c) != std::string_view::npos;
+    };
+    if (!word.empty() && std::all_of(word.begin(), word.end(), plain)) return std::string(word);
+    std::string out = "'";
+    for (const char c : word) {
+        if (c == '\'') out += "'\\'";
+        out += c;
+    }
+    return out + "'";
+}
+
+Command::Command(const std::string& about) : report(program_of(about)), app(about, program_of(about)) {
+    app.set_version_flag("--version",
+                         fmt::format("{} {} (commit {})", report.name(), LOOM_RELEASE, LOOM_COMMIT),
+                         "print release and commit");
+    app.set_help_flag("-h,--help", "print this help");
+    app.get_formatter()->column_width(34);
+    app.add_flag_callback(
+        "--quiet", [this] { report.set_quiet(true); }, "only warnings and errors on stderr");
+}
+
+void Command::refuse(const std::string& message) {
+    throw CLI::ValidationError(message);
+}
+
+CLI::Option* Command::declare(const std::string& names, const std::string& help, const std::string& type,
+                              Kind kind, std::function<void(const std::string&)> set,
+                              std::function<std::vector<std::string>()> get) {
+    const std::string shown = names.substr(names.rfind(',') + 1);
+    const auto callback = [set, shown](const CLI::results_t& texts) {
+        for (const std::string& text : texts) {
+            try {
+                set(text);
+            } catch (const CLI::ValidationError& wrong) {
+                throw CLI::ValidationError(shown, wrong.what());
+            }
+        }
+        return true;
+    };
+    CLI::Option* option = app.add_option(names, callback, help);
+    option->type_name(type);
+    const std::vector<std::string> now = get();
+    if (!now.empty()) option->default_str(now.front());
+    // "-o,--output" is known by its last name, the long one.
+    declared_.push_back({kind, shown.starts_with('-') ? shown : "", std::move(get)});
+    return option;
+}
+
+CLI::Option* Command::option(const std::string& names, std::string& field, const std::string& help) {
+    return declare(
+        names, help, "TEXT", Kind::value, [&field](const std::string& text) { field = text; },
+        [&field]() -> std::vector<std::string> {
+            if (field.empty()) return {};
+            return {field};
+        });
+}
+
+CLI::Option* Command::option(const std::string& names, std::vector<std::string>& field,
+                             const std::string& help) {
+    return declare(
+               names, help, "TEXT", Kind::value, [&field](const std::string& text) { field.push_back(text); },
+               [&field] { return field; })
+        ->take_all()
+        ->allow_extra_args(false);
+}
+
+CLI::Option* Command::flag(const std::string& names, bool& field, const std::string& help) {
+    const std::string shown = names.substr(names.rfind(',') + 1);
+    declared_.push_back({Kind::value, shown,
+                         [&field]() -> std::vector<std::string> {
+                             if (!field) return {};
+                             return {"true"};
+                         },
+                         true});
+    return app.add_flag_callback(
+        names, [&field] { field = true; }, help);
+}
+
+CLI::Option* Command::file(const std::string& names, std::string& field, const std::string& help) {
+    CLI::Option* option = this->option(names, field, help);
+    declared_.back().kind = Kind::input;
+    return option->type_name("FILE");
+}
+
+CLI::Option* Command::files(const std::string& names, std::vector<std::string>& field,
+                            const std::string& help) {
+    CLI::Option* option = this->option(names, field, help);
+    declared_.back().kind = Kind::input;
+    return option->type_name("FILE")->expected(1, any_number)->allow_extra_args();
+}
+
+CLI::Option* Command::output(const std::string& names, std::string& field, const std::string& help) {
+    CLI::Option* option = this->option(names, field, help);
+    declared_.back().kind = Kind::place;
+    declared_.back().is_output = true;
+    return option->type_name("FILE");
+}
+
+CLI::Option* Command::threads(int& field) {
+    CLI::Option* option = this->option("--threads", field, "threads; 0: one per core", Range<int>{0, 1024});
+    declared_.back().kind = Kind::place;
+    return option;
+}
+
+void Command::example(const std::string& line) {
+    app.footer("Example: " + line);
+}
+
+std::string Command::text(bool for_output) const {
+    std::string text = report.name();
+    for (const Declared& option : declared_) {
+        if (for_output && option.kind == Kind::place) continue;
+        for (const std::string& value : option.get()) {
+            if (!option.flag.empty()) text += " " + option.flag;
+            if (option.is_flag) continue;
+            if (!for_output)
+                text += " " + shell_word(value);
+            else
+                text +=
+                    " " + shell_word(option.kind == Kind::input ? base_name(value) : without_place(value));
+        }
+    }
+    return text;
+}
+
+void Command::check_files() const {
+    namespace fs = std::filesystem;
+    for (const Declared& option : declared_) {
+        for (const std::string& name : option.get()) {
+            std::error_code ignored;
+            if (option.kind == Kind::input) {
+                if (!fs::exists(name, ignored)) throw InputError(fmt::format("{}: no such file", name));
+                if (fs::is_directory(name, ignored))
+                    throw InputError(fmt::format("{}: a folder, not a file", name));
+            } else if (option.is_output) {
+                check_output_path(name);
+            }
+        }
+    }
+}
+
+int Command::execute_body(int argc, char** argv, const std::function<int()>& body) {
+    try {
+        app.parse(argc, argv);
+        report.set_command(text(true));
+        report.info("{}", text(false));
+        check_files();
+        const int code = body();
+        if (std::fflush(stdout) != 0) throw std::runtime_error("cannot write to the standard output");
+        return code;
+    } catch (const CLI::Success& asked) {  // --help, --version
+        app.exit(asked);
+        return std::fflush(stdout) == 0 ? exit_done : exit_failed;
+    } catch (const CLI::ParseError& wrong) {
+        report.error("{}\n{}: see {} --help", wrong.what(), report.name(), report.name());
+        return exit_wrong_input;
+    } catch (const InputError& wrong) {
+        report.error("{}", wrong.what());
+        return exit_wrong_input;
+    } catch (const std::bad_alloc&) {
+        report.error("out of memory (peak so far {})", bytes_text(report.usage().peak_memory_bytes));
+        return exit_failed;
+    } catch (const std::exception& failure) {
+        report.error("{}", failure.what());
+        return exit_failed;
+    }
+}
+
+}  // namespace loom::app

@@ -1,0 +1,155 @@
+#pragma once
+// The command line of a stage: options bound to the fields of a plain struct, exit codes, the log.
+//
+//   int main(int argc, char** argv) {
+//       trace::Options options;
+//       app::Command command{"trace: sample paths, write a path graph"};
+//       trace::declare(command, options);
+//       return command.execute(argc, argv, [&] { return trace::run(options, command.report); });
+//   }
+
+#include <CLI/App.hpp>
+#include <CLI/Config.hpp>
+#include <CLI/Formatter.hpp>
+#include <functional>
+#include <optional>
+#include <string>
+#include <type_traits>
+#include <utility>
+#include <vector>
+
+#include "stages/core/app/report.h"
+#include "stages/core/app/values.h"
+
+namespace loom::app {
+
+/// done 0 · the answer is no 1 · the command line or an input is wrong 2 · anything else 3
+enum Exit : int { exit_done = 0, exit_no = 1, exit_wrong_input = 2, exit_failed = 3 };
+
+/// Options and body of one stage. Every function that declares an option takes the field that holds its
+/// default; the field must outlive the Command. Names are CLI11's: "--spp", "-o,--output", "scene"
+/// (positional).
+class Command {
+  public:
+    /// about: "NAME: what the stage does"; the program is then called loom-NAME.
+    explicit Command(const std::string& about);
+
+    /// A number, or an optional one (left out of the command's text while unset).
+    template <class T>
+    requires Number<typename value_of<T>::type> CLI::Option* option(
+        const std::string& names, T& field, const std::string& help,
+        std::optional<Range<typename value_of<T>::type>> range = std::nullopt);
+    /// A text; a list of texts, one per use of the flag (`-D a=1 -D b=2`).
+    CLI::Option* option(const std::string& names, std::string& field, const std::string& help);
+    CLI::Option* option(const std::string& names, std::vector<std::string>& field, const std::string& help);
+    CLI::Option* flag(const std::string& names, bool& field, const std::string& help);
+    /// One value of a closed set, by name.
+    template <class Enum>
+    CLI::Option* choice(const std::string& names, Enum& field, const std::string& help,
+                        std::vector<std::pair<std::string, Enum>> values);
+
+    /// An input that must be there; `files` takes one or more. The command's text has base names only.
+    CLI::Option* file(const std::string& names, std::string& field, const std::string& help);
+    CLI::Option* files(const std::string& names, std::vector<std::string>& field, const std::string& help);
+    /// A file to write; its folder must be there. Not in the command's text.
+    CLI::Option* output(const std::string& names, std::string& field, const std::string& help);
+    /// --threads; 0 is all. Not in the command's text.
+    CLI::Option* threads(int& field);
+    /// A line to copy, shown at the end of the help.
+    void example(const std::string& line);
+
+    /// Parses, prints the resolved options, runs the body and turns its outcome into an exit code. The body
+    /// returns an exit code or nothing, and throws InputError for a wrong input.
+    template <class Body>
+    int execute(int argc, char** argv, Body&& body) {
+        if constexpr (std::is_void_v<std::invoke_result_t<Body&>>)
+            return execute_body(argc, argv, [&]() -> int { return body(), exit_done; });
+        else
+            return execute_body(argc, argv, [&]() -> int { return body(); });
+    }
+
+    /// Resolved options, defaults included. for_output: without what must not reach an output (folders,
+    /// names of outputs, threads).
+    std::string text(bool for_output) const;
+
+    Report report;
+    CLI::App app;
+
+  private:
+    enum class Kind { value, input, place };  // place: where or how fast, never what
+    struct Declared {
+        Kind kind;
+        std::string flag;                               // empty for a positional
+        std::function<std::vector<std::string>()> get;  // empty while unset
+        bool is_flag = false;
+        bool is_output = false;
+    };
+
+    CLI::Option* declare(const std::string& names, const std::string& help, const std::string& type,
+                         Kind kind, std::function<void(const std::string&)> set,
+                         std::function<std::vector<std::string>()> get);
+    void check_files() const;
+    int execute_body(int argc, char** argv, const std::function<int()>& body);
+    [[noreturn]] static void refuse(const std::string& message);
+
+    std::vector<Declared> declared_;
+};
+
+template <class T>
+requires Number<typename value_of<T>::type> CLI::Option* Command::option(
+    const std::string& names, T& field, const std::string& help,
+    std::optional<Range<typename value_of<T>::type>> range) {
+    using Value = typename value_of<T>::type;
+    const std::string kind = std::floating_point<Value> ? "number" : "whole number";
+    std::string type = std::floating_point<Value> ? "NUMBER" : "INT";
+    if (range) {
+        type += range->high == std::numeric_limits<Value>::max()
+                    ? fmt::format(" >= {}", range->low)
+                    : fmt::format(" {}..{}", range->low, range->high);
+        if (!range->unit.empty()) type += " " + range->unit;
+    }
+    const auto set = [&field, range, kind](const std::string& text) {
+        const std::optional<Value> value = parse_number<Value>(text);
+        if (!value) {
+            // A number too large for the type is out of range to the user, not "no number".
+            refuse(fmt::format("'{}' is not a {}{}", text, kind,
+                               range ? fmt::format(" from {} to {}", range->low, range->high) : ""));
+        }
+        if (range && (*value < range->low || *value > range->high))
+            refuse(fmt::format("{} is not in {} to {}", text, range->low, range->high));
+        field = *value;
+    };
+    const auto get = [&field]() -> std::vector<std::string> {
+        if constexpr (is_optional<T>::value) {
+            if (!field) return {};
+            return {number_text(*field)};
+        } else {
+            return {number_text(field)};
+        }
+    };
+    return declare(names, help, type, Kind::value, set, get);
+}
+
+template <class Enum>
+CLI::Option* Command::choice(const std::string& names, Enum& field, const std::string& help,
+                             std::vector<std::pair<std::string, Enum>> values) {
+    std::string allowed;
+    for (const auto& [name, value] : values) allowed += (allowed.empty() ? "" : "|") + name;
+    const auto set = [&field, values, allowed](const std::string& text) {
+        for (const auto& [name, value] : values) {
+            if (name == text) {
+                field = value;
+                return;
+            }
+        }
+        refuse(fmt::format("'{}' is not one of {}", text, allowed));
+    };
+    const auto get = [&field, values]() -> std::vector<std::string> {
+        for (const auto& [name, value] : values)
+            if (value == field) return {name};
+        return {};
+    };
+    return declare(names, help, allowed, Kind::value, set, get);
+}
+
+}  // namespace loom::app

@@ -1,0 +1,112 @@
+#pragma once
+// What a BSDF is made of: the kinds, the parameters of a material, the parameters at one vertex, and what
+// an evaluation or a sample gives back. The formulas over them are in bsdf.h.
+
+#include <array>
+#include <cstdint>
+
+#include "stages/core/math/vector.h"
+
+namespace loom {
+
+/// Closed set; the value is what `materials/kind` holds on disk. Append only.
+enum class BsdfKind : std::uint8_t {
+    diffuse = 0,
+    rough_diffuse = 1,
+    conductor = 2,
+    rough_conductor = 3,
+    dielectric = 4,
+    thin_dielectric = 5,
+    rough_dielectric = 6,
+    plastic = 7,
+    rough_plastic = 8,
+    phong = 9,
+    ward = 10,
+    null = 11,
+};
+inline constexpr int n_bsdf_kinds = 12;
+
+enum class Microfacet : std::uint8_t { ggx = 0, beckmann = 1 };
+
+/// Which lobe a sample came from; the value is what `vertices/lobe` holds on disk. Append only.
+enum class Lobe : std::uint8_t {
+    none = 0,
+    diffuse = 1,
+    glossy_reflection = 2,
+    glossy_transmission = 3,
+    delta_reflection = 4,
+    delta_transmission = 5,
+    null = 6,  // straight on, as if the surface were not there (mask, null)
+};
+constexpr bool is_delta(Lobe lobe) {
+    return lobe >= Lobe::delta_reflection;
+}
+constexpr bool is_transmission(Lobe lobe) {
+    return lobe == Lobe::glossy_transmission || lobe == Lobe::delta_transmission || lobe == Lobe::null;
+}
+
+/// Number of entries of BsdfModel::external_transmittance.
+inline constexpr int n_transmittance = 64;
+
+/// What a material says apart from its textures. Plain data; all lengths of arrays fixed.
+struct BsdfModel {
+    BsdfKind kind = BsdfKind::diffuse;
+    Microfacet distribution = Microfacet::beckmann;
+    bool two_sided = false;                // reflects alike from behind (never with transmission)
+    bool nonlinear = false;                // plastic: colour shifts by internal scattering
+    bool sample_visible = true;            // microfacets: sample the normals that wo sees, else all of them
+    float int_ior = 1.0f, ext_ior = 1.0f;  // absolute indices inside (behind the normal) and outside
+    float opacity = 1.0f;                  // mask: 1 - probability of passing straight on
+    float alpha_u = 0.1f, alpha_v = 0.1f;  // microfacet roughness
+    float exponent = 30.0f;                // phong
+    Spectrum diffuse{0.5f};                // reflectance of the diffuse lobe
+    Spectrum specular{1.0f};               // factor on specular reflection
+    Spectrum transmittance{1.0f};          // factor on specular transmission
+    Spectrum eta_c{0.0f}, k_c{1.0f};       // conductor: complex index relative to the outside
+    // Derived by prepare() for rough_plastic: what its interface reflects of diffuse light from inside and
+    // from outside, and what it lets through per cos(theta), evenly spaced over [0, 1].
+    float fdr_int = 0.0f, fdr_ext = 0.0f;
+    std::array<float, n_transmittance> external_transmittance{};
+
+    float eta() const { return int_ior / ext_ior; }
+};
+
+/// The texture-evaluated parameters at one vertex. `model` is borrowed and outlives the Bsdf.
+template <class T>
+struct Bsdf {
+    const BsdfModel* model = nullptr;
+    Rgb<T> diffuse, specular, transmittance;
+    T alpha_u{}, alpha_v{};
+    T eta{1};      // relative index, int_ior / ext_ior
+    T opacity{1};  // 1 - probability of the null lobe
+
+    Bsdf() = default;
+    /// The model's own parameters; textures then overwrite what they give.
+    explicit Bsdf(const BsdfModel& m)
+        : model(&m),
+          diffuse(m.diffuse),
+          specular(m.specular),
+          transmittance(m.transmittance),
+          alpha_u(m.alpha_u),
+          alpha_v(m.alpha_v),
+          eta(m.eta()),
+          opacity(m.opacity) {}
+};
+
+/// BSDF times |cos(theta_i)| (sr^-1) and the density of sample() for wi (sr^-1); delta lobes excluded.
+template <class T>
+struct BsdfValue {
+    Rgb<T> f_cos;
+    T pdf_w{};
+};
+
+template <class T>
+struct BsdfSample {
+    Vector3<T> wi;           // local
+    Rgb<T> weight;           // f cos / pdf_w, or the delta lobe's value / pmf
+    T pdf_w{};               // sr^-1; for a delta lobe the pmf of choosing it
+    Lobe lobe = Lobe::none;  // none: the sample failed (mass on the empty set)
+    T eta{1};                // index of wi's side over that of wo's side; 1 unless transmitted
+};
+
+}  // namespace loom

@@ -1,0 +1,59 @@
+#pragma once
+// What a family of BSDFs gives to the dispatch of bsdf.inl. Each family is a struct of static templates
+// over the number T, so that a loop over vertices of one kind inlines the formula and nothing else:
+//   f_cos_pdf(bsdf, wo, wi)       as bsdf.h, without mask and second side; black where it is one-sided
+//   choose(bsdf, wo, u_lobe, u)   lobe and direction
+//   delta_lobe(bsdf, wo, lobe)    a lobe without width
+//   albedo(bsdf, wo)              as bsdf.h
+// The bases below stand in for the parts that a family does not have.
+
+#include "stages/core/scattering/bsdf_model.h"
+
+namespace loom {
+
+template <class T>
+struct ChosenDirection {
+    Vector3<T> wi;
+    Lobe lobe = Lobe::none;
+};
+
+template <class T>
+struct DeltaLobe {
+    Rgb<T> value;  // not divided by the pmf
+    T pmf{};
+    Vector3<T> wi;
+    T eta{1};
+};
+
+struct SmoothFamily {
+    static constexpr bool smooth = true, delta = false;
+    template <class T>
+    static DeltaLobe<T> delta_lobe(const Bsdf<T>&, const Vector3<T>&, Lobe) {
+        return {};
+    }
+};
+
+struct DeltaFamily {
+    static constexpr bool smooth = false, delta = true;
+    template <class T>
+    static BsdfValue<T> f_cos_pdf(const Bsdf<T>&, const Vector3<T>&, const Vector3<T>&) {
+        return {};
+    }
+};
+
+/// Black unless both directions are above the surface.
+template <class T>
+BsdfValue<T> one_sided(const Vector3<T>& wo, const Vector3<T>& wi, const Rgb<T>& f_cos, const T& pdf_w) {
+    const bool above = wo.z > T(0) && wi.z > T(0);
+    return {select(above, f_cos, Rgb<T>()), select(above, pdf_w, T(0))};
+}
+
+/// Probability of the first of two lobes that reflect `a` and `b`: by what they reflect, so that no sample
+/// of either weighs much more than both together; a lobe that reflects nothing is never chosen.
+template <class T>
+T share(const T& a, const T& b) {
+    const T sum = a + b;
+    return select(sum > T(0), a / sum, T(0));
+}
+
+}  // namespace loom

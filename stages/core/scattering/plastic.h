@@ -1,0 +1,114 @@
+#pragma once
+// A diffuse base under a dielectric coat, smooth or rough. Light that the coat reflects back inside is
+// scattered again; the series of those reflections is summed in closed form.
+
+#include "stages/core/scattering/family.h"
+#include "stages/core/scattering/fresnel.h"
+#include "stages/core/scattering/microfacet.h"
+
+namespace loom {
+
+/// Diffuse reflectance of the base seen through the coat, apart from the two passages of its interface.
+///   ρ / (η² (1 - ρ R_in)), or ρ / (η² (1 - R_in)) when colours are to be kept (nonlinear = false)
+template <class T>
+Rgb<T> coated_diffuse(const Bsdf<T>& b, const T& inside_reflectance) {
+    const T inv_eta2 = T(1) / (b.eta * b.eta);
+    if (!b.model->nonlinear) return b.diffuse * (inv_eta2 / (T(1) - inside_reflectance));
+    return b.diffuse / (Rgb<T>(T(1)) - b.diffuse * inside_reflectance) * inv_eta2;
+}
+
+struct PlasticFamily : SmoothFamily {
+    static constexpr bool delta = true;
+
+    template <class T>
+    struct Energy {
+        Rgb<T> specular, diffuse;  // what each lobe reflects of the light that leaves to wo
+        Rgb<T> base;
+        T transmitted;
+        T p_specular() const { return share(max_channel(specular), max_channel(diffuse)); }
+    };
+    template <class T>
+    static Energy<T> energy(const Bsdf<T>& b, const Vector3<T>& wo) {
+        const T F = fresnel_dielectric(wo.z, b.eta).reflectance;
+        const Rgb<T> base = coated_diffuse(b, fresnel_diffuse_reflectance(T(1) / b.eta));
+        const T entering = T(1) - fresnel_diffuse_reflectance(b.eta);
+        return {b.specular * F, base * ((T(1) - F) * entering), base, T(1) - F};
+    }
+    template <class T>
+    static BsdfValue<T> f_cos_pdf(const Bsdf<T>& b, const Vector3<T>& wo, const Vector3<T>& wi) {
+        const Energy<T> e = energy(b, wo);
+        const T cosine = wi.z * inv_pi<T>;
+        const T entering = T(1) - fresnel_dielectric(wi.z, b.eta).reflectance;
+        return one_sided(wo, wi, e.base * (e.transmitted * entering * cosine),
+                         (T(1) - e.p_specular()) * cosine);
+    }
+    template <class T>
+    static ChosenDirection<T> choose(const Bsdf<T>& b, const Vector3<T>& wo, float u_lobe, Point2f u) {
+        if (!(wo.z > T(0))) return {};
+        if (T(u_lobe) < energy(b, wo).p_specular()) return {reflect(wo), Lobe::delta_reflection};
+        return {Vector3<T>(sample_cosine_hemisphere(u)), Lobe::diffuse};
+    }
+    template <class T>
+    static DeltaLobe<T> delta_lobe(const Bsdf<T>& b, const Vector3<T>& wo, Lobe lobe) {
+        if (lobe != Lobe::delta_reflection || !(wo.z > T(0))) return {};
+        const Energy<T> e = energy(b, wo);
+        return {e.specular, e.p_specular(), reflect(wo)};
+    }
+    template <class T>
+    static Rgb<T> albedo(const Bsdf<T>& b, const Vector3<T>& wo) {
+        const Energy<T> e = energy(b, wo);
+        return select(wo.z > T(0), e.specular + e.diffuse, Rgb<T>());
+    }
+};
+
+/// differs: the passages through the rough coat come from the table that prepare() made for the model's
+///          own alpha and eta; a derivative by either holds the table fixed
+struct RoughPlasticFamily : SmoothFamily {
+    /// What the coat lets through, by linear interpolation of the table.
+    template <class T>
+    static T transmittance(const BsdfModel& model, const T& cos) {
+        const T x = cos * T(n_transmittance - 1);
+        const int i = clamp(static_cast<int>(value_of(x)), 0, n_transmittance - 2);
+        const T t = x - T(static_cast<float>(i));
+        return T(model.external_transmittance[i]) * (T(1) - t) + T(model.external_transmittance[i + 1]) * t;
+    }
+    template <class T>
+    static PlasticFamily::Energy<T> energy(const Bsdf<T>& b, const Vector3<T>& wo) {
+        const T through = transmittance(*b.model, wo.z);
+        const Rgb<T> base = coated_diffuse(b, T(b.model->fdr_int));
+        return {b.specular * (T(1) - through), base * (through * T(1.0f - b.model->fdr_ext)), base, through};
+    }
+    template <class T>
+    static BsdfValue<T> f_cos_pdf(const Bsdf<T>& b, const Vector3<T>& wo, const Vector3<T>& wi) {
+        const PlasticFamily::Energy<T> e = energy(b, wo);
+        const T p_specular = e.p_specular();
+        const MicrofacetDistribution<T> facets(b);
+        const Vector3<T> h = normalize(wo + wi);
+        const T cos_h = dot(wo, h);
+        const T d = facets.D(h);
+        const T F = fresnel_dielectric(cos_h, b.eta).reflectance;
+        const T specular = F * d * facets.G1(wo, h) * facets.G1(wi, h) / (T(4) * wo.z);
+        const T specular_pdf =
+            b.model->sample_visible ? d * facets.G1_exact(wo) / (T(4) * wo.z) : d * h.z / (T(4) * cos_h);
+        const T cosine = wi.z * inv_pi<T>;
+        const T passages = e.transmitted * transmittance(*b.model, wi.z);
+        return one_sided(wo, wi, b.specular * specular + e.base * (passages * cosine),
+                         p_specular * specular_pdf + (T(1) - p_specular) * cosine);
+    }
+    template <class T>
+    static ChosenDirection<T> choose(const Bsdf<T>& b, const Vector3<T>& wo, float u_lobe, Point2f u) {
+        if (!(wo.z > T(0))) return {};
+        if (!(T(u_lobe) < energy(b, wo).p_specular()))
+            return {Vector3<T>(sample_cosine_hemisphere(u)), Lobe::diffuse};
+        const Vector3<T> m = MicrofacetDistribution<T>(b).sample(wo, u, b.model->sample_visible);
+        const Vector3<T> wi = reflect(wo, m);
+        return {wi, wi.z > T(0) ? Lobe::glossy_reflection : Lobe::none};
+    }
+    template <class T>
+    static Rgb<T> albedo(const Bsdf<T>& b, const Vector3<T>& wo) {
+        const PlasticFamily::Energy<T> e = energy(b, wo);
+        return select(wo.z > T(0), e.specular + e.diffuse, Rgb<T>());
+    }
+};
+
+}  // namespace loom

@@ -1,0 +1,348 @@
+#include "stages/core/scene/build.h"
+
+#include <tbb/parallel_for.h>
+
+#include "formats/io/content_hash.h"
+#include "formats/io/error.h"
+#include "stages/core/scene/embree.h"
+#include "stages/core/scene/materials.h"
+#include "stages/core/scene/sunsky.h"
+
+namespace loom {
+namespace {
+
+constexpr double rad_per_deg = pi_double / 180.0;
+
+Point3f to_point(const Point3<double>& p) { return Point3f(p); }
+
+Mesh plane_mesh(std::vector<Point3f> positions, std::vector<Point2f> uvs, std::vector<std::uint32_t> indices) {
+    return {std::move(positions), {}, std::move(uvs), std::move(indices)};
+}
+
+Mesh rectangle_mesh() {
+    return plane_mesh({{-1, -1, 0}, {1, -1, 0}, {1, 1, 0}, {-1, 1, 0}}, {{0, 0}, {1, 0}, {1, 1}, {0, 1}},
+                      {0, 1, 2, 2, 3, 0});
+}
+
+/// The cube [-1,1]^3, four vertices a face, in Mitsuba's order (it fixes the texture coordinates).
+Mesh cube_mesh() {
+    static constexpr int corners[6][4] = {{4, 5, 1, 0}, {6, 2, 3, 7}, {4, 6, 7, 5}, {5, 7, 3, 1}, {1, 3, 2, 0}, {6, 4, 0, 2}};
+    Mesh mesh;
+    for (const auto& face : corners) {
+        const auto base = std::uint32_t(mesh.positions.size());
+        for (int k = 0; k < 4; ++k) {
+            // Bits 2, 1, 0 of a corner: the signs of x, y, z.
+            const int c = face[k];
+            mesh.positions.push_back({c & 4 ? 1.f : -1.f, c & 2 ? 1.f : -1.f, c & 1 ? 1.f : -1.f});
+        }
+        mesh.uvs.insert(mesh.uvs.end(), {{0, 1}, {1, 1}, {1, 0}, {0, 0}});
+        for (std::uint32_t k : {0u, 1u, 2u, 3u, 0u, 2u}) mesh.indices.push_back(base + k);
+    }
+    return mesh;
+}
+
+/// A flat-faced mesh of ours; a mirrored one keeps its faces towards the image of their normals.
+void place_flat(Mesh& mesh, const Matrix4d& world) {
+    transform(mesh, world);
+    if (world.determinant3() < 0)
+        for (std::size_t i = 0; i < mesh.indices.size(); i += 3) std::swap(mesh.indices[i + 1], mesh.indices[i + 2]);
+}
+
+Vector3f column(const Matrix4d& m, int k) { return {float(m(0, k)), float(m(1, k)), float(m(2, k))}; }
+
+void fill_shape(const Object& o, Shape& shape, std::vector<std::string>& notes) {
+    const Matrix4d world = o.get_transform("to_world");
+    const bool mirrored = world.determinant3() < 0;
+    if (o.plugin == "rectangle" || o.plugin == "cube") {
+        shape.mesh = o.plugin == "rectangle" ? rectangle_mesh() : cube_mesh();
+        place_flat(shape.mesh, world);
+        shape.flip_normals = o.get_bool("flip_normals", false);
+    } else if (o.plugin == "sphere") {
+        shape.kind = ShapeKind::sphere;
+        shape.center = to_point(world.point(o.get_point("center", {0, 0, 0})));
+        const Vector3<double> axis = world.vector({1, 0, 0});
+        const double scale = length(axis);
+        for (int k = 1; k < 3; ++k) {
+            const Vector3f other = column(world, k);
+            if (std::abs(length(other) - scale) > 1e-3 * scale)
+                o.fail("to_world", "a sphere cannot be scaled differently along its axes; use a mesh");
+        }
+        shape.radius = float(o.get_double("radius", 1.0) * scale);
+        if (!(shape.radius > 0)) o.fail("radius", "the radius of a sphere must be positive");
+        shape.u_axis = normalize(column(world, 0));
+        shape.v_axis = normalize(column(world, 1));
+        shape.flip_normals = o.get_bool("flip_normals", false) != mirrored;
+    } else if (o.plugin == "disk") {
+        shape.kind = ShapeKind::disk;
+        shape.center = to_point(world.point({0, 0, 0}));
+        shape.u_axis = column(world, 0);
+        shape.v_axis = column(world, 1);
+        shape.flip_normals = o.get_bool("flip_normals", false) != mirrored;
+    } else {
+        shape.mesh = load_mesh(o, notes);
+    }
+}
+
+Vector3f face_normal(const Mesh& mesh, std::size_t triangle) {
+    const std::uint32_t* i = &mesh.indices[3 * triangle];
+    const Point3f& p = mesh.positions[i[0]];
+    return normalize(cross(mesh.positions[i[1]] - p, mesh.positions[i[2]] - p));
+}
+
+double shape_area(const Shape& shape, std::vector<double>* triangle_areas) {
+    if (shape.kind == ShapeKind::sphere) return 4 * pi_double * sqr(double(shape.radius));
+    if (shape.kind == ShapeKind::disk) return pi_double * length(cross(shape.u_axis, shape.v_axis));
+    const Mesh& mesh = shape.mesh;
+    double sum = 0;
+    for (std::size_t t = 0; t < mesh.n_triangles(); ++t) {
+        const std::uint32_t* i = &mesh.indices[3 * t];
+        const Point3<double> a(mesh.positions[i[0]]), b(mesh.positions[i[1]]), c(mesh.positions[i[2]]);
+        const double area = 0.5 * length(cross(b - a, c - a));
+        triangle_areas->push_back(area);
+        sum += area;
+    }
+    return sum;
+}
+
+void build_sensor(const Object& root, Scene& scene) {
+    const ObjectPtr o = root.child(Category::sensor);
+    if (!o) root.fail("", "the scene has no sensor");
+    Sensor& s = scene.sensor;
+    s.kind = o->plugin == "orthographic" ? SensorKind::orthographic : SensorKind::perspective;
+    s.world_from_camera = o->get_transform("to_world").m;
+    s.near_clip = o->get_double("near_clip", 1e-2);
+    s.far_clip = o->get_double("far_clip", 1e4);
+    if (!(s.near_clip > 0 && s.far_clip > s.near_clip)) o->fail("near_clip", "needs 0 < near_clip < far_clip");
+    s.principal_x = o->get_float("principal_point_offset_x", 0.0f);
+    s.principal_y = o->get_float("principal_point_offset_y", 0.0f);
+    if (const ObjectPtr film = o->child(Category::film)) {
+        s.width = std::uint32_t(film->get_int("width", 768));
+        s.height = std::uint32_t(film->get_int("height", 576));
+        if (const ObjectPtr filter = film->child(Category::rfilter)) {
+            if (filter->plugin == "box") {
+                s.filter = Filter::box;
+                s.filter_radius = filter->get_float("radius", 0.5f);
+            } else if (filter->plugin == "tent") {
+                s.filter = Filter::tent;
+                s.filter_radius = filter->get_float("radius", 1.0f);
+            } else {
+                s.gaussian_stddev = filter->get_float("stddev", 0.5f);
+                s.filter_radius = 4 * s.gaussian_stddev;
+            }
+        }
+    }
+    if (s.kind == SensorKind::perspective) {
+        const double aspect = double(s.width) / s.height;
+        if (!o->has("fov")) {
+            // Millimetres, for the diagonal of 35 mm film.
+            const double focal_length = std::strtod(o->get_string("focal_length", "50mm").c_str(), nullptr);
+            if (!(focal_length > 0)) o->fail("focal_length", "expected a positive length such as 50mm");
+            const double half_diagonal = std::sqrt(36.0 * 36 + 24 * 24) / (2 * focal_length);
+            s.tan_half_fov_x = half_diagonal * aspect / std::sqrt(1 + aspect * aspect);
+        } else {
+            const double fov = o->get_double("fov");
+            if (!(fov > 0 && fov < 180)) o->fail("fov", "the field of view must lie between 0 and 180 degrees");
+            const double t = std::tan(0.5 * fov * rad_per_deg);
+            std::string axis = o->get_string("fov_axis", "x");
+            if (axis == "smaller") axis = aspect > 1 ? "y" : "x";
+            if (axis == "larger") axis = aspect > 1 ? "x" : "y";
+            s.tan_half_fov_x = axis == "y" ? t * aspect
+                               : axis == "diagonal" ? t * aspect / std::sqrt(1 + aspect * aspect) : t;
+        }
+    }
+    s.prepare();
+}
+
+/// The path integrator's limits; a wrapper such as `moment` passes on those of what it wraps.
+void build_limits(const Object& root, Scene& scene) {
+    ObjectPtr o = root.child(Category::integrator);
+    while (o && o->child(Category::integrator)) o = o->child(Category::integrator);
+    if (!o) return;
+    scene.max_depth = o->plugin == "direct" ? 2 : o->get_int("max_depth", -1);
+    scene.rr_depth = o->get_int("rr_depth", 5);
+}
+
+Framef frame_of(const Matrix4d& world) {
+    return {normalize(column(world, 0)), normalize(column(world, 1)), Normal3f(normalize(column(world, 2)))};
+}
+
+void build_emitter(const Object& o, Scene& scene, TextureCache& cache) {
+    Emitter e;
+    e.id = o.id;
+    e.sampling_weight = o.get_float("sampling_weight", 1.0f);
+    const Matrix4d world = o.get_transform("to_world");
+    e.frame = frame_of(world);
+    const int index = int(scene.emitters.size());
+    if (o.plugin == "point" || o.plugin == "spot") {
+        e.kind = o.plugin == "point" ? EmitterKind::point : EmitterKind::spot;
+        e.radiance = o.get_rgb("intensity", Spectrum(1));
+        e.position = to_point(world.point(o.get_point("position", {0, 0, 0})));
+        if (e.kind == EmitterKind::spot) {
+            const double cutoff = o.get_double("cutoff_angle", 20.0), beam = o.get_double("beam_width", cutoff * 0.75);
+            if (!(cutoff > 0 && cutoff <= 180 && beam >= 0 && beam <= cutoff))
+                o.fail("beam_width", "needs 0 <= beam_width <= cutoff_angle <= 180 degrees");
+            e.cutoff_rad = float(cutoff * rad_per_deg);
+            e.beam_rad = float(beam * rad_per_deg);
+            if (const ObjectPtr t = o.get_object("texture")) {
+                e.texture = int(scene.textures.size());
+                scene.textures.push_back(make_texture(*t, cache));
+            }
+        }
+    } else if (o.plugin == "directional") {
+        e.kind = EmitterKind::directional;
+        e.radiance = o.get_rgb("irradiance", Spectrum(1));
+        if (o.has("direction")) {
+            const Vector3<double> d = world.vector(o.get_vector("direction", {0, 0, 1}));
+            if (!(length(d) > 0)) o.fail("direction", "the direction has no length");
+            e.frame = Framef(Normal3f(normalize(Vector3f(d))));
+        }
+    } else {
+        if (scene.environment >= 0) o.fail("", "only one environment emitter is possible");
+        scene.environment = index;
+        e.kind = o.plugin == "constant" ? EmitterKind::constant : EmitterKind::envmap;
+        if (e.kind == EmitterKind::constant) {
+            e.radiance = o.get_rgb("radiance", Spectrum(1));
+        } else {
+            e.map = std::make_shared<EnvironmentMap>(o.plugin == "envmap" ? load_environment(o, cache) : bake_sunsky(o));
+            e.map->prepare();
+        }
+    }
+    scene.emitters.push_back(std::move(e));
+}
+
+void round_face_normals(Shape& shape) {
+    const Mesh& mesh = shape.mesh;
+    shape.face_normals.reserve(mesh.n_triangles());
+    for (std::size_t t = 0; t < mesh.n_triangles(); ++t) {
+        const Vector3f n = face_normal(mesh, t);
+        shape.face_normals.push_back(Normal3f(octahedral_round(shape.flip_normals ? -n : n)));
+    }
+}
+
+void build_area_light(const Object& o, std::uint32_t shape_index, Scene& scene, TextureCache& cache) {
+    if (o.plugin != "area") o.fail("", "a shape can only have an area emitter");
+    Emitter e;
+    e.id = o.id;
+    e.sampling_weight = o.get_float("sampling_weight", 1.0f);
+    e.shape = shape_index;
+    const auto radiance = o.get_texture_or_rgb("radiance", Spectrum(1));
+    if (const auto* texture = std::get_if<ObjectPtr>(&radiance)) {
+        e.radiance = Spectrum(1);
+        e.texture = int(scene.textures.size());
+        scene.textures.push_back(make_texture(**texture, cache));
+    } else {
+        e.radiance = std::get<Spectrum>(radiance);
+    }
+    std::vector<double> areas;
+    Shape& shape = scene.shapes[shape_index];
+    e.area = shape_area(shape, &areas);
+    if (!(e.area > 0)) o.fail("", "the shape of this emitter has no area");
+    if (!areas.empty()) e.triangles = Distribution1(areas);
+    for (std::size_t t = 0; t < areas.size(); ++t) {
+        const Vector3f n = face_normal(shape.mesh, t);
+        e.normals.push_back(Normal3f(shape.flip_normals ? -n : n));
+    }
+    shape.emitter = int(scene.emitters.size());
+    scene.emitters.push_back(std::move(e));
+}
+
+void find_features(Scene& scene) {
+    SceneFeatures& f = scene.features;
+    std::vector<bool> used(scene.materials.size(), false);
+    for (const Shape& s : scene.shapes) {
+        used[s.material] = true;
+        if (scene.materials[s.material].back >= 0) used[scene.materials[s.material].back] = true;
+        f.smooth_normals |= !s.mesh.normals.empty();
+    }
+    for (std::size_t i = 0; i < used.size(); ++i) {
+        if (!used[i]) continue;
+        const Material& m = scene.materials[i];
+        f.textured_diffuse |= m.diffuse >= 0;
+        f.textured_specular |= m.specular >= 0;
+        f.textured_transmittance |= m.transmittance >= 0;
+        f.textured_alpha |= m.alpha_u >= 0 || m.alpha_v >= 0;
+        f.textured_opacity |= m.opacity >= 0;
+        f.perturbed_normals |= m.perturbed();
+        const BsdfKind k = m.model.kind;
+        const bool rough = k == BsdfKind::rough_conductor || k == BsdfKind::rough_dielectric || k == BsdfKind::ward;
+        f.anisotropic |= rough && (m.model.alpha_u != m.model.alpha_v || m.alpha_u != m.alpha_v);
+        f.dielectric |= k == BsdfKind::dielectric || k == BsdfKind::rough_dielectric;
+        f.null_lobes |= k == BsdfKind::null || m.opacity >= 0 || m.model.opacity < 1;
+        f.delta_lobes |= k == BsdfKind::conductor || k == BsdfKind::dielectric || k == BsdfKind::thin_dielectric ||
+                         k == BsdfKind::plastic;
+    }
+    f.delta_lobes |= f.null_lobes;
+    f.smooth_normals |= f.perturbed_normals;
+}
+
+void find_bounds(Scene& scene) {
+    Point3f low{INFINITY, INFINITY, INFINITY}, high{-INFINITY, -INFINITY, -INFINITY};
+    auto extend = [&](const Point3f& p, float r) {
+        for (int k = 0; k < 3; ++k) {
+            low[k] = std::min(low[k], p[k] - r);
+            high[k] = std::max(high[k], p[k] + r);
+        }
+    };
+    for (const Shape& s : scene.shapes) {
+        for (const Point3f& p : s.mesh.positions) extend(p, 0);
+        if (s.kind == ShapeKind::sphere) extend(s.center, s.radius);
+        if (s.kind == ShapeKind::disk) extend(s.center, std::max(length(s.u_axis), length(s.v_axis)));
+    }
+    if (scene.shapes.empty()) return;
+    scene.center = low + (high - low) * 0.5f;
+    scene.radius = 0.5f * length(high - low);
+}
+
+}  // namespace
+
+std::unique_ptr<Scene> load_scene(const std::filesystem::path& file, const Defines& defines) {
+    SceneDescription description = read_scene(file, defines);
+    const Object& root = *description.root;
+    auto scene = std::make_unique<Scene>();
+    scene->notes = std::move(description.notes);
+    scene->notes.insert(scene->notes.end(), description.warnings.begin(), description.warnings.end());
+    scene->dependencies = description.files;
+    build_sensor(root, *scene);
+    build_limits(root, *scene);
+
+    TextureCache cache;
+    MaterialBuilder materials(*scene, cache);
+    const auto shapes = root.children(Category::shape);
+    scene->shapes.resize(shapes.size());
+    std::vector<std::vector<std::string>> notes(shapes.size());
+    tbb::parallel_for(std::size_t(0), shapes.size() + 1, [&](std::size_t i) {
+        // One task reads the textures while the others read meshes.
+        if (i == 0) {
+            for (const ObjectPtr& o : shapes) materials.decode_images(o->child(Category::bsdf));
+            return;
+        }
+        fill_shape(*shapes[i - 1], scene->shapes[i - 1], notes[i - 1]);
+        round_face_normals(scene->shapes[i - 1]);
+    });
+    for (std::size_t i = 0; i < shapes.size(); ++i) {
+        Shape& shape = scene->shapes[i];
+        shape.id = shapes[i]->id;
+        shape.material = materials.index(shapes[i]->child(Category::bsdf));
+        if (const ObjectPtr e = shapes[i]->child(Category::emitter)) build_area_light(*e, std::uint32_t(i), *scene, cache);
+        scene->notes.insert(scene->notes.end(), notes[i].begin(), notes[i].end());
+    }
+    for (const ObjectPtr& o : root.children(Category::emitter)) build_emitter(*o, *scene, cache);
+    if (scene->emitters.size() > 65535) root.fail("", "more than 65535 emitters");
+    if (scene->materials.size() > 65535) root.fail("", "more than 65535 materials");
+    if (!scene->emitters.empty()) {
+        std::vector<double> weights;
+        for (const Emitter& e : scene->emitters) weights.push_back(e.sampling_weight);
+        scene->emitter_pmf = Distribution1(weights);
+    }
+    find_features(*scene);
+    find_bounds(*scene);
+    scene->rays = std::make_shared<RayEngine>(scene->shapes);
+
+    std::string identity;
+    for (const auto& [name, value] : description.parameters) identity += name + "=" + value + "\n";
+    for (const std::string& name : scene->dependencies) identity += file_content_hash(name) + "\n";
+    scene->content_hash = content_hash(std::as_bytes(std::span(identity)));
+    return scene;
+}
+
+}  // namespace loom

@@ -1,0 +1,14 @@
+#pragma once
+#include <filesystem>
+
+#include "stages/core/scene/description.h"
+#include "stages/core/scene/scene.h"
+
+namespace loom {
+
+/// Reads a scene file and all it refers to, and builds the acceleration structure. Meshes and textures
+/// are loaded in parallel.
+/// throws: InputError with the place in the file
+std::unique_ptr<Scene> load_scene(const std::filesystem::path& file, const Defines& defines = {});
+
+}  // namespace loom

@@ -1,0 +1,173 @@
+// The only file that knows Embree.
+#include "stages/core/scene/embree.h"
+
+#include <embree3/rtcore.h>
+#include <pmmintrin.h>
+#include <xmmintrin.h>
+
+#include <stdexcept>
+#include <string>
+
+#include "stages/core/scene/scene.h"
+
+namespace loom {
+namespace {
+
+void on_error(void*, RTCError code, const char* message) {
+    throw std::runtime_error("Embree error " + std::to_string(int(code)) + ": " + (message ? message : ""));
+}
+
+struct AnalyticHit {
+    double t;
+    float u, v;
+    Vector3f ng;
+};
+
+/// Nearest root in (t_min, t_max), in double: a float quadratic loses the far side of a large sphere.
+bool intersect_sphere(const Shape& s, const RTCRay& r, AnalyticHit& hit) {
+    const Vector3<double> o{double(r.org_x) - s.center.x, double(r.org_y) - s.center.y, double(r.org_z) - s.center.z};
+    const Vector3<double> d{r.dir_x, r.dir_y, r.dir_z};
+    const double a = length2(d), half_b = dot(o, d), radius = s.radius;
+    // Distance of the line from the centre without cancellation.
+    const Vector3<double> nearest = o - d * (half_b / a);
+    const double discriminant = a * (radius * radius - length2(nearest));
+    if (discriminant < 0) return false;
+    const double root = std::sqrt(discriminant);
+    double t = (-half_b - root) / a;
+    if (!(t > r.tnear && t < r.tfar)) t = (-half_b + root) / a;
+    if (!(t > r.tnear && t < r.tfar)) return false;
+    const Vector3<double> n = (o + d * t) / radius;
+    hit = {t, 0, 0, Vector3f(n)};
+    return true;
+}
+
+bool intersect_disk(const Shape& s, const RTCRay& r, AnalyticHit& hit) {
+    const Vector3<double> u(s.u_axis), v(s.v_axis), n = cross(u, v), d{r.dir_x, r.dir_y, r.dir_z};
+    const Vector3<double> to_center{double(s.center.x) - r.org_x, double(s.center.y) - r.org_y,
+                                    double(s.center.z) - r.org_z};
+    const double slope = dot(n, d);
+    if (slope == 0) return false;
+    const double t = dot(n, to_center) / slope;
+    if (!(t > r.tnear && t < r.tfar)) return false;
+    // Affine coordinates in the plane of the disk; exact for skewed axes too.
+    const Vector3<double> q = d * t - to_center;
+    const double n2 = length2(n), x = dot(cross(q, v), n) / n2, y = dot(cross(u, q), n) / n2;
+    if (x * x + y * y > 1) return false;
+    hit = {t, float(x), float(y), Vector3f(n)};
+    return true;
+}
+
+bool intersect_analytic(const Shape& s, const RTCRay& r, AnalyticHit& hit) {
+    return s.kind == ShapeKind::sphere ? intersect_sphere(s, r, hit) : intersect_disk(s, r, hit);
+}
+
+void analytic_bounds(const RTCBoundsFunctionArguments* args) {
+    const Shape& s = *static_cast<const Shape*>(args->geometryUserPtr);
+    Vector3f half{s.radius, s.radius, s.radius};
+    if (s.kind == ShapeKind::disk)
+        for (int k = 0; k < 3; ++k) half[k] = std::sqrt(sqr(s.u_axis[k]) + sqr(s.v_axis[k]));
+    *args->bounds_o = {s.center.x - half.x, s.center.y - half.y, s.center.z - half.z, 0,
+                       s.center.x + half.x, s.center.y + half.y, s.center.z + half.z, 0};
+}
+
+void analytic_intersect(const RTCIntersectFunctionNArguments* args) {
+    if (!args->valid[0]) return;
+    auto& rh = *reinterpret_cast<RTCRayHit*>(args->rayhit);
+    AnalyticHit hit;
+    if (!intersect_analytic(*static_cast<const Shape*>(args->geometryUserPtr), rh.ray, hit)) return;
+    rh.ray.tfar = float(hit.t);
+    rh.hit = {hit.ng.x, hit.ng.y, hit.ng.z, hit.u, hit.v, args->primID, args->geomID, {RTC_INVALID_GEOMETRY_ID}};
+}
+
+void analytic_occluded(const RTCOccludedFunctionNArguments* args) {
+    if (!args->valid[0]) return;
+    auto& ray = *reinterpret_cast<RTCRay*>(args->ray);
+    AnalyticHit hit;
+    if (intersect_analytic(*static_cast<const Shape*>(args->geometryUserPtr), ray, hit)) ray.tfar = -INFINITY;
+}
+
+RTCRay to_rtc(const Ray& ray) {
+    return {ray.o.x, ray.o.y, ray.o.z, ray.t_min, ray.d.x, ray.d.y, ray.d.z, 0, ray.t_max, ~0u, 0, 0};
+}
+
+}  // namespace
+
+struct RayEngine::Impl {
+    RTCDevice device = nullptr;
+    RTCScene scene = nullptr;
+    ~Impl() {
+        if (scene) rtcReleaseScene(scene);
+        if (device) rtcReleaseDevice(device);
+    }
+};
+
+RayEngine::RayEngine(const std::vector<Shape>& shapes) : impl_(std::make_unique<Impl>()) {
+    prepare_ray_thread();
+    impl_->device = rtcNewDevice(nullptr);
+    if (!impl_->device) throw std::runtime_error("Embree cannot make a device");
+    rtcSetDeviceErrorFunction(impl_->device, on_error, nullptr);
+    impl_->scene = rtcNewScene(impl_->device);
+    rtcSetSceneBuildQuality(impl_->scene, RTC_BUILD_QUALITY_HIGH);
+    for (std::size_t i = 0; i < shapes.size(); ++i) {
+        const Shape& shape = shapes[i];
+        RTCGeometry geometry;
+        if (shape.kind == ShapeKind::mesh) {
+            geometry = rtcNewGeometry(impl_->device, RTC_GEOMETRY_TYPE_TRIANGLE);
+            // Embree reads 16 bytes from the last vertex on, so the buffer is its own, padded.
+            const auto& p = shape.mesh.positions;
+            auto* vertices = static_cast<float*>(rtcSetNewGeometryBuffer(geometry, RTC_BUFFER_TYPE_VERTEX, 0,
+                                                                         RTC_FORMAT_FLOAT3, 12, p.size()));
+            for (std::size_t k = 0; k < p.size(); ++k)
+                for (int axis = 0; axis < 3; ++axis) vertices[3 * k + axis] = p[k][axis];
+            auto* indices = static_cast<std::uint32_t*>(rtcSetNewGeometryBuffer(
+                geometry, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3, 12, shape.mesh.indices.size() / 3));
+            std::copy(shape.mesh.indices.begin(), shape.mesh.indices.end(), indices);
+        } else {
+            geometry = rtcNewGeometry(impl_->device, RTC_GEOMETRY_TYPE_USER);
+            rtcSetGeometryUserPrimitiveCount(geometry, 1);
+            rtcSetGeometryUserData(geometry, const_cast<Shape*>(&shape));
+            rtcSetGeometryBoundsFunction(geometry, analytic_bounds, nullptr);
+            rtcSetGeometryIntersectFunction(geometry, analytic_intersect);
+            rtcSetGeometryOccludedFunction(geometry, analytic_occluded);
+        }
+        rtcCommitGeometry(geometry);
+        rtcAttachGeometryByID(impl_->scene, geometry, unsigned(i));
+        rtcReleaseGeometry(geometry);
+    }
+    rtcCommitScene(impl_->scene);
+}
+
+RayEngine::~RayEngine() = default;
+
+Hit RayEngine::intersect(const Ray& ray) const {
+    RTCRayHit rh;
+    rh.ray = to_rtc(ray);
+    rh.hit.geomID = RTC_INVALID_GEOMETRY_ID;
+    rh.hit.instID[0] = RTC_INVALID_GEOMETRY_ID;
+    RTCIntersectContext context;
+    rtcInitIntersectContext(&context);
+    rtcIntersect1(impl_->scene, &context, &rh);
+    Hit hit;
+    if (rh.hit.geomID == RTC_INVALID_GEOMETRY_ID) return hit;
+    hit.t = rh.ray.tfar;
+    hit.u = rh.hit.u;
+    hit.v = rh.hit.v;
+    hit.shape = rh.hit.geomID;
+    hit.primitive = rh.hit.primID;
+    return hit;
+}
+
+bool RayEngine::occluded(const Ray& ray) const {
+    RTCRay r = to_rtc(ray);
+    RTCIntersectContext context;
+    rtcInitIntersectContext(&context);
+    rtcOccluded1(impl_->scene, &context, &r);
+    return r.tfar < 0;
+}
+
+void prepare_ray_thread() {
+    _MM_SET_FLUSH_ZERO_MODE(_MM_FLUSH_ZERO_ON);
+    _MM_SET_DENORMALS_ZERO_MODE(_MM_DENORMALS_ZERO_ON);
+}
+
+}  // namespace loom

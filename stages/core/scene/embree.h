@@ -1,0 +1,30 @@
+#pragma once
+#include <memory>
+#include <vector>
+
+namespace loom {
+
+struct Shape;
+struct Ray;
+struct Hit;
+
+/// The acceleration structure over all shapes of a scene. The shapes are borrowed and must outlive it.
+class RayEngine {
+  public:
+    explicit RayEngine(const std::vector<Shape>& shapes);
+    ~RayEngine();
+    RayEngine(const RayEngine&) = delete;
+    RayEngine& operator=(const RayEngine&) = delete;
+
+    Hit intersect(const Ray& ray) const;
+    bool occluded(const Ray& ray) const;
+
+  private:
+    struct Impl;
+    std::unique_ptr<Impl> impl_;
+};
+
+/// Sets flush-to-zero for the calling thread, as Embree wants it; every worker calls it once.
+void prepare_ray_thread();
+
+}  // namespace loom

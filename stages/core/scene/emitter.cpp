@@ -1,0 +1,257 @@
+#include "stages/core/scene/emitter.h"
+
+#include "stages/core/sampling/warp.h"
+#include "stages/core/scene/scene.h"
+
+namespace loom {
+namespace {
+
+constexpr float two_pi = 2 * pi<float>;
+
+/// Latitude-longitude coordinates of a unit local direction.
+Point2f sphere_uv(const Vector3f& d) {
+    const float u = std::atan2(d.x, -d.z) / two_pi;
+    return {u - std::floor(u), std::acos(clamp(d.y, -1.0f, 1.0f)) * inv_pi<float>};
+}
+
+Vector3f sphere_direction(Point2f uv) {
+    const float phi = uv.x * two_pi, theta = uv.y * pi<float>, sin_theta = std::sin(theta);
+    return {std::sin(phi) * sin_theta, std::cos(theta), -std::cos(phi) * sin_theta};
+}
+
+/// The cells of EnvironmentMap::density start half a column later than the map.
+Point2f cell_point(const EnvironmentMap& map, Point2f uv) {
+    float s = uv.x - 0.5f / float(map.width);
+    return {s - std::floor(s), uv.y};
+}
+
+/// sr^-1, from a density over the unit square of latitude and longitude.
+float solid_angle_density(float density, float cos_latitude_axis) {
+    const float sin_theta = safe_sqrt(1 - sqr(cos_latitude_axis));
+    return sin_theta > 0 ? density / (two_pi * pi<float> * sin_theta) : 0.0f;
+}
+
+/// 1 inside the beam, falling linearly with the angle to 0 at the cutoff; times the texture.
+Spectrum spot_falloff(const Scene& scene, const Emitter& e, const Vector3f& local) {
+    const float angle = std::acos(clamp(local.z, -1.0f, 1.0f));
+    if (angle >= e.cutoff_rad) return Spectrum(0);
+    const float falloff = angle <= e.beam_rad ? 1.0f : (e.cutoff_rad - angle) / (e.cutoff_rad - e.beam_rad);
+    if (e.texture < 0) return Spectrum(falloff);
+    const float scale = 0.5f / (local.z * std::tan(e.cutoff_rad));
+    return scene.textures[e.texture].eval({0.5f + local.x * scale, 0.5f + local.y * scale}) * falloff;
+}
+
+/// Point on an area light, uniform by area. out: y, geometric normal n, uv
+/// The normal is turned to the side that shines, which is that of the shading normal (as in Mitsuba).
+void sample_area(const Scene& scene, const Emitter& e, Point2f u, Point3f& y, Normal3f& n, Point2f& uv) {
+    const Shape& shape = scene.shapes[e.shape];
+    if (shape.kind == ShapeKind::disk) {
+        const Point2f d = sample_concentric_disk(u);
+        y = shape.center + shape.u_axis * d.x + shape.v_axis * d.y;
+        n = Normal3f(normalize(cross(shape.u_axis, shape.v_axis)) * (shape.flip_normals ? -1.0f : 1.0f));
+        const float phi = std::atan2(d.y, d.x) / two_pi;
+        uv = {std::sqrt(d.x * d.x + d.y * d.y), phi < 0 ? phi + 1 : phi};
+        return;
+    }
+    if (shape.kind == ShapeKind::sphere) {
+        n = Normal3f(sample_uniform_sphere(u));
+        y = shape.center + Vector3f(n) * shape.radius;
+        if (shape.flip_normals) n = -n;
+        uv = {};
+        return;
+    }
+    const Mesh& mesh = shape.mesh;
+    const std::size_t triangle = e.triangles.sample(u.x);
+    const std::uint32_t* i = &mesh.indices[3 * triangle];
+    const Point2f b = sample_triangle(u);
+    const Point3f &p0 = mesh.positions[i[0]], &p1 = mesh.positions[i[1]], &p2 = mesh.positions[i[2]];
+    y = p0 + (p1 - p0) * b.x + (p2 - p0) * b.y;
+    n = e.normals[triangle];
+    if (!mesh.normals.empty()) {
+        const Vector3f ns = Vector3f(mesh.normals[i[0]]) * (1 - b.x - b.y) + Vector3f(mesh.normals[i[1]]) * b.x +
+                            Vector3f(mesh.normals[i[2]]) * b.y;
+        if ((dot(ns, n) < 0) != shape.flip_normals) n = -n;
+    }
+    if (e.texture >= 0 && !mesh.uvs.empty()) {
+        const Point2f &t0 = mesh.uvs[i[0]], &t1 = mesh.uvs[i[1]], &t2 = mesh.uvs[i[2]];
+        uv = {t0.x + (t1.x - t0.x) * b.x + (t2.x - t0.x) * b.y, t0.y + (t1.y - t0.y) * b.x + (t2.y - t0.y) * b.y};
+    } else {
+        uv = b;
+    }
+}
+
+/// A sphere seen from outside is sampled by the cone that it fills.
+struct Cone {
+    Vector3f axis;
+    float distance = 0, cos_max = -1;
+    bool valid = false;
+};
+Cone sphere_cone(const Shape& shape, const Point3f& from) {
+    Cone cone;
+    const Vector3f to_center = shape.center - from;
+    cone.distance = length(to_center);
+    const float sin_max = shape.radius / cone.distance;
+    cone.valid = !shape.flip_normals && sin_max < 0.9999f;
+    if (cone.valid) {
+        cone.axis = to_center / cone.distance;
+        cone.cos_max = safe_sqrt(1 - sqr(sin_max));
+    }
+    return cone;
+}
+/// 1 - cos_max without cancellation for far spheres.
+float one_minus_cos(const Cone& cone, float radius) {
+    return sqr(radius / cone.distance) / (1 + cone.cos_max);
+}
+
+void sample_area_light(const Scene& scene, const Emitter& e, const Point3f& from, Point2f u, LightSample& s) {
+    const Shape& shape = scene.shapes[e.shape];
+    if (shape.kind == ShapeKind::sphere) {
+        if (const Cone cone = sphere_cone(shape, from); cone.valid) {
+            const float omc = one_minus_cos(cone, shape.radius);
+            const float cos_a = 1 - u.x * omc, sin_a = safe_sqrt(u.x * omc * (2 - u.x * omc));
+            const float phi = two_pi * u.y;
+            const Frame<float> frame{Normal3f(cone.axis)};
+            s.wi = frame.to_world({std::cos(phi) * sin_a, std::sin(phi) * sin_a, cos_a});
+            // Nearer intersection of the ray with the sphere.
+            const float half = cone.distance * cos_a;
+            const float t = half - safe_sqrt(sqr(shape.radius) - sqr(cone.distance * sin_a));
+            const Point3f on_ray = from + s.wi * t;
+            s.n = Normal3f(normalize(on_ray - shape.center));
+            s.y = shape.center + Vector3f(s.n) * shape.radius;
+            s.pdf_w = 1.0f / (two_pi * omc);
+            s.Li = e.radiance;
+            return;
+        }
+    }
+    Point2f uv;
+    sample_area(scene, e, u, s.y, s.n, uv);
+    const Vector3f d = s.y - from;
+    const float d2 = length2(d);
+    s.wi = d / std::sqrt(d2);
+    const float cos_light = -dot(s.n, s.wi);
+    if (!(cos_light > 0)) return;
+    s.pdf_w = d2 / (cos_light * float(e.area));
+    s.Li = e.texture < 0 ? e.radiance : e.radiance * scene.textures[e.texture].eval(uv);
+}
+
+}  // namespace
+
+Spectrum EnvironmentMap::eval(Point2f uv) const {
+    float x = uv.x - 0.5f / float(width);
+    x = (x - std::floor(x)) * float(width);
+    const float y = clamp(uv.y, 0.0f, 1.0f) * float(height - 1);
+    const int x0 = std::min(int(x), width - 1), y0 = std::min(int(y), std::max(height - 2, 0));
+    const int x1 = x0 + 1 == width ? 0 : x0 + 1, y1 = std::min(y0 + 1, height - 1);
+    const float fx = x - float(x0), fy = y - float(y0);
+    auto at = [&](int i, int j) { return texels[std::size_t(j) * width + i]; };
+    return lerp(fy, lerp(fx, at(x0, y0), at(x1, y0)), lerp(fx, at(x0, y1), at(x1, y1)));
+}
+
+void EnvironmentMap::prepare() {
+    const int rows = std::max(height - 1, 1);
+    std::vector<double> weights(std::size_t(width) * rows);
+    for (int y = 0; y < rows; ++y) {
+        const double sin_theta = std::sin((y + 0.5) / rows * pi_double);
+        for (int x = 0; x < width; ++x) {
+            double sum = 0;
+            for (int corner = 0; corner < 4; ++corner) {
+                const int i = (x + (corner & 1)) % width, j = std::min(y + (corner >> 1), height - 1);
+                sum += luminance(texels[std::size_t(j) * width + i]);
+            }
+            weights[std::size_t(y) * width + x] = std::max(sum, 0.0) * sin_theta;
+        }
+    }
+    density = Distribution2(weights, width, rows);
+}
+
+LightSample sample_light(const Scene& scene, const Point3f& from, Point2f u) {
+    LightSample s;
+    if (scene.emitters.empty()) return s;
+    std::size_t index = 0;
+    float pmf = 1;
+    if (scene.emitters.size() > 1) {
+        index = scene.emitter_pmf.sample(u.x);
+        pmf = scene.emitter_pmf.pmf(index);
+    }
+    const Emitter& e = scene.emitters[index];
+    s.emitter = std::uint16_t(index);
+    switch (e.kind) {
+        case EmitterKind::area: sample_area_light(scene, e, from, u, s); break;
+        case EmitterKind::point:
+        case EmitterKind::spot: {
+            const Vector3f d = e.position - from;
+            const float d2 = length2(d);
+            s.delta = true;
+            s.y = e.position;
+            s.wi = d / std::sqrt(d2);
+            s.pdf_w = 1;
+            s.Li = e.radiance / d2;
+            if (e.kind == EmitterKind::spot) s.Li *= spot_falloff(scene, e, e.frame.to_local(-s.wi));
+            break;
+        }
+        case EmitterKind::directional:
+            s.delta = s.at_infinity = true;
+            s.wi = -Vector3f(e.frame.n);
+            s.pdf_w = 1;
+            s.Li = e.radiance;
+            break;
+        case EmitterKind::constant:
+            s.at_infinity = true;
+            s.wi = sample_uniform_sphere(u);
+            s.pdf_w = 1.0f / (2 * two_pi);
+            s.Li = e.radiance;
+            break;
+        case EmitterKind::envmap: {
+            float density = 0;
+            Point2f st = e.map->density.sample(u, density);
+            const Point2f uv{st.x + 0.5f / float(e.map->width), st.y};
+            const Vector3f local = sphere_direction(uv);
+            s.at_infinity = true;
+            s.wi = e.frame.to_world(local);
+            s.pdf_w = solid_angle_density(density, local.y);
+            s.Li = e.map->eval({uv.x - std::floor(uv.x), uv.y});
+            break;
+        }
+    }
+    s.pdf_w *= pmf;
+    if (s.at_infinity) s.y = Point3f(s.wi);
+    if (is_black(s.Li)) s.pdf_w = 0;
+    return s;
+}
+
+float pdf_light_w(const Scene& scene, const Point3f& from, const SurfacePoint& at) {
+    const Shape& shape = scene.shapes[at.shape];
+    const Emitter& e = scene.emitters[shape.emitter];
+    const float pmf = scene.emitters.size() > 1 ? scene.emitter_pmf.pmf(shape.emitter) : 1.0f;
+    if (shape.kind == ShapeKind::sphere) {
+        if (const Cone cone = sphere_cone(shape, from); cone.valid)
+            return pmf / (two_pi * one_minus_cos(cone, shape.radius));
+    }
+    const Vector3f d = at.p - from;
+    const float d2 = length2(d);
+    const float cos_light = std::abs(dot(at.ng, d)) / std::sqrt(d2);
+    return cos_light > 0 ? pmf * d2 / (cos_light * float(e.area)) : 0.0f;
+}
+
+float pdf_environment_w(const Scene& scene, const Vector3f& d) {
+    const Emitter& e = scene.emitters[scene.environment];
+    const float pmf = scene.emitters.size() > 1 ? scene.emitter_pmf.pmf(scene.environment) : 1.0f;
+    if (e.kind == EmitterKind::constant) return pmf / (2 * two_pi);
+    const Vector3f local = e.frame.to_local(d);
+    return pmf * solid_angle_density(e.map->density.pdf(cell_point(*e.map, sphere_uv(local))), local.y);
+}
+
+Spectrum emitted(const Scene& scene, const SurfacePoint& at, const Vector3f& wo) {
+    const Shape& shape = scene.shapes[at.shape];
+    if (shape.emitter < 0 || !(dot(at.ns_smooth, wo) > 0)) return Spectrum(0);
+    const Emitter& e = scene.emitters[shape.emitter];
+    return e.texture < 0 ? e.radiance : e.radiance * scene.textures[e.texture].eval(at.uv);
+}
+
+Spectrum environment(const Scene& scene, const Vector3f& d) {
+    if (scene.environment < 0) return Spectrum(0);
+    const Emitter& e = scene.emitters[scene.environment];
+    return e.kind == EmitterKind::constant ? e.radiance : e.map->eval(sphere_uv(e.frame.to_local(d)));
+}
+
+}  // namespace loom

@@ -1,0 +1,77 @@
+#pragma once
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "formats/path_graph.h"  // EmitterKind
+#include "stages/core/math/frame.h"
+#include "stages/core/math/vector.h"
+#include "stages/core/sampling/distribution.h"
+
+namespace loom {
+
+struct Scene;
+struct SurfacePoint;
+
+/// Latitude-longitude map: row 0 is +y, column 0 looks to -z; bilinear; values at the centres of columns
+/// and on the first and last row at the poles (Mitsuba 3).
+struct EnvironmentMap {
+    int width = 0, height = 0;
+    std::vector<Spectrum> texels;  // radiance, row by row
+    Distribution2 density;         // over the bilinear cells
+
+    Spectrum eval(Point2f uv) const;
+    void prepare();  // fills density
+};
+
+struct Emitter {
+    std::string id;
+    EmitterKind kind = EmitterKind::area;
+    float sampling_weight = 1;
+    Spectrum radiance;              // area, constant: W m^-2 sr^-1; point, spot: intensity; directional: irradiance
+    int texture = -1;               // area: factor on radiance by uv; spot: by position in the beam
+    std::uint32_t shape = 0;        // area
+    double area = 0;                // area: m^2
+    Distribution1 triangles;        // area on a mesh: by area
+    std::vector<Normal3f> normals;  // area on a mesh: geometric, by triangle
+    Frame<float> frame;             // world from local; spot and directional shine along +z; envmap axes
+    Point3f position;               // point, spot
+    float cutoff_rad = 0, beam_rad = 0;  // spot
+    std::shared_ptr<EnvironmentMap> map;
+
+    bool is_delta() const {
+        return kind == EmitterKind::point || kind == EmitterKind::spot || kind == EmitterKind::directional;
+    }
+    bool is_infinite() const { return kind >= EmitterKind::directional; }
+};
+
+/// A light point seen from a surface point.
+struct LightSample {
+    Vector3f wi;                // unit, towards the light
+    Spectrum Li;                // f_cos * Li / pdf_w estimates the reflected light
+    float pdf_w = 0;            // sr^-1 with the choice of the emitter; a pmf for delta lights
+    Point3f y;                  // the light point; meaningless when at_infinity
+    Normal3f n;                 // its normal (area lights)
+    bool at_infinity = false;
+    bool delta = false;
+    std::uint16_t emitter = 0;
+};
+
+/// Chooses an emitter by its weight and a point on it. pdf_w = 0 when nothing arrives.
+LightSample sample_light(const Scene& scene, const Point3f& from, Point2f u);
+
+/// Density (sr^-1, choice of the emitter included) with which sample_light(from) finds the point `at` of an
+/// area emitter.
+float pdf_light_w(const Scene& scene, const Point3f& from, const SurfacePoint& at);
+
+/// Density (sr^-1) with which sample_light finds the environment in direction d.
+float pdf_environment_w(const Scene& scene, const Vector3f& d);
+
+/// Radiance that an area emitter sends from `at` towards wo; black from behind.
+Spectrum emitted(const Scene& scene, const SurfacePoint& at, const Vector3f& wo);
+
+/// Radiance that arrives from direction d at infinity.
+Spectrum environment(const Scene& scene, const Vector3f& d);
+
+}  // namespace loom

@@ -1,0 +1,232 @@
+#include "stages/core/scene/materials.h"
+
+#include "stages/core/scene/ior.h"
+
+namespace loom {
+namespace {
+
+BsdfKind kind_of(const Object& bsdf) {
+    static const std::map<std::string, BsdfKind> kinds = {
+        {"diffuse", BsdfKind::diffuse},
+        {"roughdiffuse", BsdfKind::rough_diffuse},
+        {"conductor", BsdfKind::conductor},
+        {"roughconductor", BsdfKind::rough_conductor},
+        {"dielectric", BsdfKind::dielectric},
+        {"thindielectric", BsdfKind::thin_dielectric},
+        {"roughdielectric", BsdfKind::rough_dielectric},
+        {"plastic", BsdfKind::plastic},
+        {"roughplastic", BsdfKind::rough_plastic},
+        {"phong", BsdfKind::phong},
+        {"ward", BsdfKind::ward},
+        {"null", BsdfKind::null},
+    };
+    const auto found = kinds.find(bsdf.plugin);
+    if (found == kinds.end()) bsdf.fail("", "the BSDF '" + bsdf.plugin + "' is not supported yet");
+    return found->second;
+}
+
+bool transmits(BsdfKind kind) {
+    return kind == BsdfKind::dielectric || kind == BsdfKind::thin_dielectric || kind == BsdfKind::rough_dielectric ||
+           kind == BsdfKind::null;
+}
+
+void set_conductor(const Object& o, BsdfModel& m) {
+    const std::string name = o.get_string("material", o.has("eta") || o.has("k") ? "" : "none");
+    if (!name.empty()) {
+        const auto ior = conductor_ior(name);
+        if (!ior) o.fail("material", "unknown conductor '" + name + "'");
+        m.eta_c = ior->eta;
+        m.k_c = ior->k;
+    }
+    m.eta_c = o.get_rgb("eta", m.eta_c);
+    m.k_c = o.get_rgb("k", m.k_c);
+    if (o.has("ext_eta") && name != "none") {
+        const float outside = o.get_ior("ext_eta", "air");
+        m.eta_c = m.eta_c / outside;
+        m.k_c = m.k_c / outside;
+    }
+}
+
+}  // namespace
+
+std::uint32_t MaterialBuilder::index(const ObjectPtr& bsdf) {
+    if (const auto found = materials_.find(bsdf.get()); found != materials_.end()) return found->second;
+    Sides sides;
+    if (bsdf) {
+        sides = build(*bsdf);
+        sides.front.id = bsdf->id;
+        if (sides.back) sides.back->id = bsdf->id + ".back";
+    } else {
+        sides.front.id = "default";
+    }
+    prepare(sides.front.model);
+    if (sides.back) {
+        prepare(sides.back->model);
+        sides.front.back = int(scene_.materials.size());
+        scene_.materials.push_back(*sides.back);
+    }
+    const auto index = std::uint32_t(scene_.materials.size());
+    scene_.materials.push_back(sides.front);
+    return materials_[bsdf.get()] = index;
+}
+
+void MaterialBuilder::decode_images(const ObjectPtr& bsdf) {
+    if (!bsdf) return;
+    auto visit = [&](const ObjectPtr& o) {
+        if (o->category == Category::texture) make_texture(*o, cache_);
+        if (o->category == Category::bsdf) decode_images(o);
+    };
+    for (const Property& p : bsdf->properties)
+        if (const auto* o = std::get_if<ObjectPtr>(&p.value)) visit(*o);
+    for (const auto& [o, at] : bsdf->nested) visit(o);
+}
+
+MaterialBuilder::Sides MaterialBuilder::build(const Object& o) {
+    const auto inner = o.children(Category::bsdf);
+    const bool wrapper = o.plugin == "mask" || o.plugin == "twosided" || o.plugin == "bumpmap" || o.plugin == "normalmap";
+    if (!wrapper) return {build_plain(o), std::nullopt};
+    const std::size_t most = o.plugin == "twosided" ? 2 : 1;
+    if (inner.empty() || inner.size() > most)
+        o.fail("", "'" + o.plugin + "' needs " + (most == 2 ? "one or two nested BSDFs" : "one nested BSDF"));
+    Sides sides = build(*inner[0]);
+    auto each = [&](auto&& change) {
+        change(sides.front);
+        if (sides.back) change(*sides.back);
+    };
+    if (o.plugin == "twosided") {
+        if (sides.back) o.fail("", "'twosided' inside 'twosided'");
+        if (inner.size() == 2) sides.back = build(*inner[1]).front;
+        each([&](Material& m) {
+            if (transmits(m.model.kind) || m.opacity >= 0 || m.model.opacity < 1)
+                o.fail("", "'twosided' cannot hold a BSDF that transmits");
+            m.model.two_sided = true;
+        });
+    } else if (o.plugin == "mask") {
+        const auto opacity = o.get_texture_or_float("opacity", 0.5f);
+        const auto* map = std::get_if<ObjectPtr>(&opacity);
+        const int index = map ? texture(*map) : -1;
+        const float constant = map ? 1.0f : clamp(std::get<float>(opacity), 0.0f, 1.0f);
+        each([&](Material& m) {
+            if (m.opacity >= 0 || m.model.opacity < 1) o.fail("", "'mask' inside 'mask' is not supported yet");
+            m.opacity = index;
+            m.model.opacity = constant;
+        });
+    } else {
+        ObjectPtr map = o.plugin == "normalmap" ? o.get_object("normalmap") : o.get_object("map");
+        if (!map)
+            for (const Property& p : o.properties)
+                if (const auto* t = std::get_if<ObjectPtr>(&p.value); t && (*t)->category == Category::texture) map = *t;
+        if (!map) map = o.child(Category::texture);
+        if (!map) o.fail("", "'" + o.plugin + "' needs a texture");
+        const int index = texture(map);
+        const float scale = o.get_float("scale", 1.0f);
+        each([&](Material& m) {
+            if (m.perturbed()) o.fail("", "a bump or normal map inside another is not supported yet");
+            (o.plugin == "normalmap" ? m.normal_map : m.bump_map) = index;
+            m.bump_scale = scale;
+        });
+    }
+    return sides;
+}
+
+Material MaterialBuilder::build_plain(const Object& o) {
+    Material m;
+    BsdfModel& model = m.model;
+    model.kind = kind_of(o);
+    switch (model.kind) {
+        case BsdfKind::diffuse:
+            m.diffuse = colour(o, "reflectance", model.diffuse);
+            break;
+        case BsdfKind::rough_diffuse:
+            m.diffuse = colour(o, "reflectance", model.diffuse);
+            model.alpha_u = model.alpha_v = 0.2f;
+            m.alpha_u = m.alpha_v = roughness(o, "alpha", model.alpha_u);
+            model.alpha_v = model.alpha_u;
+            break;
+        case BsdfKind::conductor:
+        case BsdfKind::rough_conductor:
+            set_conductor(o, model);
+            m.specular = colour(o, "specular_reflectance", model.specular);
+            break;
+        case BsdfKind::dielectric:
+        case BsdfKind::thin_dielectric:
+        case BsdfKind::rough_dielectric:
+            model.int_ior = o.get_ior("int_ior", "bk7");
+            model.ext_ior = o.get_ior("ext_ior", "air");
+            m.specular = colour(o, "specular_reflectance", model.specular);
+            m.transmittance = colour(o, "specular_transmittance", model.transmittance);
+            break;
+        case BsdfKind::plastic:
+        case BsdfKind::rough_plastic:
+            model.int_ior = o.get_ior("int_ior", "polypropylene");
+            model.ext_ior = o.get_ior("ext_ior", "air");
+            model.nonlinear = o.get_bool("nonlinear", false);
+            m.diffuse = colour(o, "diffuse_reflectance", model.diffuse);
+            m.specular = colour(o, "specular_reflectance", model.specular);
+            break;
+        case BsdfKind::phong:
+            model.exponent = o.get_float("exponent", 30.0f);
+            model.specular = Spectrum(0.2f);
+            m.diffuse = colour(o, "diffuse_reflectance", model.diffuse);
+            m.specular = colour(o, "specular_reflectance", model.specular);
+            break;
+        case BsdfKind::ward:
+            model.specular = Spectrum(0.2f);
+            m.diffuse = colour(o, "diffuse_reflectance", model.diffuse);
+            m.specular = colour(o, "specular_reflectance", model.specular);
+            break;
+        case BsdfKind::null:
+            break;
+    }
+    const bool microfacet = model.kind == BsdfKind::rough_conductor || model.kind == BsdfKind::rough_dielectric ||
+                            model.kind == BsdfKind::rough_plastic;
+    if (microfacet || model.kind == BsdfKind::ward) {
+        m.alpha_u = m.alpha_v = roughness(o, "alpha", model.alpha_u);
+        model.alpha_v = model.alpha_u;
+        if (o.has("alpha_u")) m.alpha_u = roughness(o, "alpha_u", model.alpha_u);
+        if (o.has("alpha_v")) m.alpha_v = roughness(o, "alpha_v", model.alpha_v);
+    }
+    if (microfacet) {
+        const std::string distribution = o.get_string("distribution", "beckmann");
+        if (distribution == "ggx") model.distribution = Microfacet::ggx;
+        if (distribution == "phong" || distribution == "as")
+            scene_.notes.push_back("the '" + distribution + "' microfacet distribution is rendered as Beckmann of the same roughness");
+        model.sample_visible = o.get_bool("sample_visible", true);
+    }
+    return m;
+}
+
+int MaterialBuilder::texture(const ObjectPtr& description) {
+    if (const auto found = textures_.find(description.get()); found != textures_.end()) return found->second;
+    scene_.textures.push_back(make_texture(*description, cache_));
+    return textures_[description.get()] = int(scene_.textures.size()) - 1;
+}
+
+int MaterialBuilder::colour(const Object& o, const char* name, Spectrum& value) {
+    const auto got = o.get_texture_or_rgb(name, value);
+    if (const auto* map = std::get_if<ObjectPtr>(&got)) return texture(*map);
+    value = std::get<Spectrum>(got);
+    return -1;
+}
+
+int MaterialBuilder::roughness(const Object& o, const char* name, float& value) {
+    const auto got = o.get_texture_or_float(name, value);
+    if (const auto* map = std::get_if<ObjectPtr>(&got)) return texture(*map);
+    value = std::max(std::get<float>(got), 1e-4f);
+    return -1;
+}
+
+EnvironmentMap load_environment(const Object& o, TextureCache& cache) {
+    const auto image = cache.image(o.get_path("filename"), Decode{});
+    const float scale = o.get_float("scale", 1.0f);
+    EnvironmentMap map;
+    map.width = image->width;
+    map.height = image->height;
+    if (map.width < 2 || map.height < 2) o.fail("filename", "an environment map needs at least 2 x 2 pixels");
+    map.texels.reserve(std::size_t(map.width) * map.height);
+    for (int y = 0; y < map.height; ++y)
+        for (int x = 0; x < map.width; ++x) map.texels.push_back(image->texel(x, y) * scale);
+    return map;
+}
+
+}  // namespace loom

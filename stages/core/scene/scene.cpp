@@ -1,0 +1,152 @@
+#include "stages/core/scene/scene.h"
+
+#include "formats/io/half.h"
+#include "formats/io/octahedral.h"
+#include "stages/core/scene/embree.h"
+
+namespace loom {
+namespace {
+
+// The path graph stores normals in 2 x 16 bits and texture-evaluated parameters as halves. The tracer uses
+// the rounded values, so that every later stage computes with exactly what the tracer saw.
+
+float half_round(float value) { return float_from_half(half_from_float(value)); }
+
+Spectrum half_round(const Spectrum& s) { return {half_round(s.r), half_round(s.g), half_round(s.b)}; }
+
+struct Partials {
+    Vector3f dp_du, dp_dv;
+};
+
+/// dp/du and dp/dv of a triangle from its texture coordinates; any two tangents where those are degenerate.
+Partials triangle_partials(const Mesh& mesh, const std::uint32_t* i, const Normal3f& ng) {
+    const Vector3f e1 = mesh.positions[i[1]] - mesh.positions[i[0]], e2 = mesh.positions[i[2]] - mesh.positions[i[0]];
+    if (!mesh.uvs.empty()) {
+        const Point2f &t0 = mesh.uvs[i[0]], &t1 = mesh.uvs[i[1]], &t2 = mesh.uvs[i[2]];
+        const float du1 = t1.x - t0.x, dv1 = t1.y - t0.y, du2 = t2.x - t0.x, dv2 = t2.y - t0.y;
+        const float det = du1 * dv2 - dv1 * du2;
+        if (det != 0) return {(e1 * dv2 - e2 * dv1) / det, (e2 * du1 - e1 * du2) / det};
+    }
+    const Framef frame(ng);
+    return {frame.s, frame.t};
+}
+
+/// Normal that a map asks for, in world space. A normal that turns away from the viewer while the surface
+/// does not is mirrored about the surface normal, as Mitsuba does.
+Normal3f perturbed_normal(const Scene& scene, const Material& m, const Framef& base, const Partials& d, Point2f uv,
+                          const Vector3f& wo) {
+    Vector3f local;
+    if (m.normal_map >= 0) {
+        const Spectrum rgb = scene.textures[m.normal_map].eval(uv);
+        local = normalize(Vector3f{2 * rgb.r - 1, 2 * rgb.g - 1, 2 * rgb.b - 1});
+    } else {
+        const Point2f grad = scene.textures[m.bump_map].eval_gradient(uv);
+        const Vector3f n(base.n);
+        const Vector3f du = d.dp_du + n * (m.bump_scale * grad.x - dot(n, d.dp_du));
+        const Vector3f dv = d.dp_dv + n * (m.bump_scale * grad.y - dot(n, d.dp_dv));
+        Vector3f bumped = normalize(cross(du, dv));
+        if (dot(bumped, base.n) < 0) bumped = -bumped;
+        local = base.to_local(bumped);
+    }
+    if (dot(base.n, wo) * dot(local, base.to_local(wo)) <= 0) local = {-local.x, -local.y, local.z};
+    return Normal3f(base.to_world(local));
+}
+
+}  // namespace
+
+Vector3f octahedral_round(const Vector3f& v) {
+    const auto code = octahedral_from_unit(v.x, v.y, v.z);
+    const auto unit = unit_from_octahedral(code[0], code[1]);
+    return {unit[0], unit[1], unit[2]};
+}
+
+Hit Scene::intersect(const Ray& ray) const { return rays->intersect(ray); }
+bool Scene::occluded(const Ray& ray) const { return rays->occluded(ray); }
+
+SurfacePoint Scene::surface(const Ray& ray, const Hit& hit) const {
+    const Shape& shape = shapes[hit.shape];
+    SurfacePoint at;
+    at.shape = hit.shape;
+    at.primitive = hit.primitive;
+    at.material = shape.material;
+    Partials partials;
+    const Vector3f wo = -ray.d;
+    const Material* material = &materials[shape.material];
+    const bool wants_uv = material->needs_uv() || material->back >= 0 || shape.emitter >= 0;
+    const bool wants_tangent = features.anisotropic || features.perturbed_normals;
+
+    if (shape.kind == ShapeKind::mesh) {
+        const Mesh& mesh = shape.mesh;
+        const std::uint32_t* i = &mesh.indices[3 * std::size_t(hit.primitive)];
+        const Point3f& p0 = mesh.positions[i[0]];
+        at.p = p0 + ((mesh.positions[i[1]] - p0) * hit.u + (mesh.positions[i[2]] - p0) * hit.v);
+        at.ng = at.ns_smooth = shape.face_normals[hit.primitive];
+        const float w = 1 - hit.u - hit.v;
+        if (!mesh.normals.empty()) {
+            const Vector3f n = Vector3f(mesh.normals[i[0]]) * w + Vector3f(mesh.normals[i[1]]) * hit.u +
+                               Vector3f(mesh.normals[i[2]]) * hit.v;
+            const float len2 = length2(n);
+            if (len2 > 0) at.ns_smooth = Normal3f(octahedral_round(n * ((shape.flip_normals ? -1 : 1) / std::sqrt(len2))));
+        }
+        if (wants_uv) {
+            at.uv = {hit.u, hit.v};
+            if (!mesh.uvs.empty())
+                at.uv = {mesh.uvs[i[0]].x * w + mesh.uvs[i[1]].x * hit.u + mesh.uvs[i[2]].x * hit.v,
+                         mesh.uvs[i[0]].y * w + mesh.uvs[i[1]].y * hit.u + mesh.uvs[i[2]].y * hit.v};
+        }
+        if (wants_tangent) partials = triangle_partials(mesh, i, at.ng);
+    } else if (shape.kind == ShapeKind::sphere) {
+        const Vector3f outward = normalize(ray.o + ray.d * hit.t - shape.center);
+        at.p = shape.center + outward * shape.radius;
+        at.ng = Normal3f(outward);
+        // u_axis, v_axis and their cross product are the sphere's own x, y, z.
+        const Vector3f z = cross(shape.u_axis, shape.v_axis);
+        const float x = dot(outward, shape.u_axis), y = dot(outward, shape.v_axis);
+        const float phi = std::atan2(y, x) * (0.5f * inv_pi<float>);
+        at.uv = {phi < 0 ? phi + 1 : phi, std::acos(clamp(dot(outward, z), -1.0f, 1.0f)) * inv_pi<float>};
+        const float rho = std::max(std::sqrt(x * x + y * y), 1e-6f), scale = shape.radius * pi<float>;
+        partials.dp_du = (shape.v_axis * x - shape.u_axis * y) * (2 * scale);
+        partials.dp_dv = ((shape.u_axis * (x / rho) + shape.v_axis * (y / rho)) * dot(outward, z) - z * rho) * scale;
+    } else {
+        at.p = shape.center + shape.u_axis * hit.u + shape.v_axis * hit.v;
+        at.ng = Normal3f(normalize(cross(shape.u_axis, shape.v_axis)));
+        const float r = std::max(std::sqrt(hit.u * hit.u + hit.v * hit.v), 1e-6f);
+        const float phi = std::atan2(hit.v, hit.u) * (0.5f * inv_pi<float>);
+        at.uv = {r, phi < 0 ? phi + 1 : phi};
+        partials.dp_du = (shape.u_axis * hit.u + shape.v_axis * hit.v) / r;
+        partials.dp_dv = (shape.v_axis * hit.u - shape.u_axis * hit.v) * (2 * pi<float>);
+    }
+    if (shape.kind != ShapeKind::mesh)
+        at.ng = at.ns_smooth = Normal3f(octahedral_round(Vector3f(shape.flip_normals ? -at.ng : at.ng)));
+    if (material->back >= 0 && dot(at.ns_smooth, wo) < 0) {
+        at.material = std::uint32_t(material->back);
+        material = &materials[at.material];
+    }
+    Normal3f ns = at.ns_smooth;
+    if (material->perturbed()) {
+        const Framef base = frame_along(at.ns_smooth, partials.dp_du);
+        ns = Normal3f(octahedral_round(Vector3f(perturbed_normal(*this, *material, base, partials, at.uv, wo))));
+        at.perturbed = true;
+    }
+    if (features.anisotropic) {
+        at.frame = frame_along(ns, octahedral_round(frame_along(ns, partials.dp_du).s));
+    } else {
+        at.frame = Framef(ns);
+    }
+    return at;
+}
+
+Bsdf<float> Scene::bsdf(const SurfacePoint& at) const {
+    const Material& m = materials[at.material];
+    Bsdf<float> b(m.model);
+    if (!m.textured()) return b;
+    if (m.diffuse >= 0) b.diffuse = half_round(textures[m.diffuse].eval(at.uv));
+    if (m.specular >= 0) b.specular = half_round(textures[m.specular].eval(at.uv));
+    if (m.transmittance >= 0) b.transmittance = half_round(textures[m.transmittance].eval(at.uv));
+    if (m.alpha_u >= 0) b.alpha_u = half_round(std::max(textures[m.alpha_u].eval_float(at.uv), 1e-4f));
+    if (m.alpha_v >= 0) b.alpha_v = half_round(std::max(textures[m.alpha_v].eval_float(at.uv), 1e-4f));
+    if (m.opacity >= 0) b.opacity = half_round(clamp(textures[m.opacity].eval_float(at.uv), 0.0f, 1.0f));
+    return b;
+}
+
+}  // namespace loom

@@ -1,0 +1,153 @@
+#pragma once
+// What a path tracer asks a scene: where a ray hits, what is there, what shines. Built once by
+// build_scene(), then read-only and shared by all threads.
+
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "stages/core/math/frame.h"
+#include "stages/core/math/vector.h"
+#include "stages/core/scattering/bsdf.h"
+#include "stages/core/scene/emitter.h"
+#include "stages/core/scene/mesh.h"
+#include "stages/core/scene/sensor.h"
+#include "stages/core/scene/texture.h"
+
+namespace loom {
+
+class RayEngine;  // Embree, in embree.cpp
+
+/// Half-open segment of a ray; d is unit, so t is a distance (m).
+struct Ray {
+    Point3f o;
+    Vector3f d;
+    float t_min = 0;
+    float t_max = INFINITY;
+};
+
+/// Raw answer of the ray engine.
+struct Hit {
+    float t = INFINITY;
+    float u = 0, v = 0;  // barycentric coordinates on a triangle, (u, v) of an analytic shape
+    std::uint32_t shape = no_shape;
+    std::uint32_t primitive = 0;
+
+    static constexpr std::uint32_t no_shape = ~0u;
+    explicit operator bool() const { return shape != no_shape; }
+};
+
+/// A BsdfModel with its textures (index into Scene::textures, -1: the model's constant).
+struct Material {
+    std::string id;
+    BsdfModel model;
+    int diffuse = -1, specular = -1, transmittance = -1;
+    int alpha_u = -1, alpha_v = -1;
+    int opacity = -1;
+    int normal_map = -1, bump_map = -1;
+    float bump_scale = 1;
+    int back = -1;  // material seen from behind; -1: this one
+    bool textured() const {
+        return diffuse >= 0 || specular >= 0 || transmittance >= 0 || alpha_u >= 0 || alpha_v >= 0 || opacity >= 0;
+    }
+    bool perturbed() const { return normal_map >= 0 || bump_map >= 0; }
+    bool needs_uv() const { return textured() || perturbed(); }
+    /// Reflects and transmits nothing, whatever the directions: a path ends here.
+    bool black() const {
+        return model.kind == BsdfKind::diffuse && diffuse < 0 && is_black(model.diffuse) && model.opacity == 1 &&
+               opacity < 0;
+    }
+};
+
+enum class ShapeKind : std::uint8_t { mesh, sphere, disk };
+
+struct Shape {
+    std::string id;
+    ShapeKind kind = ShapeKind::mesh;
+    std::uint32_t material = 0;
+    int emitter = -1;
+    Mesh mesh;  // world space; empty for analytic shapes
+    std::vector<Normal3f> face_normals;  // of the mesh, by triangle, turned by flip_normals; rounded as stored
+    // sphere: centre and radius. disk: centre; u_axis and v_axis span the unit disk.
+    Point3f center;
+    float radius = 1;
+    Vector3f u_axis, v_axis;
+    bool flip_normals = false;
+};
+
+/// A point on a surface, ready for shading. Normals as in Mitsuba: ng from the geometry's own
+/// orientation, ns interpolated, neither turned towards the viewer.
+struct SurfacePoint {
+    Point3f p;
+    Normal3f ng;
+    Normal3f ns_smooth;  // before bump or normal map
+    Frame<float> frame;  // of the BSDF
+    Point2f uv;
+    std::uint32_t shape = 0, primitive = 0, material = 0;
+    bool perturbed = false;
+};
+
+/// What kinds of things a scene holds: stages switch on only what it calls for.
+struct SceneFeatures {
+    bool textured_diffuse = false, textured_specular = false, textured_transmittance = false;
+    bool textured_alpha = false, textured_opacity = false;
+    bool smooth_normals = false;   // shading normal may differ from the geometric one
+    bool perturbed_normals = false;
+    bool anisotropic = false;
+    bool dielectric = false;       // light travels in more than one index of refraction
+    bool null_lobes = false;
+    bool delta_lobes = false;
+};
+
+struct Scene {
+    Sensor sensor;
+    int max_depth = -1;  // longest path in edges; -1: no limit
+    int rr_depth = 5;
+    std::vector<Shape> shapes;
+    std::vector<Material> materials;
+    std::vector<Texture> textures;
+    std::vector<Emitter> emitters;
+    Distribution1 emitter_pmf;
+    int environment = -1;  // index of the emitter that shines from infinity all around
+    SceneFeatures features;
+    Point3f center;
+    float radius = 1;  // bounding sphere of all shapes
+    std::uint64_t content_hash = 0;           // of the scene file, its overrides and all it refers to
+    std::vector<std::string> dependencies;    // files read, in order
+    std::vector<std::string> notes;
+    std::shared_ptr<const RayEngine> rays;
+
+    Hit intersect(const Ray& ray) const;
+    /// True when something opaque or not lies in (t_min, t_max): masks and glass block shadow rays,
+    /// light through them is found by sampling the BSDF.
+    bool occluded(const Ray& ray) const;
+    SurfacePoint surface(const Ray& ray, const Hit& hit) const;
+    /// The BSDF with its textures evaluated at a point, parameters rounded as the path graph stores them.
+    Bsdf<float> bsdf(const SurfacePoint& at) const;
+};
+
+/// Unit vector after a round trip through the octahedral code that the path graph stores.
+Vector3f octahedral_round(const Vector3f& v);
+
+/// Origin of a ray that leaves p into direction d, moved off the surface.
+inline Point3f offset_origin(const Point3f& p, const Normal3f& ng, const Vector3f& d) {
+    constexpr float ray_epsilon = 0x1p-24f * 1500.0f;
+    const float magnitude = (1.0f + std::max({std::abs(p.x), std::abs(p.y), std::abs(p.z)})) * ray_epsilon;
+    return p + Vector3f(ng) * (dot(ng, d) >= 0 ? magnitude : -magnitude);
+}
+
+inline Ray spawn_ray(const Point3f& p, const Normal3f& ng, const Vector3f& d) {
+    return {offset_origin(p, ng, d), d, 0, INFINITY};
+}
+
+/// The open segment from p (on a surface with normal ng) to q.
+inline Ray spawn_segment(const Point3f& p, const Normal3f& ng, const Point3f& q) {
+    constexpr float shadow_epsilon = 0x1p-24f * 15000.0f;
+    const Point3f o = offset_origin(p, ng, q - p);
+    const Vector3f d = q - o;
+    const float distance = length(d);
+    return {o, d / distance, 0, distance * (1.0f - shadow_epsilon)};
+}
+
+}  // namespace loom

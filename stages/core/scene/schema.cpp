@@ -1,0 +1,174 @@
+#include "stages/core/scene/schema.h"
+
+#include <fmt/format.h>
+
+#include <cctype>
+
+namespace loom {
+namespace {
+
+bool upper(char c) {
+    return std::isupper(static_cast<unsigned char>(c)) != 0;
+}
+char to_lower(char c) {
+    return char(std::tolower(static_cast<unsigned char>(c)));
+}
+char to_upper(char c) {
+    return char(std::toupper(static_cast<unsigned char>(c)));
+}
+
+void check_children(const Object& object, const PluginSchema& plugin) {
+    for (const ChildRule& rule : plugin.children) {
+        int count = 0;
+        for (const auto& [child, at] : object.nested) {
+            if (child->category != rule.category) continue;
+            if (++count > rule.at_most)
+                fail(at, fmt::format("{} '{}' takes at most {} {}", name(plugin.category), plugin.type,
+                                     rule.at_most, name(rule.category)));
+        }
+        if (count < rule.at_least)
+            fail(object.at, fmt::format("{} '{}' needs a {} inside", name(plugin.category), plugin.type,
+                                        name(rule.category)));
+    }
+}
+
+void check_film(const Object& film) {
+    constexpr std::int64_t largest_side = 100000, most_pixels = std::int64_t(1) << 31;
+    const std::int64_t width = film.get_int("width", 768), height = film.get_int("height", 576);
+    for (const auto& [side, size] : {std::pair{"width", width}, std::pair{"height", height}})
+        if (size < 1 || size > largest_side)
+            film.fail(side, fmt::format("{} {} is not between 1 and {}", side, size, largest_side));
+    if (width * height > most_pixels)
+        film.fail("width", fmt::format("{} x {} pixels are more than {}", width, height, most_pixels));
+}
+
+void check_scene(const Object& scene) {
+    bool environment = false;
+    for (const auto& [child, at] : scene.nested) {
+        if (child->category != Category::emitter) continue;
+        if (child->plugin == "area") fail(at, "emitter 'area' belongs inside a shape");
+        if (child->plugin != "envmap" && child->plugin != "constant" && child->plugin != "sunsky") continue;
+        if (environment) fail(at, "a scene has at most one emitter of constant, envmap, sunsky");
+        environment = true;
+    }
+}
+
+void check_conductor(const Object& object) {
+    if (object.has("material") && (object.has("eta") || object.has("k")))
+        object.fail("material", "give either 'material' or 'eta' and 'k', not both");
+}
+
+}  // namespace
+
+std::string_view name(Category category) {
+    constexpr std::string_view names[n_categories] = {"scene",  "bsdf",    "shape",   "emitter",    "sensor",
+                                                      "film",   "rfilter", "sampler", "integrator", "texture",
+                                                      "medium", "phase",   "spectrum"};
+    return names[int(category)];
+}
+
+const Parameter* PluginSchema::find(std::string_view name) const {
+    for (const Parameter& parameter : parameters)
+        if (parameter.name == name) return &parameter;
+    return nullptr;
+}
+
+const ChildRule* PluginSchema::rule(Category child) const {
+    for (const ChildRule& rule : children)
+        if (rule.category == child) return &rule;
+    return nullptr;
+}
+
+std::string snake_case(std::string_view name) {
+    std::string result;
+    for (std::size_t i = 0; i < name.size(); ++i) {
+        // A capital starts a word after a small letter, or before one at the end of a run of capitals.
+        const bool starts_word = i > 0 && upper(name[i]) && name[i - 1] != '_' &&
+                                 (!upper(name[i - 1]) || (i + 1 < name.size() && !upper(name[i + 1])));
+        if (starts_word) result += '_';
+        result += to_lower(name[i]);
+    }
+    return result;
+}
+
+std::string camel_case(std::string_view name) {
+    if (name == "int_ior") return "intIOR";
+    if (name == "ext_ior") return "extIOR";
+    if (name == "k_nn") return "kNN";
+    std::string result;
+    for (std::size_t i = 0; i < name.size(); ++i) {
+        if (name[i] == '_' && i + 1 < name.size())
+            result += to_upper(name[++i]);
+        else
+            result += name[i];
+    }
+    return result;
+}
+
+std::string expected_kinds(const Parameter& parameter) {
+    const std::string or_texture = parameter.flags & flag::textured ? " or texture" : "";
+    switch (parameter.kind) {
+        case ValueKind::boolean:
+            return "boolean";
+        case ValueKind::integer:
+            return "integer";
+        case ValueKind::number:
+            return "float" + or_texture;
+        case ValueKind::string:
+            return "string";
+        case ValueKind::file:
+            return "string (a file name)";
+        case ValueKind::ior:
+            return "float or string (the name of a material)";
+        case ValueKind::reflectance:
+        case ValueKind::emission:
+        case ValueKind::index:
+            return "rgb, spectrum or float" + or_texture;
+        case ValueKind::transform:
+        case ValueKind::uv_transform:
+            return "transform";
+        case ValueKind::point:
+            return "point";
+        case ValueKind::vector:
+            return "vector";
+        case ValueKind::texture_only:
+            return "texture";
+    }
+    return {};
+}
+
+void check_object(const Object& object, const PluginSchema& plugin) {
+    for (const Parameter& parameter : plugin.parameters)
+        if ((parameter.flags & flag::required) && !object.has(parameter.name))
+            fail(object.at, fmt::format("{} '{}' needs the parameter '{}' ({})", name(plugin.category),
+                                        plugin.type, parameter.name, expected_kinds(parameter)));
+    check_children(object, plugin);
+    switch (object.category) {
+        case Category::film:
+            check_film(object);
+            break;
+        case Category::scene:
+            check_scene(object);
+            break;
+        case Category::shape:
+            if (const ObjectPtr emitter = object.child(Category::emitter);
+                emitter && emitter->plugin != "area")
+                fail(emitter->at,
+                     fmt::format("emitter '{}' does not belong inside a shape", emitter->plugin));
+            break;
+        case Category::bsdf:
+            if (object.plugin == "conductor" || object.plugin == "roughconductor") check_conductor(object);
+            break;
+        case Category::sensor:
+            if (object.get_double("fov", 90) >= 180)
+                object.fail("fov", "'fov' must be less than 180 degrees");
+            if (!(object.get_double("near_clip", 1e-2) < object.get_double("far_clip", 1e4)))
+                object.fail(object.has("near_clip") ? "near_clip" : "far_clip",
+                            "near clip must be before far clip");
+            break;
+        default:
+            break;
+    }
+}
+
+}  // namespace loom

@@ -1,0 +1,81 @@
+#pragma once
+#include <array>
+#include <cstdint>
+#include <filesystem>
+#include <map>
+#include <memory>
+#include <mutex>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "stages/core/math/vector.h"
+
+namespace loom {
+
+class Object;
+
+/// How the numbers of an image file become linear values.
+struct Decode {
+    bool raw = false;  // as they are
+    float gamma = 0;   // 0: as the type says (integers: sRGB, floating point: linear); else value^gamma
+    bool operator<(const Decode& o) const { return std::pair(raw, gamma) < std::pair(o.raw, o.gamma); }
+};
+
+/// Pixels of an image file, row 0 on top, colour or grey; alpha is dropped. Eight-bit files stay eight-bit
+/// and are decoded through a table at look-up.
+struct TextureImage {
+    int width = 0, height = 0;
+    bool grey = false;
+    std::vector<std::uint8_t> bytes;  // 1 (grey) or 4 (red, green, blue, unused) per pixel
+    std::vector<float> floats;        // 1 or 3 per pixel; one of the two arrays is empty
+    std::array<float, 256> decode{};  // linear value of a byte
+
+    Spectrum mean{0.0f};  // of all pixels
+
+    Spectrum texel(int x, int y) const;
+};
+
+enum class TextureKind : std::uint8_t { bitmap, checkerboard };
+enum class WrapMode : std::uint8_t { repeat, mirror, clamp };
+
+/// A function of (u, v), evaluated in the tracer's inner loop: plain data, no virtual call. Conventions of
+/// Mitsuba 3: v = 0 is the upper edge of an image, (0.5, 0.5) / size the centre of the first pixel.
+struct Texture {
+    TextureKind kind = TextureKind::bitmap;
+    WrapMode wrap = WrapMode::repeat;
+    bool nearest = false;
+    std::array<float, 6> to_uv{1, 0, 0, 0, 1, 0};  // rows of the 2x3 matrix applied to (u, v, 1)
+    std::shared_ptr<const TextureImage> image;     // bitmap
+    Spectrum color0{0.4f}, color1{0.2f};           // checkerboard
+    std::string id;
+
+    Spectrum eval(Point2f uv) const;
+    /// Luminance of a colour texture, the value of a grey one.
+    float eval_float(Point2f uv) const;
+    /// d eval_float / d(u, v) of the bilinear interpolant; 0 for `nearest` and the checkerboard.
+    /// differs: Mitsuba 3.8 scales by the image size after a rotation in to_uv, we before it
+    Point2f eval_gradient(Point2f uv) const;
+    /// Mean over the unit square of the untransformed texture.
+    Spectrum mean() const;
+};
+
+/// Decodes each (file, decoding) once, however many textures use it. Safe from several threads.
+class TextureCache {
+  public:
+    /// throws: InputError that names the file: missing, not an image, empty, too large
+    std::shared_ptr<const TextureImage> image(const std::filesystem::path& file, Decode decode);
+
+  private:
+    struct Entry {
+        std::once_flag once;
+        std::shared_ptr<const TextureImage> image;
+    };
+    std::mutex mutex_;
+    std::map<std::pair<std::string, Decode>, std::shared_ptr<Entry>> entries_;
+};
+
+/// The texture of a description (bitmap or checkerboard).
+Texture make_texture(const Object& description, TextureCache& cache);
+
+}  // namespace loom

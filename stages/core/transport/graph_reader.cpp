@@ -1,0 +1,83 @@
+#include "stages/core/transport/graph_reader.h"
+
+#include "formats/io/octahedral.h"
+
+namespace loom {
+namespace {
+
+Spectrum rgb(const Column<float>& column, std::size_t i) {
+    return {column[3 * i], column[3 * i + 1], column[3 * i + 2]};
+}
+Spectrum rgb(const Column<Half>& column, std::size_t i) {
+    return {float_from_half(column[3 * i]), float_from_half(column[3 * i + 1]), float_from_half(column[3 * i + 2])};
+}
+template <class V>
+V direction(const Column<std::int16_t>& column, std::size_t i) {
+    const auto unit = unit_from_octahedral(column[2 * i], column[2 * i + 1]);
+    return {unit[0], unit[1], unit[2]};
+}
+
+}  // namespace
+
+GraphReader::GraphReader(const PathGraph& graph) : graph_(graph) {
+    const auto& in = graph.materials;
+    for (std::size_t i = 0; i < in.kind.size(); ++i) {
+        BsdfModel m;
+        m.kind = BsdfKind(in.kind[i]);
+        m.distribution = Microfacet(in.distribution[i]);
+        m.two_sided = in.two_sided[i] != 0;
+        m.nonlinear = in.nonlinear[i] != 0;
+        m.sample_visible = in.sample_visible[i] != 0;
+        m.int_ior = in.int_ior[i];
+        m.ext_ior = in.ext_ior[i];
+        m.opacity = in.opacity[i];
+        m.alpha_u = in.alpha[2 * i];
+        m.alpha_v = in.alpha[2 * i + 1];
+        m.exponent = in.exponent[i];
+        m.diffuse = rgb(in.diffuse, i);
+        m.specular = rgb(in.specular, i);
+        m.transmittance = rgb(in.transmittance, i);
+        m.eta_c = rgb(in.eta_c, i);
+        m.k_c = rgb(in.k_c, i);
+        m.fdr_int = in.fdr_int[i];
+        m.fdr_ext = in.fdr_ext[i];
+        if (!in.external_transmittance.empty())
+            for (int k = 0; k < n_transmittance; ++k)
+                m.external_transmittance[k] = in.external_transmittance[i * n_transmittance + k];
+        models_.push_back(m);
+    }
+}
+
+ShadingPoint GraphReader::vertex(std::size_t j) const {
+    const auto& v = graph_.vertices;
+    ShadingPoint at;
+    at.p = {v.p[3 * j], v.p[3 * j + 1], v.p[3 * j + 2]};
+    at.wo = {v.wo[3 * j], v.wo[3 * j + 1], v.wo[3 * j + 2]};
+    const auto n = direction<Normal3f>(v.ns, j);
+    at.ng = v.ng.empty() ? n : direction<Normal3f>(v.ng, j);
+    at.n_side = v.n_side.empty() ? n : direction<Normal3f>(v.n_side, j);
+    at.perturbed = !v.n_side.empty() && !(at.n_side == n);
+    at.frame = v.tangent.empty() ? Framef(n) : frame_along(n, direction<Vector3f>(v.tangent, j));
+    at.wo_local = at.frame.to_local(at.wo);
+    Bsdf<float> b(models_[v.material[j]]);
+    const std::uint8_t textured = graph_.materials.textured[v.material[j]];
+    if (textured & textured_parameter::diffuse) b.diffuse = rgb(v.diffuse, j);
+    if (textured & textured_parameter::specular) b.specular = rgb(v.specular, j);
+    if (textured & textured_parameter::transmittance) b.transmittance = rgb(v.transmittance, j);
+    if (textured & textured_parameter::alpha) {
+        b.alpha_u = float_from_half(v.alpha[2 * j]);
+        b.alpha_v = float_from_half(v.alpha[2 * j + 1]);
+    }
+    if (textured & textured_parameter::opacity) b.opacity = float_from_half(v.opacity[j]);
+    at.bsdf = b;
+    return at;
+}
+
+Vector3f GraphReader::light_direction(const Point3f& p, std::size_t k) const {
+    const auto& y = graph_.light_edges.y;
+    const Vector3f v{y[4 * k], y[4 * k + 1], y[4 * k + 2]};
+    if (y[4 * k + 3] == 0) return v;
+    return normalize(Point3f(v) - p);
+}
+
+}  // namespace loom

@@ -1,0 +1,52 @@
+#include "stages/inspect/inspect.h"
+
+#include "formats/documentation.h"
+#include "formats/image.h"
+#include "formats/io/error.h"
+#include "formats/io/output_file.h"
+
+namespace loom::inspect {
+
+void declare(app::Command& command, Options& options) {
+    command.file("file", options.file,
+                 "any HDF5 or EXR file; a path_graph for --path and --obj, an image for --png");
+    command.flag("--json", options.json, "print JSON instead of a table");
+    command.option("--path", options.path,
+                   "print one path of a graph: PIXEL,SAMPLE, the pixel as x:y (0:0 is top left) or as the "
+                   "index y width + x");
+    command.output("--obj", options.obj, "write paths of a graph as lines of a Wavefront OBJ");
+    command.option("--max-paths", options.max_paths, "most paths in the OBJ",
+                   app::Range<std::uint64_t>{1, 10'000'000});
+    command.output("--png", options.png, "write an sRGB preview of an image");
+    command.option("--exposure", options.exposure_ev, "exposure of the preview",
+                   app::Range<double>{-50, 50, "EV"});
+    command.flag("--formats", options.formats, "print the documentation of all formats");
+    command.example("loom-inspect graph.h5 --path 320:180,0");
+}
+
+void run(const Options& options, app::Report& report) {
+    if (options.formats) {
+        report.answer(formats_markdown());
+        return;
+    }
+    if (options.file.empty()) throw InputError("no file is named; loom-inspect FILE, or --help");
+    if (options.path.empty() && options.obj.empty() && options.png.empty()) {
+        const Survey survey = survey_file(options.file);
+        report.answer(options.json ? json_of(survey, options.file) : text_of(survey, options.file));
+    }
+    if (!options.path.empty() || !options.obj.empty()) {
+        const PathGraph graph = read_path_graph(options.file);
+        if (!options.path.empty()) report.answer(path_text(graph, options.path));
+        if (!options.obj.empty()) {
+            write_text_file(options.obj, obj_text(graph, options.max_paths));
+            report.info("{}: {} of {} paths", options.obj,
+                        std::min<std::uint64_t>(options.max_paths, graph.n_paths()), graph.n_paths());
+        }
+    }
+    if (!options.png.empty()) {
+        const std::size_t n_bad = write_png(read_image(options.file), options.png, options.exposure_ev);
+        if (n_bad > 0) report.warn("{}: {} pixels hold a NaN or an infinity", options.file, n_bad);
+    }
+}
+
+}  // namespace loom::inspect

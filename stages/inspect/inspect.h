@@ -1,0 +1,45 @@
+#pragma once
+// loom-inspect: what any file is, one path of a graph, paths as lines, an image as a preview.
+
+#include <cstdint>
+#include <string>
+
+#include "formats/path_graph.h"
+#include "formats/survey.h"
+#include "stages/core/app/command.h"
+
+namespace loom::inspect {
+
+struct Options {
+    std::string file;                // any HDF5 or EXR file
+    bool json = false;               // print JSON instead of a table
+    std::string path;                // "PIXEL,SAMPLE": print this path of a graph
+    std::string obj;                 // write the paths of a graph as lines to this file
+    std::uint64_t max_paths = 1000;  // at most so many paths in the OBJ file
+    std::string png;                 // write a preview of an image to this file
+    double exposure_ev = 0;          // of the preview, in stops
+    bool formats = false;            // print the documentation of all formats
+};
+
+/// Binds the options to the command line; `options` must outlive `command`.
+void declare(app::Command& command, Options& options);
+
+/// Does what the options ask for; answers go to stdout through `report`.
+/// throws:  InputError
+void run(const Options& options, app::Report& report);
+
+/// Text of a survey: what the file is, its lineage, a table of its datasets, and for a path graph counts,
+/// endings and bytes per vertex by column. JSON has the same.
+std::string text_of(const Survey& survey, const std::string& file);
+std::string json_of(const Survey& survey, const std::string& file);
+
+/// One path, vertex by vertex. `which` is "PIXEL,SAMPLE": the pixel as x:y or as the index y width + x, the
+/// sample by its number in the whole render (from first_sample on).
+/// throws:  InputError when the graph has no such path
+std::string path_text(const PathGraph& graph, const std::string& which);
+
+/// Camera paths as polylines and finite light edges as segments of a Wavefront OBJ, evenly drawn from all
+/// paths.
+std::string obj_text(const PathGraph& graph, std::uint64_t max_paths);
+
+}  // namespace loom::inspect

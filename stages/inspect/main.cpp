@@ -1,0 +1,9 @@
+#include "stages/inspect/inspect.h"
+
+int main(int argc, char** argv) {
+    using namespace loom;
+    inspect::Options options;
+    app::Command command{"inspect: say what a file is, print one path of a graph, write lines or a preview"};
+    inspect::declare(command, options);
+    return command.execute(argc, argv, [&] { return inspect::run(options, command.report); });
+}

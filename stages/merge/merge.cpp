@@ -1,0 +1,138 @@
+#include "stages/merge/merge.h"
+
+#include <fmt/format.h>
+
+#include <filesystem>
+#include <map>
+
+#include "formats/io/cost.h"
+#include "formats/io/error.h"
+
+namespace loom::merge {
+namespace {
+
+constexpr std::string_view variance_layer = "VarMean.";
+
+void check_fit(const Image& first, const Image& part, const std::string& first_name,
+               const std::string& name) {
+    if (part.samples == 0)
+        throw InputError(fmt::format("{}: does not say how many samples per pixel it has", name));
+    if (part.width != first.width || part.height != first.height) {
+        throw InputError(fmt::format("{}: is {} x {}, but {} is {} x {}", name, part.width, part.height,
+                                     first_name, first.width, first.height));
+    }
+    for (const auto& channel : first.channels) {
+        if (part.find(channel.name).empty()) {
+            throw InputError(
+                fmt::format("{}: has no channel {}, but {} has", name, channel.name, first_name));
+        }
+    }
+    if (part.channels.size() != first.channels.size()) {
+        throw InputError(fmt::format("{}: has {} channels, but {} has {}", name, part.channels.size(),
+                                     first_name, first.channels.size()));
+    }
+}
+
+/// Sum n_i m_i / N of one channel.
+std::vector<double> pooled_mean(std::span<const Image> parts, std::string_view channel, double n_all) {
+    std::vector<double> mean(parts[0].n_pixels());
+    for (const Image& part : parts) {
+        const auto values = part.find(channel);
+        const auto n = static_cast<double>(part.samples);
+        for (std::size_t i = 0; i < mean.size(); ++i) mean[i] += n * static_cast<double>(values[i]);
+    }
+    for (double& value : mean) value /= n_all;
+    return mean;
+}
+
+std::vector<double> pooled_var_mean(std::span<const Image> parts, std::string_view mean_channel,
+                                    std::string_view variance_channel, double n_all) {
+    const std::vector<double> mean = pooled_mean(parts, mean_channel, n_all);
+    std::vector<double> squares(mean.size());
+    for (const Image& part : parts) {
+        const auto means = part.find(mean_channel), variances = part.find(variance_channel);
+        const auto n = static_cast<double>(part.samples);
+        for (std::size_t i = 0; i < mean.size(); ++i) {
+            const double shift = static_cast<double>(means[i]) - mean[i];
+            // A single sample has no variance of its own, whatever its file says.
+            const double inside = part.samples == 1 ? 0.0 : (n - 1) * n * static_cast<double>(variances[i]);
+            squares[i] += inside + n * shift * shift;
+        }
+    }
+    for (double& value : squares) value /= n_all > 1 ? (n_all - 1) * n_all : 1.0;
+    return squares;
+}
+
+}  // namespace
+
+Image merge_images(std::span<const Image> parts, std::span<const std::string> names) {
+    double n_all = 0;
+    Image merged;
+    for (std::size_t k = 0; k < parts.size(); ++k) {
+        check_fit(parts[0], parts[k], names[0], names[k]);
+        merged.samples += parts[k].samples;
+        n_all += static_cast<double>(parts[k].samples);
+    }
+    merged.width = parts[0].width;
+    merged.height = parts[0].height;
+    for (const auto& channel : parts[0].channels) {
+        const std::string_view name = channel.name;
+        std::vector<double> values;
+        if (name.starts_with(variance_layer)) {
+            const std::string_view mean_channel = name.substr(variance_layer.size());
+            if (parts[0].find(mean_channel).empty()) {
+                throw InputError(fmt::format("{}: has {} but no {}", names[0], name, mean_channel));
+            }
+            values = pooled_var_mean(parts, mean_channel, name, n_all);
+        } else {
+            values = pooled_mean(parts, name, n_all);
+        }
+        merged.channels.push_back({channel.name, std::vector<float>(values.begin(), values.end())});
+    }
+    return merged;
+}
+
+void declare(app::Command& command, Options& options) {
+    command
+        .files("parts", options.parts, "images (EXR with `samples`) of one size, in the order to sum them")
+        ->required();
+    command.output("-o,--output", options.output, "the joined image")->required();
+    command.flag("--zip", options.zip, "compress the output");
+    command.example("loom-merge pass_0.exr pass_1.exr -o image.exr");
+}
+
+void run(const Options& options, app::Report& report) {
+    std::vector<Image> parts;
+    Provenance provenance;
+    std::map<std::string, std::string> name_by_hash;
+    for (const std::string& file : options.parts) {
+        parts.push_back(read_image(file));
+        provenance.inputs.push_back(identify(file));
+        // The same samples twice would halve the variance without halving the error.
+        const auto [known, inserted] = name_by_hash.try_emplace(provenance.inputs.back().hash, file);
+        if (!inserted) throw InputError(fmt::format("{}: holds the same samples as {}", file, known->second));
+    }
+    if (parts.empty()) throw InputError("no image to merge");
+    Image merged = merge_images(parts, options.parts);
+    provenance.stage = report.name();
+    provenance.command = report.command();
+    provenance.seed = parts[0].provenance.seed;
+    provenance.plan = parts[0].provenance.plan;
+    merged.provenance = std::move(provenance);
+    write_image(merged, options.output, options.zip ? Compression::zip : Compression::none);
+
+    const app::Usage usage = report.usage();
+    Cost cost;
+    cost.stage = report.name();
+    cost.wall_s = usage.wall_s;
+    cost.cpu_s = usage.cpu_s;
+    cost.peak_memory_bytes = usage.peak_memory_bytes;
+    cost.bytes_written = std::filesystem::file_size(options.output);
+    for (const auto& input : merged.provenance.inputs) cost.parents.push_back(input.name);
+    write_cost(cost, options.output);
+    const std::size_t n_bad = count_nonfinite(merged);
+    if (n_bad > 0) report.warn("{}: {} numbers are NaN or infinite", options.output, n_bad);
+    report.done("{}: {} parts, {} samples per pixel", options.output, parts.size(), merged.samples);
+}
+
+}  // namespace loom::merge

@@ -1,0 +1,35 @@
+#pragma once
+// loom-merge: joins images of the same picture with different samples, with exact moments.
+
+#include <span>
+#include <string>
+#include <vector>
+
+#include "formats/image.h"
+#include "stages/core/app/command.h"
+
+namespace loom::merge {
+
+struct Options {
+    std::vector<std::string> parts;  // images, in the order in which they are summed
+    std::string output;              // the joined image
+    bool zip = false;                // compress the output
+};
+
+/// Binds the options to the command line; `options` must outlive `command`.
+void declare(app::Command& command, Options& options);
+
+/// throws:  InputError when a part is no image, has no samples or variance, or does not fit the others
+void run(const Options& options, app::Report& report);
+
+/// The image of all samples of the parts together.
+///   N = sum n_i,   mean = sum n_i m_i / N
+///   s^2 = sum [(n_i - 1) s_i^2 + n_i (m_i - mean)^2] / (N - 1),   var_mean = s^2 / N,   s_i^2 = n_i
+///   var_mean_i
+/// in:      parts   with equal sizes and channels; every `samples` at least 1
+/// out:     image   layers other than R, G, B and VarMean are means weighted by samples
+/// throws:  InputError naming the part (by `names`) that does not fit
+/// differs: exact for pixels whose samples weigh alike; pixel filters that weigh them make it approximate
+Image merge_images(std::span<const Image> parts, std::span<const std::string> names);
+
+}  // namespace loom::merge

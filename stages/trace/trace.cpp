@@ -1,0 +1,263 @@
+#include "stages/trace/trace.h"
+
+#include <fmt/format.h>
+
+#include <atomic>
+#include <filesystem>
+
+#include "formats/image.h"
+#include "formats/io/content_hash.h"
+#include "formats/io/cost.h"
+#include "formats/io/error.h"
+#include "formats/path_graph.h"
+#include "stages/core/app/command.h"
+#include "stages/core/scene/build.h"
+#include "stages/core/transport/film.h"
+#include "stages/core/transport/graph_builder.h"
+#include "stages/core/transport/parallel.h"
+#include "stages/trace/replay.h"
+
+namespace loom::trace {
+namespace {
+
+/// Paths of one task; small enough to balance two threads, large enough to hide the task.
+constexpr std::uint64_t paths_per_chunk = 4096;
+
+Defines parse_defines(const std::vector<std::string>& texts) {
+    Defines defines;
+    for (const std::string& text : texts) {
+        const auto equals = text.find('=');
+        if (equals == std::string::npos || equals == 0)
+            throw InputError(fmt::format("-D {}: expected NAME=VALUE", text));
+        defines.emplace_back(text.substr(0, equals), text.substr(equals + 1));
+    }
+    return defines;
+}
+
+PathOptions path_options(const Options& options, const Scene& scene) {
+    PathOptions path;
+    path.seed = options.seed;
+    path.sampler = options.sampler;
+    path.roulette = options.roulette;
+    path.rr_depth = options.rr_depth.value_or(scene.rr_depth);
+    path.max_depth = options.max_depth.value_or(scene.max_depth);
+    return path;
+}
+
+/// Samples that are not finite are counted, never dropped; the first few are named with their replay.
+class NonfiniteLog {
+  public:
+    NonfiniteLog(app::Report& report, const Scene& scene, const PathOptions& path)
+        : report_(report), width_(scene.sensor.width), seed_(path.seed) {}
+    void check(const Spectrum& L, std::uint64_t pixel, std::uint64_t sample) {
+        if (all_finite(L)) return;
+        const std::uint64_t x = pixel % width_, y = pixel / width_;
+        if (count_.fetch_add(1) < 5)
+            report_.warn("not finite: pixel ({}, {}), sample {}; replay with --seed {} --replay {},{},{}", x, y, sample,
+                         seed_, x, y, sample);
+    }
+    std::uint64_t count() const { return count_; }
+
+  private:
+    app::Report& report_;
+    std::uint64_t width_, seed_;
+    std::atomic<std::uint64_t> count_{0};
+};
+
+/// Counts of all workers.
+struct Totals {
+    std::atomic<std::uint64_t> rays{0}, vertices{0};
+    void add(const Counts& c) {
+        rays += c.rays;
+        vertices += c.vertices;
+    }
+};
+
+void count(const PathResult& r, Counts& counts) {
+    counts.rays += r.n_rays;
+    counts.vertices += r.n_vertices;
+}
+
+void write_depfile(const Options& options, const Scene& scene) {
+    const auto escape = [](const std::string& name) {
+        std::string out;
+        for (char c : name) {
+            if (c == ' ' || c == '#') out += '\\';
+            if (c == '$') out += '$';
+            out += c;
+        }
+        return out;
+    };
+    std::string text = escape(options.output) + ":";
+    for (const std::string& file : scene.dependencies) text += " \\\n  " + escape(file);
+    // A rule without recipe for each file, so that a deleted one is remade (that is, complained about) by the
+    // stage and not by make.
+    for (const std::string& file : scene.dependencies) text += "\n" + escape(file) + ":";
+    write_text_file(options.depfile, text + "\n");
+}
+
+}  // namespace
+
+Image render_image(const Scene& scene, const PathOptions& path, const Work& work, app::Report& report, Counts& counts) {
+    Film film(scene.sensor.width, scene.sensor.height, work.spp);
+    NonfiniteLog nonfinite(report, scene, path);
+    app::Progress progress(report, "tracing", scene.sensor.n_pixels() * work.spp);
+    Totals totals;
+    const std::uint64_t pixels_per_chunk = std::clamp<std::uint64_t>(paths_per_chunk / work.spp, 16, paths_per_chunk);
+    parallel_chunks(scene.sensor.n_pixels(), pixels_per_chunk, work.threads,
+                    [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
+                        Counts mine;
+                        for (std::uint64_t pixel = begin; pixel < end; ++pixel) {
+                            PixelSums sums;
+                            for (std::uint64_t s = 0; s < work.spp; ++s) {
+                                const std::uint64_t sample = work.first_sample + s;
+                                const PathResult r = trace_path(scene, path, pixel, sample);
+                                nonfinite.check(r.L, pixel, sample);
+                                sums.add(r.L, r.first);
+                                count(r, mine);
+                            }
+                            film.set(pixel, sums);
+                            progress.add(work.spp);
+                        }
+                        totals.add(mine);
+                    });
+    counts = {totals.rays, totals.vertices, nonfinite.count()};
+    return std::move(film).finish({});
+}
+
+PathGraph render_graph(const Scene& scene, const PathOptions& path, const Work& work, app::Report& report,
+                       Counts& counts) {
+    const std::uint64_t n_pixels = scene.sensor.n_pixels(), n_paths = n_pixels * work.spp;
+    std::vector<GraphPiece> pieces((n_paths + paths_per_chunk - 1) / paths_per_chunk);
+    NonfiniteLog nonfinite(report, scene, path);
+    Totals totals;
+    {
+        app::Progress progress(report, "tracing", n_paths);
+        const bool roulette = path.roulette != Roulette::off;
+        parallel_chunks(n_paths, paths_per_chunk, work.threads,
+                        [&](std::uint64_t chunk, std::uint64_t begin, std::uint64_t end) {
+                            PathRecord record;
+                            Counts mine;
+                            for (std::uint64_t i = begin; i < end; ++i) {
+                                const std::uint64_t pixel = i % n_pixels, sample = work.first_sample + i / n_pixels;
+                                const PathResult r = trace_path(scene, path, pixel, sample, record);
+                                nonfinite.check(r.L, pixel, sample);
+                                pieces[chunk].append(record, scene, roulette);
+                                count(r, mine);
+                            }
+                            totals.add(mine);
+                            progress.add(end - begin);
+                        });
+    }
+    counts = {totals.rays, totals.vertices, nonfinite.count()};
+    return join_pieces(pieces, scene, path, work.first_sample, work.spp);
+}
+
+void declare(app::Command& command, Options& options) {
+    command.file("scene", options.scene, "scene file (Mitsuba XML, dialects 0.5 to 3)");
+    command.output("-o,--output", options.output, "path graph (.h5) or path-traced image (.exr)");
+    command.option("-D,--define", options.defines, "NAME=VALUE of a scene parameter $NAME");
+    command.option("--spp", options.spp, "samples per pixel", app::Range<std::uint64_t>{1, 1u << 30});
+    command.option("--first-sample", options.first_sample, "number of the first sample of each pixel");
+    command.option("--seed", options.seed, "seed of all random numbers");
+    command.choice("--sampler", options.sampler, "random numbers",
+                   {{"sobol", SamplerKind::sobol}, {"independent", SamplerKind::independent}});
+    command.choice("--roulette", options.roulette, "survival probability: the vertex's albedo, or the path's throughput",
+                   {{"albedo", Roulette::albedo}, {"throughput", Roulette::throughput}, {"off", Roulette::off}});
+    command.option("--rr-depth", options.rr_depth, "first vertex at which roulette may end a path",
+                   app::Range<int>{1, 1 << 20});
+    command.option("--max-depth", options.max_depth, "longest path in edges; -1: no limit",
+                   app::Range<int>{-1, 1 << 20});
+    command.threads(options.threads);
+    command.output("--depfile", options.depfile, "also write a make rule that names all files read");
+    command.flag("--plan", options.plan, "print what the scene calls for, and stop");
+    command.option("--replay", options.replay, "X,Y,SAMPLE: trace that path alone and print it");
+    command.example("loom-trace scenes/cornell-box.xml --spp 4 -o graph.h5");
+}
+
+std::string plan(const Scene& scene, const PathOptions& path, bool graph) {
+    const SceneFeatures& f = scene.features;
+    std::string on, off;
+    const auto say = [&](bool yes, const char* what, const char* why) {
+        (yes ? on : off) += fmt::format("{}{}{}", (yes ? on : off).empty() ? "" : ", ", what, yes ? "" : why);
+    };
+    say(true, path.roulette == Roulette::off ? "no roulette" : fmt::format("roulette by {} from depth {}",
+        roulette_name(path.roulette), path.rr_depth).c_str(), "");
+    say(!scene.emitters.empty(), "next-event estimation", " (no emitter)");
+    say(scene.environment >= 0, "environment", " (no emitter at infinity)");
+    if (graph) {
+        say(f.smooth_normals, "geometric normals", " (all surfaces flat)");
+        say(f.perturbed_normals, "unperturbed normals", " (no bump or normal map)");
+        say(f.anisotropic, "tangents", " (nothing anisotropic)");
+        say(f.textured_diffuse, "diffuse column", " (no texture)");
+        say(f.textured_specular, "specular column", " (no texture)");
+        say(f.textured_alpha, "roughness column", " (no texture)");
+        say(f.textured_opacity, "opacity column", " (no texture)");
+        say(f.dielectric, "index of refraction", " (no dielectric)");
+    }
+    return "on: " + on + "; off: " + (off.empty() ? "nothing" : off);
+}
+
+void run(const Options& options, app::Report& report) {
+    const std::string ending = std::filesystem::path(options.output).extension();
+    const bool writes = !options.plan && options.replay.empty();
+    if (writes) {
+        if (options.output.empty()) throw InputError("--output: missing (a .h5 or .exr file)");
+        if (ending != ".h5" && ending != ".exr")
+            throw InputError(fmt::format("{}: the output must end in .h5 (path graph) or .exr (image)", options.output));
+        check_output_path(options.output);
+    }
+    const auto scene = load_scene(options.scene, parse_defines(options.defines));
+    for (const std::string& note : scene->notes) report.info("{}", note);
+    const PathOptions path = path_options(options, *scene);
+    const std::string planned = plan(*scene, path, ending != ".exr");
+    if (!options.replay.empty()) {
+        report.answer(replay(*scene, path, options.replay));
+        return;
+    }
+    if (options.plan) {
+        report.answer(planned + "\n");
+        return;
+    }
+    report.info("plan: {}", planned);
+
+    Provenance provenance;
+    provenance.stage = report.name();
+    provenance.command = report.command();
+    provenance.seed = options.seed;
+    provenance.plan = planned;
+    provenance.inputs.push_back({std::filesystem::path(options.scene).filename(), content_hash_text(scene->content_hash)});
+    const Work work{options.first_sample, options.spp, options.threads};
+    Counts counts;
+    if (ending == ".exr") {
+        Image image = render_image(*scene, path, work, report, counts);
+        image.provenance = provenance;
+        write_image(image, options.output);
+    } else {
+        PathGraph graph = render_graph(*scene, path, work, report, counts);
+        graph.provenance = provenance;
+        write_path_graph(graph, options.output);
+        std::uint64_t bytes = 0;
+        for (const ColumnBytes& column : column_bytes(graph)) bytes += column.bytes;
+        report.info("graph: {} vertices, {} light edges, {:.1f} bytes per vertex", graph.n_vertices(),
+                    graph.n_light_edges(), double(bytes) / double(std::max<std::size_t>(graph.n_vertices(), 1)));
+    }
+    if (!options.depfile.empty()) write_depfile(options, *scene);
+
+    const app::Usage usage = report.usage();
+    const std::uint64_t samples = scene->sensor.n_pixels() * options.spp;
+    Cost cost;
+    cost.stage = report.name();
+    cost.wall_s = usage.wall_s;
+    cost.cpu_s = usage.cpu_s;
+    cost.rays = counts.rays;
+    cost.samples = samples;
+    cost.peak_memory_bytes = usage.peak_memory_bytes;
+    cost.bytes_written = std::filesystem::file_size(options.output);
+    cost.parents = {std::filesystem::path(options.scene).filename()};
+    write_cost(cost, options.output);
+    report.done("{} paths, {} vertices, {} rays, {} samples not finite", samples, counts.vertices, counts.rays,
+                counts.nonfinite);
+}
+
+}  // namespace loom::trace

@@ -1,0 +1,63 @@
+#pragma once
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "formats/image.h"
+#include "formats/path_graph.h"
+#include "stages/core/scene/scene.h"
+#include "stages/core/transport/path_tracer.h"
+
+namespace loom::app {
+class Command;
+class Report;
+}  // namespace loom::app
+
+namespace loom::trace {
+
+struct Options {
+    std::string scene;                 // Mitsuba XML
+    std::string output;                // .h5: path graph; .exr: path-traced image
+    std::vector<std::string> defines;  // name=value
+    std::uint64_t spp = 1;             // samples per pixel
+    std::uint64_t first_sample = 0;    // number of the first one
+    std::uint64_t seed = 0;
+    int threads = 0;                   // 0: all
+    SamplerKind sampler = SamplerKind::sobol;
+    Roulette roulette = Roulette::albedo;
+    std::optional<int> rr_depth;       // of the scene file when unset
+    std::optional<int> max_depth;      // of the scene file when unset; -1: no limit
+    std::string depfile;               // make rules for all files that were read
+    bool plan = false;                 // print the plan and stop
+    std::string replay;                // x,y,sample: trace that one path and print it
+};
+
+/// Which samples of each pixel to trace, on how many threads (0: all).
+struct Work {
+    std::uint64_t first_sample = 0, spp = 1;
+    int threads = 0;
+};
+
+/// What tracing took.
+struct Counts {
+    std::uint64_t rays = 0, vertices = 0, nonfinite = 0;
+};
+
+/// Path-traced image with auxiliary layers; keeps nothing but the film. Same values for any number of threads.
+Image render_image(const Scene& scene, const PathOptions& path, const Work& work, app::Report& report, Counts& counts);
+
+/// The same paths as a graph.
+PathGraph render_graph(const Scene& scene, const PathOptions& path, const Work& work, app::Report& report,
+                       Counts& counts);
+
+void declare(app::Command& command, Options& options);
+
+/// Traces a scene file into options.output.
+/// throws: InputError
+void run(const Options& options, app::Report& report);
+
+/// What the scene calls for and what is off, in one line.
+std::string plan(const Scene& scene, const PathOptions& path, bool graph);
+
+}  // namespace loom::trace

@@ -1,0 +1,166 @@
+#include "formats/image.h"
+
+#include <OpenEXR/ImfChannelList.h>
+#include <OpenEXR/ImfFrameBuffer.h>
+#include <OpenEXR/ImfHeader.h>
+#include <OpenEXR/ImfOutputFile.h>
+#include <gtest/gtest.h>
+#include <unistd.h>
+
+#include <cmath>
+#include <limits>
+
+#include "stages/merge/merge.h"
+#include "tests/formats/tiny_graph.h"
+#include "tests/formats/tiny_image.h"
+
+namespace loom {
+namespace {
+
+using testing::expect_equal;
+using testing::file_bytes;
+using testing::input_error_of;
+using testing::ScratchFolder;
+using testing::tiny_image;
+using testing::write_bytes;
+
+TEST(Image, ReadsBackBitForBit) {
+    const ScratchFolder folder;
+    for (const Compression compression : {Compression::none, Compression::zip}) {
+        write_image(tiny_image(), folder / "x.exr", compression);
+        expect_equal(tiny_image(), read_image(folder / "x.exr"));
+    }
+    EXPECT_FALSE(std::filesystem::exists(folder / "x.exr.partial"));
+}
+
+TEST(Image, EqualImagesGiveEqualBytes) {
+    const ScratchFolder folder;
+    write_image(tiny_image(), folder / "a.exr");
+    write_png(tiny_image(), folder / "a.png");
+    ::sleep(1);  // a clock in the file would show
+    write_image(tiny_image(), folder / "b.exr");
+    write_png(tiny_image(), folder / "b.png");
+    EXPECT_EQ(file_bytes(folder / "a.exr"), file_bytes(folder / "b.exr"));
+    EXPECT_EQ(file_bytes(folder / "a.png"), file_bytes(folder / "b.png"));
+}
+
+TEST(Image, FixtureOfVersion_1_0_Reads) {
+    expect_equal(tiny_image(), read_image("tests/fixtures/image_1.0.exr"));
+}
+
+TEST(Image, ForeignHalvesAndDataWindowsRead) {
+    const ScratchFolder folder;
+    Imf::Header header(Imath::Box2i({0, 0}, {9, 9}), Imath::Box2i({-2, 3}, {0, 4}));
+    std::vector<half> values{half(0.0f), half(1.0f), half(2.0f), half(3.0f), half(4.0f), half(5.0f)};
+    Imf::FrameBuffer frame;
+    for (const char* name : {"R", "G", "B"}) {
+        header.channels().insert(name, Imf::Channel(Imf::HALF));
+        frame.insert(name, Imf::Slice::Make(Imf::HALF, values.data(), header.dataWindow(), 2, 6));
+    }
+    {
+        Imf::OutputFile file((folder / "h.exr").c_str(), header);
+        file.setFrameBuffer(frame);
+        file.writePixels(2);
+    }
+    const Image image = read_image(folder / "h.exr");
+    EXPECT_EQ(image.width, 3u);
+    EXPECT_EQ(image.height, 2u);
+    EXPECT_EQ(image.samples, 0u);
+    for (std::size_t i = 0; i < 6; ++i) EXPECT_EQ(image.find("G")[i], static_cast<float>(i));
+}
+
+TEST(Image, BadFilesSayWhatIsWrong) {
+    const ScratchFolder folder;
+    const auto file = folder / "x.exr";
+    const auto message = [&] { return input_error_of([&] { read_image(file); }); };
+    EXPECT_EQ(message(), file.native() + ": no such file");
+    write_bytes(file, "no picture");
+    EXPECT_TRUE(message().starts_with(file.native() + ": is not a whole EXR file")) << message();
+    {
+        Imf::Header header(2, 1);
+        header.channels().insert("Y", Imf::Channel(Imf::FLOAT));
+        std::array<float, 2> values{};
+        Imf::FrameBuffer frame;
+        frame.insert("Y", Imf::Slice(Imf::FLOAT, reinterpret_cast<char*>(values.data()), 4, 8));
+        Imf::OutputFile out(file.c_str(), header);
+        out.setFrameBuffer(frame);
+        out.writePixels(1);
+    }
+    EXPECT_EQ(message(), file.native() + ": there is no channel R (it has Y)");
+    EXPECT_EQ(read_any_exr(file).find("Y").size(), 2u);
+    std::filesystem::remove(file);
+    std::filesystem::create_directory(file);
+    EXPECT_EQ(message(), file.native() + ": is a directory, not a file");
+}
+
+TEST(Image, TruncatedAnywhere) {
+    const ScratchFolder folder;
+    for (const Compression compression : {Compression::none, Compression::zip}) {
+        write_image(tiny_image(), folder / "x.exr", compression);
+        const std::string whole = file_bytes(folder / "x.exr");
+        for (std::size_t n = 0; n < whole.size(); n += 7) {
+            write_bytes(folder / "x.exr", std::string_view(whole).substr(0, n));
+            EXPECT_NE(input_error_of([&] { read_image(folder / "x.exr"); }), "nothing was thrown") << n;
+        }
+    }
+}
+
+TEST(Image, NanAndInfinityAreCounted) {
+    const ScratchFolder folder;
+    Image image = tiny_image();
+    image.add("R")[0] = std::numeric_limits<float>::quiet_NaN();
+    image.add("G")[0] = std::numeric_limits<float>::infinity();
+    image.add("B")[3] = -std::numeric_limits<float>::infinity();
+    EXPECT_EQ(count_nonfinite(image), 3u);
+    EXPECT_EQ(write_png(image, folder / "x.png"), 2u);
+    write_image(image, folder / "x.exr");
+    EXPECT_EQ(count_nonfinite(read_image(folder / "x.exr")), 3u);
+}
+
+// All samples at once against the same samples in three unequal parts; would catch n in place of n - 1
+// anywhere, and a spread between parts that is left out.
+TEST(Merge, MomentsAreThoseOfAllSamples) {
+    const std::vector<double> samples{0.5, 3.0, -1.0, 7.0, 0.25, 2.0, 11.0, 0.0, 4.5};
+    const auto image_of = [&](std::size_t begin, std::size_t end) {
+        Image image;
+        image.width = image.height = 1;
+        image.samples = end - begin;
+        double mean = 0, squares = 0;
+        const auto n = static_cast<double>(end - begin);
+        for (std::size_t i = begin; i < end; ++i) mean += samples[i] / n;
+        for (std::size_t i = begin; i < end; ++i) squares += (samples[i] - mean) * (samples[i] - mean);
+        for (const char* name : {"R", "G", "B"}) {
+            image.add(name)[0] = static_cast<float>(mean);
+            image.add(std::string("VarMean.") + name)[0] =
+                n > 1 ? static_cast<float>(squares / (n - 1) / n) : 0.0f;
+        }
+        image.add("Depth.Z")[0] = static_cast<float>(mean);
+        return image;
+    };
+    const std::array<Image, 3> parts{image_of(0, 1), image_of(1, 5), image_of(5, 9)};
+    const std::array<std::string, 3> names{"a", "b", "c"};
+    const Image whole = image_of(0, samples.size()), merged = merge::merge_images(parts, names);
+    EXPECT_EQ(merged.samples, 9u);
+    for (const auto& channel : whole.channels) {
+        EXPECT_NEAR(merged.find(channel.name)[0], channel.values[0], 2e-7 * std::fabs(channel.values[0]))
+            << channel.name;
+    }
+}
+
+TEST(Merge, RefusesWhatDoesNotFit) {
+    std::array<Image, 2> parts{tiny_image(), tiny_image()};
+    const std::array<std::string, 2> names{"a.exr", "b.exr"};
+    const auto message = [&] { return input_error_of([&] { merge::merge_images(parts, names); }); };
+    parts[1].samples = 0;
+    EXPECT_EQ(message(), "b.exr: does not say how many samples per pixel it has");
+    parts[1] = tiny_image();
+    parts[1].channels.pop_back();
+    EXPECT_EQ(message(), "b.exr: has no channel " + tiny_image().channels.back().name + ", but a.exr has");
+    parts[1] = tiny_image();
+    parts[1].width = 2;
+    parts[1].height = 6;
+    EXPECT_EQ(message(), "b.exr: is 2 x 6, but a.exr is 4 x 3");
+}
+
+}  // namespace
+}  // namespace loom

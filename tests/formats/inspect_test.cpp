@@ -1,0 +1,116 @@
+#include "stages/inspect/inspect.h"
+
+#include <gtest/gtest.h>
+
+#include "formats/io/cost.h"
+#include "formats/io/json.h"
+#include "tests/formats/tiny_graph.h"
+#include "tests/formats/tiny_image.h"
+
+namespace loom {
+namespace {
+
+using testing::input_error_of;
+using testing::ScratchFolder;
+using testing::tiny_graph;
+
+bool holds(const std::string& text, std::string_view part) {
+    return text.find(part) != std::string::npos;
+}
+
+TEST(Inspect, TableOfAGraph) {
+    const ScratchFolder folder;
+    const std::string file = folder / "g.h5";
+    write_path_graph(tiny_graph(), file);
+    write_cost({"loom-test", 1.5, 3.0, 100, 4, 1 << 20, 1, {}}, file);
+    const std::string text = inspect::text_of(survey_file(file), file);
+    EXPECT_TRUE(holds(text, "path_graph 1.0")) << text;
+    EXPECT_TRUE(holds(text, "4 paths, 6 vertices (1.5 per path), 4 light edges (0.667 per vertex)")) << text;
+    EXPECT_TRUE(holds(text, "endings: 1 escaped, 1 roulette, 0 invalid sample, 1 max depth, 0 hit emitter"))
+        << text;
+    EXPECT_TRUE(holds(text, "0123456789abcdef tiny scene.xml")) << text;
+    EXPECT_TRUE(holds(text, "textures on; roulette on; no dielectrics")) << text;
+    EXPECT_TRUE(holds(text, "100 rays")) << text;
+    EXPECT_TRUE(holds(text, "vertices/alpha")) << text;
+}
+
+TEST(Inspect, JsonOfAGraphParses) {
+    const ScratchFolder folder;
+    const std::string file = folder / "g.h5";
+    write_path_graph(tiny_graph(), file);
+    const JsonValue json = parse_json(inspect::json_of(survey_file(file), file), "json");
+    const JsonValue* graph = json.find("path_graph");
+    ASSERT_NE(graph, nullptr);
+    EXPECT_EQ(std::get<JsonValue::Number>(graph->find("n_vertices")->value).text, "6");
+    EXPECT_EQ(std::get<JsonValue::Number>(graph->find("bytes_per_vertex")->find("vertices/p")->value).text,
+              "12");
+    EXPECT_GT(std::get<JsonValue::Array>(json.find("datasets")->value).size(), 60u);
+}
+
+TEST(Inspect, StatisticsAreOfTheFiniteNumbers) {
+    const ScratchFolder folder;
+    PathGraph graph = tiny_graph();
+    graph.paths.Le = {1, 2, 3,
+                      4, 5, 6,
+                      7, 8, std::numeric_limits<float>::quiet_NaN(),
+                      0, 0, std::numeric_limits<float>::infinity()};
+    write_path_graph(graph, folder / "g.h5");
+    for (const auto& dataset : survey_file(folder / "g.h5").datasets) {
+        if (dataset.name != "paths/Le") continue;
+        EXPECT_EQ(dataset.statistics.n, 12u);
+        EXPECT_EQ(dataset.statistics.n_nan, 1u);
+        EXPECT_EQ(dataset.statistics.n_inf, 1u);
+        EXPECT_EQ(dataset.statistics.min, 0.0);
+        EXPECT_EQ(dataset.statistics.mean, 3.6);
+        EXPECT_EQ(dataset.statistics.max, 8.0);
+    }
+}
+
+TEST(Inspect, ImagesAreSurveyedToo) {
+    const ScratchFolder folder;
+    const std::string file = folder / "x.exr";
+    write_image(testing::tiny_image(), file);
+    const Survey survey = survey_file(file);
+    EXPECT_EQ(survey.attribute("samples"), "16");
+    EXPECT_EQ(survey.datasets.size(), 13u);
+    EXPECT_TRUE(holds(inspect::text_of(survey, file), "image 1.0"));
+    EXPECT_NO_THROW(parse_json(inspect::json_of(survey, file), "json"));
+}
+
+TEST(Inspect, PathByPixelAndSample) {
+    const PathGraph graph = tiny_graph();
+    const std::string text = inspect::path_text(graph, "1:0,9");
+    EXPECT_TRUE(text.starts_with("path 3: pixel 1:0 (index 1), sample 9, 3 vertices")) << text;
+    EXPECT_EQ(text, inspect::path_text(graph, "1,9"));
+    EXPECT_TRUE(holds(text, "next event on lamp at (0, 2, 0) m")) << text;
+    EXPECT_TRUE(holds(text, "ending: max depth")) << text;
+    EXPECT_TRUE(holds(inspect::path_text(graph, "1,8"), "no vertex"));
+}
+
+TEST(Inspect, PathThatIsNotThere) {
+    const PathGraph graph = tiny_graph();
+    const auto message = [&](const char* which) {
+        return input_error_of([&] { inspect::path_text(graph, which); });
+    };
+    EXPECT_EQ(message("2:0,8"), "--path 2:0,8: the image has 2 x 1 pixels");
+    EXPECT_EQ(message("2,8"), "--path 2,8: the image has 2 pixels");
+    EXPECT_EQ(message("0,10"), "--path 0,10: the file has samples 8 to 9");
+    EXPECT_EQ(message("0,7"), "--path 0,7: the file has samples 8 to 9");
+    EXPECT_EQ(message("north"), "--path north: expected PIXEL,SAMPLE, for example 320:180,0 or 115520,0");
+    EXPECT_EQ(message("1:x,8"), "--path 1:x,8: expected PIXEL,SAMPLE, for example 320:180,0 or 115520,0");
+}
+
+// Three paths have vertices: lines of 3, 2 and 4 points with the eye; three light points are finite.
+TEST(Inspect, ObjHasPathsAsLines) {
+    const std::string text = inspect::obj_text(tiny_graph(), 100);
+    EXPECT_TRUE(holds(text, "l 1 2 3\n")) << text;
+    EXPECT_TRUE(holds(text, "l 4 5\n")) << text;
+    EXPECT_TRUE(holds(text, "l 6 7 8 9\n")) << text;
+    std::size_t n_lights = 0;
+    for (auto at = text.find("l -2 -1"); at != std::string::npos; at = text.find("l -2 -1", at + 1))
+        ++n_lights;
+    EXPECT_EQ(n_lights, 3u);
+}
+
+}  // namespace
+}  // namespace loom

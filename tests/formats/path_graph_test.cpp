@@ -1,0 +1,161 @@
+#include "formats/path_graph.h"
+
+#include <gtest/gtest.h>
+
+#include <cstring>
+#include <fstream>
+#include <sstream>
+
+#include "tests/formats/tiny_graph.h"
+
+namespace loom {
+namespace {
+
+using testing::file_bytes;
+using testing::large_graph;
+using testing::ScratchFolder;
+using testing::tiny_graph;
+
+/// Collects the bytes of all fields, so that two graphs can be compared whatever fields a version has.
+class ByteCollector : public FieldVisitor<ByteCollector> {
+  public:
+    template <class T>
+    void column_of(const Field& field, const Column<T>& column) {
+        add(field, column.data(), column.size() * sizeof(T));
+    }
+    template <class V>
+    void value_of(const Field& field, const V& value) {
+        if constexpr (std::is_same_v<V, std::string>)
+            add(field, value.data(), value.size());
+        else
+            add(field, &value, sizeof value);
+    }
+    void names_of(const Field& field, const std::vector<std::string>& texts) {
+        std::string joined;
+        for (const auto& text : texts) joined += text + "\n";
+        add(field, joined.data(), joined.size());
+    }
+    std::vector<std::pair<std::string, std::string>> found;
+
+  private:
+    void add(const Field& field, const void* data, std::size_t n) {
+        found.emplace_back(field.name, n == 0 ? "" : std::string(static_cast<const char*>(data), n));
+    }
+};
+
+void expect_equal(const PathGraph& a, const PathGraph& b) {
+    ByteCollector left, right;
+    PathGraph::fields(a, left);
+    PathGraph::fields(b, right);
+    ASSERT_EQ(left.found.size(), right.found.size());
+    for (std::size_t i = 0; i < left.found.size(); ++i)
+        EXPECT_EQ(left.found[i], right.found[i]) << left.found[i].first;
+    EXPECT_EQ(a.provenance, b.provenance);
+}
+
+// Would catch a column that is written but not read, read into another, or changed on the way.
+TEST(PathGraph, ReadsBackBitForBit) {
+    const ScratchFolder folder;
+    const PathGraph graph = tiny_graph();
+    write_path_graph(graph, folder / "g.h5");
+    expect_equal(graph, read_path_graph(folder / "g.h5"));
+    EXPECT_FALSE(std::filesystem::exists(folder / "g.h5.partial"));
+}
+
+TEST(PathGraph, AbsentColumnsStayAbsent) {
+    const ScratchFolder folder;
+    const PathGraph graph = large_graph(1);
+    write_path_graph(graph, folder / "g.h5");
+    const PathGraph read = read_path_graph(folder / "g.h5");
+    expect_equal(graph, read);
+    EXPECT_TRUE(read.vertices.q.empty());
+    EXPECT_TRUE(read.light_edges.n.empty());
+}
+
+// Would catch object times, uninitialised bytes and anything else that is not the data.
+TEST(PathGraph, EqualGraphsGiveEqualBytes) {
+    const ScratchFolder folder;
+    write_path_graph(tiny_graph(), folder / "a.h5");
+    write_path_graph(large_graph(50000), folder / "large_a.h5");
+    std::filesystem::create_directory(folder / "other");
+    ::sleep(1);  // object times have a resolution of a second
+    write_path_graph(tiny_graph(), folder / "other/b.h5");
+    write_path_graph(large_graph(50000), folder / "large_b.h5");
+    EXPECT_EQ(file_bytes(folder / "a.h5"), file_bytes(folder / "other/b.h5"));
+    EXPECT_EQ(file_bytes(folder / "large_a.h5"), file_bytes(folder / "large_b.h5"));
+}
+
+TEST(PathGraph, RewritingWhatWasReadGivesEqualBytes) {
+    const ScratchFolder folder;
+    write_path_graph(tiny_graph(), folder / "a.h5");
+    write_path_graph(read_path_graph(folder / "a.h5"), folder / "b.h5");
+    EXPECT_EQ(file_bytes(folder / "a.h5"), file_bytes(folder / "b.h5"));
+}
+
+// Large columns are borrowed from pages of the file: no copy, whole pages.
+TEST(PathGraph, LargeColumnsAreMapped) {
+    const ScratchFolder folder;
+    const PathGraph graph = large_graph(100000);
+    write_path_graph(graph, folder / "g.h5");
+    const PathGraph read = read_path_graph(folder / "g.h5");
+    const auto bytes = read.storage->bytes();
+    const auto offset_of = [&](const void* data) {
+        return static_cast<const std::byte*>(data) - bytes.data();
+    };
+    for (const void* data : {static_cast<const void*>(read.vertices.p.data()),
+                             static_cast<const void*>(read.vertices.diffuse.data()),
+                             static_cast<const void*>(read.vertices.flags.data())}) {
+        ASSERT_GE(offset_of(data), 0);
+        ASSERT_LT(offset_of(data), static_cast<std::ptrdiff_t>(bytes.size()));
+        EXPECT_EQ(offset_of(data) % 4096, 0);
+    }
+    expect_equal(graph, read);
+}
+
+TEST(PathGraph, ColumnsOutliveTheirGraphWhenMoved) {
+    PathGraph a = large_graph(1000);
+    const float* data = a.vertices.p.data();
+    const PathGraph b = std::move(a);
+    EXPECT_EQ(b.vertices.p.data(), data);
+    EXPECT_EQ(b.vertices.p.size(), 3000u);
+    EXPECT_TRUE(a.vertices.p.empty());
+}
+
+TEST(PathGraph, EmptyGraphIsLegal) {
+    const ScratchFolder folder;
+    PathGraph graph;
+    graph.paths.first_vertex = {0};
+    write_path_graph(graph, folder / "g.h5");
+    const PathGraph read = read_path_graph(folder / "g.h5");
+    EXPECT_EQ(read.n_paths(), 0u);
+    EXPECT_EQ(read.n_vertices(), 0u);
+}
+
+// The budget of the format: about 100 bytes for a vertex of a textured scene with everything on.
+TEST(PathGraph, ColumnBytesAreWhatTheFormatSays) {
+    std::size_t vertex_bytes = 0, edge_bytes = 0;
+    const PathGraph graph = tiny_graph();
+    for (const auto& column : column_bytes(graph)) {
+        if (column.axis == "vertex") vertex_bytes += column.bytes / column.rows;
+        if (column.axis == "edge") edge_bytes += column.bytes / column.rows;
+    }
+    EXPECT_EQ(vertex_bytes, 85u);
+    EXPECT_EQ(edge_bytes, 51u);
+}
+
+TEST(PathGraph, WriterRefusesColumnsOfUnequalLength) {
+    const ScratchFolder folder;
+    PathGraph graph = tiny_graph();
+    graph.vertices.shape = {0, 1};
+    EXPECT_THROW(write_path_graph(graph, folder / "g.h5"), std::logic_error);
+    EXPECT_FALSE(std::filesystem::exists(folder / "g.h5"));
+    EXPECT_FALSE(std::filesystem::exists(folder / "g.h5.partial"));
+}
+
+// Every older minor version must read; the fixture is the file as that version wrote it.
+TEST(PathGraph, FixtureOfVersion_1_0_Reads) {
+    expect_equal(tiny_graph(), read_path_graph("tests/fixtures/path_graph_1.0.h5"));
+}
+
+}  // namespace
+}  // namespace loom

@@ -1,0 +1,34 @@
+#pragma once
+#include <filesystem>
+#include <functional>
+#include <string>
+
+#include "formats/path_graph.h"
+
+namespace loom::testing {
+
+/// A graph of 2 x 1 pixels with two samples each, made by hand: every column is there, one path escapes at
+/// once, one has two vertices, and each technique and ending occurs.
+PathGraph tiny_graph();
+
+/// n vertices in paths of one vertex each: columns long enough to be mapped.
+PathGraph large_graph(std::uint32_t n);
+
+/// An empty folder of its own for the running test; removed when destroyed.
+class ScratchFolder {
+  public:
+    ScratchFolder();
+    ~ScratchFolder();
+    std::filesystem::path operator/(const std::string& name) const { return folder_ / name; }
+
+  private:
+    std::filesystem::path folder_;
+};
+
+std::string file_bytes(const std::filesystem::path& path);
+void write_bytes(const std::filesystem::path& path, std::string_view bytes);
+
+/// The message of the InputError that `body` throws; "nothing was thrown" when it returns.
+std::string input_error_of(const std::function<void()>& body);
+
+}  // namespace loom::testing

@@ -1,0 +1,12 @@
+#pragma once
+#include "formats/image.h"
+
+namespace loom::testing {
+
+/// A picture of 4 x 3 pixels with all layers, made by hand.
+Image tiny_image();
+
+/// Equal sizes, samples, provenance and channels (in any order), bit for bit.
+void expect_equal(const Image& a, const Image& b);
+
+}  // namespace loom::testing

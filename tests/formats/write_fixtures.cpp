@@ -1,0 +1,23 @@
+// Run once per version: test_formats --gtest_also_run_disabled_tests --gtest_filter='*WriteFixtures'. A
+// fixture is never renewed: it is what that version wrote.
+
+#include <gtest/gtest.h>
+
+#include "tests/formats/tiny_graph.h"
+#include "tests/formats/tiny_image.h"
+
+namespace loom {
+namespace {
+
+TEST(Fixtures, DISABLED_WriteFixtures) {
+    const auto unless_there = [](const std::filesystem::path& path, auto write) {
+        if (!std::filesystem::exists(path)) write(path);
+    };
+    unless_there("tests/fixtures/path_graph_1.0.h5",
+                 [](const auto& path) { write_path_graph(testing::tiny_graph(), path); });
+    unless_there("tests/fixtures/image_1.0.exr",
+                 [](const auto& path) { write_image(testing::tiny_image(), path); });
+}
+
+}  // namespace
+}  // namespace loom

@@ -1,0 +1,132 @@
+// Each stage as a user meets it: help, exit codes, and nothing left behind by a failure.
+
+#include "tests/pipeline/process.h"
+
+namespace loom::pipeline {
+namespace {
+
+const std::string box = "scenes/cornell-box.xml -D resx=16 -D resy=16 ";
+
+class CommandLine : public PipelineTest {
+  protected:
+    /// Runs a stage that must fail: its exit code, a message, nothing on stdout, no new file.
+    void expect_failure(int code, const std::string& command) const {
+        const std::vector<std::string> before = files();
+        const Outcome outcome = sh(command);
+        EXPECT_EQ(outcome.code, code) << command << "\n" << outcome.err;
+        EXPECT_EQ(outcome.out, "") << command;
+        EXPECT_NE(outcome.err.find("error: "), std::string::npos) << command << "\n" << outcome.err;
+        EXPECT_EQ(files(), before) << command;
+    }
+    std::string in(const std::string& name) const { return (folder / name).string(); }
+};
+
+TEST_F(CommandLine, help_and_version) {
+    for (const char* name : {"trace", "gather", "merge", "inspect"}) {
+        const Outcome help = sh(stage(name) + " --help");
+        EXPECT_EQ(help.code, 0) << name;
+        EXPECT_NE(help.out.find("--quiet"), std::string::npos) << name;
+        const Outcome version = sh(stage(name) + " --version");
+        EXPECT_EQ(version.code, 0) << name;
+        EXPECT_EQ(version.out.find("loom-" + std::string(name) + " "), 0u) << version.out;
+    }
+}
+
+TEST_F(CommandLine, wrong_command_lines_are_2) {
+    const std::string o = " -o " + in("x.h5"), image = " -o " + in("x.exr");
+    expect_failure(2, stage("trace"));
+    expect_failure(2, stage("gather"));
+    expect_failure(2, stage("merge"));
+    expect_failure(2, stage("inspect"));
+    expect_failure(2, stage("trace") + " missing.xml" + o);
+    expect_failure(2, stage("gather") + " missing.h5" + image);
+    expect_failure(2, stage("merge") + " missing.exr" + image);
+    expect_failure(2, stage("inspect") + " missing.h5");
+    expect_failure(2, stage("trace") + " " + box + o + " --unknown");
+    expect_failure(2, stage("trace") + " " + box);
+    expect_failure(2, stage("trace") + " " + box + " -o " + in("x.txt"));
+    expect_failure(2, stage("trace") + " " + box + " -o " + in("no/folder/x.h5"));
+    expect_failure(2, stage("trace") + " " + box + o + " --spp 0");
+    expect_failure(2, stage("trace") + " " + box + o + " --sampler none");
+    expect_failure(2, stage("trace") + " " + box + o + " -D nobody=1");
+    expect_failure(2, stage("trace") + " " + box + o + " --depfile " + in("no/folder/x.d"));
+}
+
+TEST_F(CommandLine, foreign_inputs_are_2) {
+    std::ofstream(folder / "text.h5") << "this is no HDF5 file\n";
+    std::ofstream(folder / "empty.h5");
+    std::ofstream(folder / "text.exr") << "nor is this an EXR\n";
+    std::ofstream(folder / "text.xml") << "not <xml\n";
+    for (const char* graph : {"text.h5", "empty.h5"}) {
+        expect_failure(2, stage("gather") + " " + in(graph) + " -o " + in("x.exr"));
+        expect_failure(2, stage("inspect") + " " + in(graph));
+    }
+    expect_failure(2, stage("merge") + " " + in("text.exr") + " -o " + in("x.exr"));
+    expect_failure(2, stage("inspect") + " " + in("text.exr"));
+    expect_failure(2, stage("trace") + " " + in("text.xml") + " -o " + in("x.h5"));
+}
+
+TEST_F(CommandLine, truncated_graph_is_2) {
+    ASSERT_EQ(sh(stage("trace") + " " + box + "-o " + in("whole.h5")).code, 0);
+    const std::string whole = bytes_of(folder / "whole.h5");
+    for (const double part : {0.02, 0.5, 0.999}) {
+        std::ofstream(folder / "cut.h5", std::ios::binary)
+            << whole.substr(0, static_cast<std::size_t>(part * static_cast<double>(whole.size())));
+        expect_failure(2, stage("gather") + " " + in("cut.h5") + " -o " + in("x.exr"));
+    }
+}
+
+// A file-size limit stands in for a full disk: the write fails half-way.
+TEST_F(CommandLine, failed_write_leaves_nothing) {
+    const std::string limited = "trap '' XFSZ; ulimit -f 8; ";
+    expect_failure(3, limited + stage("trace") + " " + box + "--spp 16 -o " + in("x.h5"));
+    expect_failure(3, limited + stage("trace") + " scenes/cornell-box.xml --spp 1 -o " + in("x.exr"));
+}
+
+TEST_F(CommandLine, outputs_do_not_depend_on_place_or_threads) {
+    fs::create_directories(folder / "else where");
+    ASSERT_EQ(sh(stage("trace") + " " + box + "--spp 3 --threads 1 -o " + in("a.h5")).code, 0);
+    ASSERT_EQ(
+        sh(stage("trace") + " " + box + "--spp 3 --threads 2 --quiet -o '" + in("else where/b.h5") + "'")
+            .code,
+        0);
+    EXPECT_TRUE(bytes_of(folder / "a.h5") == bytes_of(folder / "else where/b.h5"));
+    const std::string scene = "'" LOOM_SOURCE_DIR "/scenes/cornell-box.xml' -D resx=16 -D resy=16 ";
+    ASSERT_EQ(sh(stage("trace") + " " + scene + "--spp 3 -o " + in("c.h5")).code, 0);
+    EXPECT_TRUE(bytes_of(folder / "a.h5") == bytes_of(folder / "c.h5"));
+    for (const int threads : {1, 2}) {
+        const std::string n = std::to_string(threads);
+        ASSERT_EQ(
+            sh(stage("trace") + " " + box + "--spp 3 --threads " + n + " -o " + in("p" + n + ".exr")).code,
+            0);
+        ASSERT_EQ(
+            sh(stage("gather") + " " + in("a.h5") + " --threads " + n + " -o " + in("g" + n + ".exr")).code,
+            0);
+    }
+    EXPECT_TRUE(bytes_of(folder / "p1.exr") == bytes_of(folder / "p2.exr"));
+    EXPECT_TRUE(bytes_of(folder / "g1.exr") == bytes_of(folder / "g2.exr"));
+}
+
+TEST_F(CommandLine, plan_and_replay_answer_and_write_nothing) {
+    const std::vector<std::string> before = files();
+    const Outcome plan = sh(stage("trace") + " " + box + "--plan -o " + in("x.h5"));
+    EXPECT_EQ(plan.code, 0) << plan.err;
+    EXPECT_NE(plan.out, "");
+    const Outcome replay = sh(stage("trace") + " " + box + "--replay 8,8,0");
+    EXPECT_EQ(replay.code, 0) << replay.err;
+    EXPECT_NE(replay.out, "");
+    EXPECT_EQ(files(), before);
+}
+
+TEST_F(CommandLine, depfile_names_what_was_read) {
+    const std::string graph = in("x.h5");
+    ASSERT_EQ(sh(stage("trace") + " scenes/textured.xml --depfile " + in("x.d") + " -o " + graph).code, 0);
+    const std::string rules = bytes_of(folder / "x.d");
+    EXPECT_EQ(rules.find(graph + ":"), 0u) << rules;
+    EXPECT_NE(rules.find("scenes/textured.xml"), std::string::npos) << rules;
+    // A rule without prerequisites for each input, so that make can go on when an input is gone.
+    EXPECT_NE(rules.find("scenes/textures/patches.png:"), std::string::npos) << rules;
+}
+
+}  // namespace
+}  // namespace loom::pipeline

@@ -1,0 +1,169 @@
+// `make image` from scene to picture: what it leaves, what it makes again and when, and that being killed
+// at any moment changes nothing in the end.
+
+#include "formats/image.h"
+
+#include <algorithm>
+#include <cmath>
+#include <utility>
+
+#include "tests/pipeline/process.h"
+
+namespace loom::pipeline {
+namespace {
+
+const std::string small = "SCENE=scenes/cornell-box.xml DEFINES='resx=24 resy=16' ";
+
+class MakeImage : public PipelineTest {
+  protected:
+    /// Runs a make that must succeed, its one line on stdout the path of the picture.
+    fs::path image(const std::string& out, const std::string& variables, const std::string& prefix = "") {
+        const Outcome outcome = sh(prefix + still(out, variables) + " image");
+        EXPECT_EQ(outcome.code, 0) << outcome.err;
+        EXPECT_EQ(outcome.out, (folder / out / "image.exr").string() + "\n");
+        return folder / out / "image.exr";
+    }
+    /// Whether make has nothing to do.
+    bool up_to_date(const std::string& out, const std::string& variables) {
+        return sh(still(out, variables) + " -q " + (folder / out / "image.exr").string()).code == 0;
+    }
+    /// Every pixel within `relative` of its value, and the image mean within 1e-5.
+    static void expect_close(const fs::path& a_path, const fs::path& b_path, float relative) {
+        const Image a = read_image(a_path), b = read_image(b_path);
+        ASSERT_EQ(a.width, b.width);
+        ASSERT_EQ(a.height, b.height);
+        for (const char* channel : {"R", "G", "B"}) {
+            const auto x = a.find(channel), y = b.find(channel);
+            ASSERT_EQ(x.size(), y.size());
+            double sum_x = 0, sum_y = 0;
+            for (std::size_t i = 0; i < x.size(); ++i) {
+                EXPECT_NEAR(x[i], y[i], relative * std::max(std::abs(x[i]), 1e-3f)) << channel << " " << i;
+                sum_x += x[i];
+                sum_y += y[i];
+            }
+            EXPECT_NEAR(sum_x, sum_y, 1e-5 * sum_x) << channel;
+        }
+    }
+};
+
+TEST_F(MakeImage, front_door_prints_only_the_path) {
+    const Outcome outcome = sh("make -s image BUILD='" + fs::path(LOOM_BIN_DIR).parent_path().string() +
+                               "' " + small + "SPP=1 OUT=" + (folder / "x").string());
+    EXPECT_EQ(outcome.code, 0) << outcome.err;
+    EXPECT_EQ(outcome.out, (folder / "x/image.exr").string() + "\n");
+}
+
+TEST_F(MakeImage, leaves_picture_preview_and_graph_and_then_does_nothing) {
+    const std::string variables = small + "SPP=2 PASSES=2";
+    const fs::path exr = image("x", variables);
+    const Image picture = read_image(exr);
+    EXPECT_EQ(picture.width, 24u);
+    EXPECT_EQ(picture.height, 16u);
+    EXPECT_EQ(picture.samples, 4u);
+    EXPECT_EQ(count_nonfinite(picture), 0u);
+    EXPECT_TRUE(fs::exists(folder / "x/image.png"));
+    EXPECT_TRUE(fs::exists(folder / "x/graph/pass-1.h5"));
+    EXPECT_FALSE(fs::exists(folder / "x/graph/pass-0.h5"));  // gathered and gone
+
+    EXPECT_TRUE(up_to_date("x", variables));
+    EXPECT_TRUE(up_to_date("x", variables + " THREADS=1"));
+    EXPECT_FALSE(up_to_date("x", variables + " SEED=7"));
+    EXPECT_FALSE(up_to_date("x", small + "SPP=3 PASSES=2"));
+    EXPECT_FALSE(up_to_date("x", small + "SPP=2 PASSES=3"));
+    EXPECT_FALSE(up_to_date("x", variables + " METHOD=pt"));
+
+    const std::string before = bytes_of(exr);
+    const auto time = fs::last_write_time(exr);
+    image("x", variables);
+    EXPECT_EQ(fs::last_write_time(exr), time);
+    image("x", small + "SPP=3 PASSES=2");
+    EXPECT_FALSE(before == bytes_of(exr));
+    image("x", variables);
+    EXPECT_TRUE(before == bytes_of(exr));
+}
+
+TEST_F(MakeImage, more_passes_keep_the_finished_ones) {
+    image("x", small + "SPP=1 PASSES=2");
+    const auto time = fs::last_write_time(folder / "x/graph/pass-0.exr");
+    const std::string added = bytes_of(image("x", small + "SPP=1 PASSES=3"));
+    EXPECT_EQ(fs::last_write_time(folder / "x/graph/pass-0.exr"), time);
+    EXPECT_TRUE(added == bytes_of(image("y", small + "SPP=1 PASSES=3")));
+}
+
+TEST_F(MakeImage, a_changed_texture_traces_again) {
+    fs::create_directories(folder / "my scene/textures");
+    fs::copy(LOOM_SOURCE_DIR "/scenes/textured.xml", folder / "my scene/textured.xml");
+    fs::copy(LOOM_SOURCE_DIR "/scenes/textures/patches.png", folder / "my scene/textures/patches.png");
+    const std::string variables = "SCENE='" + (folder / "my scene/textured.xml").string() + "' SPP=1";
+    image("x", variables);
+    EXPECT_TRUE(up_to_date("x", variables));
+    for (const char* input : {"my scene/textures/patches.png", "my scene/textured.xml"}) {
+        fs::last_write_time(folder / input, fs::file_time_type::clock::now());
+        EXPECT_FALSE(up_to_date("x", variables)) << input;
+        image("x", variables);
+        EXPECT_TRUE(up_to_date("x", variables)) << input;
+    }
+}
+
+TEST_F(MakeImage, wrong_variables_are_refused) {
+    for (const char* wrong : {"METHOD=none", "SPP=0", "SPP=x", "PASSES=0", "PASSES=1.5", "SCENE=missing.xml",
+                              "OUT='two words'", "DEFINES=nobody=1"}) {
+        const Outcome outcome =
+            sh(still("x", "SCENE=scenes/cornell-box.xml " + std::string(wrong)) + " image");
+        EXPECT_EQ(outcome.code, 2) << wrong << "\n" << outcome.err;
+        EXPECT_EQ(outcome.out, "") << wrong;
+        EXPECT_FALSE(fs::exists(folder / "x/image.exr")) << wrong;
+    }
+}
+
+// The two methods trace the same paths; only where they are summed up differs. A graph keeps normals in
+// 2 x 16 bits: exact along the axes, else off by some 3e-5 rad, which a narrow lobe multiplies by 1 / alpha.
+// A pixel may see that, the image mean must not.
+TEST_F(MakeImage, graph_and_path_tracing_agree) {
+    const std::vector<std::pair<std::string, float>> scenes = {
+        {"cornell-box", 1e-5f}, {"all-emitters", 1e-4f}, {"glossy-box", 1e-3f}};
+    for (const auto& [scene, relative] : scenes) {
+        SCOPED_TRACE(scene);
+        const std::string variables =
+            "SCENE=scenes/" + scene + ".xml DEFINES='resx=24 resy=16' SPP=4 PASSES=2 METHOD=";
+        expect_close(image(scene + "-graph", variables + "graph"), image(scene + "-pt", variables + "pt"),
+                     relative);
+    }
+}
+
+TEST_F(MakeImage, passes_add_up_to_one_run) {
+    expect_close(image("two", small + "METHOD=pt SPP=4 PASSES=2"), image("one", small + "METHOD=pt SPP=8"),
+                 1e-5f);
+}
+
+TEST_F(MakeImage, parallel_make_gives_the_same_bytes) {
+    const std::string variables = small + "SPP=1 PASSES=4";
+    const std::string alone = bytes_of(image("a", variables));
+    EXPECT_TRUE(alone == bytes_of(image("b", variables + " -j4 THREADS=1")));
+}
+
+// Each stage is killed some time after it has started, again and again: at whatever point it was, make
+// goes on from what is whole.
+TEST_F(MakeImage, killed_stages_change_nothing) {
+    const std::string variables = "SCENE=scenes/cornell-box.xml DEFINES='resx=128 resy=128' SPP=4 PASSES=2";
+    const std::string undisturbed = bytes_of(image("whole", variables));
+    for (const char* seconds : {"0.01", "0.03", "0.06", "0.1", "0.2", "0.4"}) {
+        const Outcome killed =
+            sh(still("x", variables) + " LAUNCH='timeout -s KILL " + std::string(seconds) + "' image");
+        EXPECT_TRUE(killed.code == 0 || !fs::exists(folder / "x/image.exr")) << seconds;
+    }
+    EXPECT_TRUE(undisturbed == bytes_of(image("x", variables)));
+}
+
+TEST_F(MakeImage, killed_make_changes_nothing) {
+    const std::string variables = "SCENE=scenes/cornell-box.xml DEFINES='resx=128 resy=128' SPP=4 PASSES=2";
+    const std::string undisturbed = bytes_of(image("whole", variables));
+    for (const char* seconds : {"0.05", "0.15", "0.3", "0.5"}) {
+        // The whole process group goes, as when a terminal or a batch job ends; `wait` collects it.
+        sh("setsid " + still("x", variables) + " image & sleep " + seconds + "; kill -9 -$!; wait; true");
+    }
+    EXPECT_TRUE(undisturbed == bytes_of(image("x", variables)));
+}
+
+}  // namespace
+}  // namespace loom::pipeline

@@ -1,0 +1,48 @@
+#pragma once
+// What the statistical tests share: replicates with their own seeds, and the tests over image means and
+// tiles that judge them.
+
+#include <array>
+#include <filesystem>
+#include <string>
+#include <vector>
+
+#include "formats/image.h"
+#include "stages/core/app/report.h"
+#include "stages/core/scene/build.h"
+#include "stages/core/stats/student.h"
+#include "stages/trace/trace.h"
+
+namespace loom {
+
+inline constexpr int n_tiles = 8;  // per side
+
+std::filesystem::path source_dir();
+/// The folder of shared scenes and references beside the project; empty when it is not there.
+std::filesystem::path shared_dir();
+/// True under `make test-full`: more samples.
+bool full_run();
+
+/// Means over regions of one image: regions[0] is the whole image, then 8 x 8 tiles row by row.
+using RegionMeans = std::array<std::vector<double>, 3>;
+RegionMeans region_means(const Image& image, const std::string& layer = "");
+
+/// R path-traced images of a scene, each with its own seed.
+struct Replicates {
+    Image mean;                        // over all replicates, VarMean from their spread
+    std::vector<RegionMeans> regions;  // by replicate
+    Estimate estimate(int channel, int region) const;
+    double spread_per_pixel = 0;  // sum over pixels and channels of the variance between replicates
+    double claimed_per_pixel = 0; // sum of var_mean as the images claim it, mean over replicates
+};
+Replicates trace_replicates(const Scene& scene, PathOptions path, std::uint64_t spp, int replicates);
+
+PathOptions options_of(const Scene& scene);
+
+/// Compares image mean and tile means with known ones; each comparison at Sidak's alpha over `n_comparisons`.
+/// in:  reference_se  standard errors of the reference means by channel and region
+/// out: what failed, empty when nothing did; on failure the images are left in out/test-failures
+std::string judge_regions(const Replicates& ours, const RegionMeans& reference, const RegionMeans& reference_se,
+                          int n_comparisons, const std::string& name);
+
+}  // namespace loom

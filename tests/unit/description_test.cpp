@@ -1,0 +1,231 @@
+// Scene files of both dialects as one description.
+
+#include "stages/core/scene/description.h"
+
+#include <cmath>
+
+#include "tests/unit/scene_folder.h"
+
+namespace loom {
+namespace {
+
+namespace fs = std::filesystem;
+
+class Description : public SceneFolder {
+  protected:
+    ObjectPtr first(const SceneDescription& scene, Category category) const {
+        return scene.root->children(category).at(0);
+    }
+};
+
+void expect_near(const Point3<double>& got, double x, double y, double z) {
+    EXPECT_NEAR(got.x, x, 1e-12);
+    EXPECT_NEAR(got.y, y, 1e-12);
+    EXPECT_NEAR(got.z, z, 1e-12);
+}
+
+TEST_F(Description, ValuesOfEveryKind) {
+    const auto scene = read(R"(
+        <bsdf type="roughplastic" id="a">
+            <string name="distribution" value="ggx"/>
+            <float name="alpha" value=" 1e-008 "/>
+            <float name="int_ior" value="+1.5"/>
+            <string name="ext_ior" value="water"/>
+            <boolean name="nonlinear" value="true"/>
+            <rgb name="diffuse_reflectance" value=".1, .2 .3"/>
+            <rgb name="specular_reflectance" value="0.5"/>
+        </bsdf>
+        <bsdf type="diffuse"><rgb name="reflectance" value="#ff0000"/></bsdf>
+        <bsdf type="diffuse"><spectrum name="reflectance" value="400:0.78, 500:0.5 600:0.3, 700:0.1"/></bsdf>
+        <emitter type="point"><point name="position" x="1" z="3"/><spectrum name="intensity" value="2"/></emitter>
+        <emitter type="directional"><vector name="direction" value="0, 0, -1"/><integer name="irradiance" value="3"/></emitter>)");
+    const auto bsdfs = scene.root->children(Category::bsdf);
+    const Object& a = *bsdfs.at(0);
+    EXPECT_EQ(a.plugin, "roughplastic");
+    EXPECT_EQ(a.id, "a");
+    EXPECT_TRUE(a.has_own_id);
+    EXPECT_EQ(a.get_string("distribution"), "ggx");
+    EXPECT_FLOAT_EQ(a.get_float("alpha"), 1e-8f);
+    EXPECT_FLOAT_EQ(a.get_ior("int_ior", "bk7"), 1.5f);
+    EXPECT_FLOAT_EQ(a.get_ior("ext_ior", "air"), 1.333f);
+    EXPECT_TRUE(a.get_bool("nonlinear", false));
+    EXPECT_EQ(a.get_rgb("diffuse_reflectance"), Spectrum(0.1f, 0.2f, 0.3f));
+    EXPECT_EQ(std::get<Spectrum>(a.get_texture_or_rgb("specular_reflectance", Spectrum(1))), Spectrum(0.5f));
+    EXPECT_FALSE(a.get_bool("absent", false));
+    EXPECT_THROW(a.get_float("absent"), InputError);
+    EXPECT_THROW(a.get_float("distribution"), InputError);
+    EXPECT_EQ(bsdfs.at(1)->get_rgb("reflectance"), Spectrum(1, 0, 0));
+    EXPECT_FALSE(bsdfs.at(1)->has_own_id);
+    EXPECT_EQ(bsdfs.at(1)->id, "bsdf-2");
+    EXPECT_NEAR(bsdfs.at(2)->get_rgb("reflectance").g, 0.410873, 1e-5);
+    const auto emitters = scene.root->children(Category::emitter);
+    expect_near(emitters.at(0)->get_point("position", {}), 1, 0, 3);
+    EXPECT_NEAR(emitters.at(0)->get_rgb("intensity").r, 2.40960, 1e-4);
+    EXPECT_EQ(emitters.at(1)->get_rgb("irradiance"), Spectrum(3));
+    EXPECT_EQ(emitters.at(1)->get_vector("direction", {}).z, -1);
+}
+
+TEST_F(Description, TransformsComposeInTheOrderOfTheFile) {
+    const auto scene = read(R"(<shape type="rectangle"><transform name="to_world">
+            <scale x="2"/><rotate z="3" angle="90"/><translate value="1 2, 3"/>
+            <matrix value="1 0 0 0 0 1 0 0 0 0 2 0 0 0 0 1"/></transform></shape>
+        <shape type="cube"><transform name="to_world"><matrix value="0 1 0  1 0 0  0 0 1"/></transform></shape>
+        <shape type="cube"/>)");
+    const auto shapes = scene.root->children(Category::shape);
+    expect_near(shapes.at(0)->get_transform("to_world").point({1, 1, 1}), 0, 4, 8);
+    EXPECT_EQ(shapes.at(1)->get_transform("to_world").determinant3(), -1);
+    EXPECT_EQ(shapes.at(2)->get_transform("to_world"), Matrix4d{});
+}
+
+// Mitsuba 3: the camera's x axis points to the left of the picture.
+TEST_F(Description, LookAt) {
+    const std::string body = R"(<sensor type="perspective"><transform name="NAME">
+        <TAG origin="1, 2, 3" target="1, 2, 4" up="0, 1, 0"/></transform></sensor>)";
+    for (const char* version : {"3.0.0", "0.6.0"}) {
+        std::string text = body;
+        text.replace(text.find("NAME"), 4, version[0] == '3' ? "to_world" : "toWorld");
+        text.replace(text.find("TAG"), 3, version[0] == '3' ? "lookat" : "lookAt");
+        const auto scene = read(text, {}, version);
+        const Matrix4d m = scene.root->children(Category::sensor).at(1)->get_transform("to_world");
+        expect_near(m.point({0, 0, 0}), 1, 2, 3);
+        expect_near(m.point({0, 0, 1}), 1, 2, 4);
+        expect_near(m.point({1, 0, 0}), 2, 2, 3);
+        expect_near(m.point({0, 1, 0}), 1, 3, 3);
+    }
+}
+
+TEST_F(Description, ReferencesAtAnyDepthAndInAnyOrder) {
+    const auto scene = read(R"(
+        <shape type="rectangle"><ref id="inner"/></shape>
+        <shape type="rectangle"><ref name="bsdf" id="other name"/></shape>
+        <bsdf type="mask"><float name="opacity" value="0.5"/><bsdf type="twosided" id="inner"><bsdf type="diffuse">
+            <ref name="reflectance" id="map"/></bsdf></bsdf></bsdf>
+        <texture type="checkerboard" id="map"/>
+        <bsdf type="diffuse"><ref id="map" name="reflectance"/></bsdf>
+        <alias id="inner" as="other name"/>)");
+    const auto shapes = scene.root->children(Category::shape);
+    const ObjectPtr inner = shapes.at(0)->child(Category::bsdf);
+    EXPECT_EQ(inner->plugin, "twosided");
+    EXPECT_EQ(shapes.at(1)->child(Category::bsdf), inner);
+    EXPECT_EQ(first(scene, Category::bsdf)->child(Category::bsdf), inner);
+    const ObjectPtr map = first(scene, Category::texture);
+    EXPECT_EQ(inner->child(Category::bsdf)->get_object("reflectance"), map);
+    EXPECT_EQ(std::get<ObjectPtr>(
+                  scene.root->children(Category::bsdf).at(1)->get_texture_or_rgb("reflectance", Spectrum(0))),
+              map);
+}
+
+TEST_F(Description, ChildrenMayBearAnyName) {
+    write("t.png", "not opened by the reader");
+    const auto scene = read(R"(<bsdf type="bumpmap"><float name="scale" value="0.02"/>
+        <texture name="whatever" type="bitmap"><string name="filename" value="t.png"/></texture>
+        <bsdf type="diffuse"/></bsdf>)");
+    EXPECT_EQ(first(scene, Category::bsdf)->child(Category::texture)->get_path("filename"), path("t.png"));
+    EXPECT_EQ(scene.files, (std::vector<std::string>{path("scene.xml").string(), path("t.png").string()}));
+}
+
+TEST_F(Description, OldDialect) {
+    write("a b.JPG", "");
+    const auto scene = read(R"(<!-- comment -->
+        <default name="size" value="100"/><default name="size" value="200"/>
+        <bsdf type="roughdielectric"><float name="intIOR" value="1.4"/><string name="extIOR" value="air"/>
+            <string name="distribution" value="phong"/><float name="nonsense" value="$size"/></bsdf>
+        <bsdf type="diffuse"><texture name="reflectance" type="bitmap"><string name="filename" value="a b.JPG"/>
+            <string name="filterType" value="trilinear"/><float name="gamma" value="2.2"/>
+            <float name="uscale" value="2"/><float name="vscale" value="3"/><float name="uoffset" value=".5"/></texture></bsdf>
+        <bsdf type="diffuse"><srgb name="reflectance" value="#00ff00"/></bsdf>
+        <bsdf type="diffuse"><spectrum name="reflectance" value="0.1, 0.2, 0.3"/></bsdf>
+        <shape type="rectangle"><boolean name="flipNormals" value="true"/>
+            <emitter type="area"><spectrum name="radiance" value="16"/></emitter></shape>
+        <sensor type="perspective"><string name="fovAxis" value="x"/>
+            <film type="ldrfilm"><integer name="width" value="$size"/><boolean name="banner" value="false"/></film></sensor>)",
+                            {}, "0.6.0");
+    const auto bsdfs = scene.root->children(Category::bsdf);
+    EXPECT_FLOAT_EQ(bsdfs.at(0)->get_ior("int_ior", "bk7"), 1.4f);
+    EXPECT_EQ(bsdfs.at(0)->get_string("distribution"), "beckmann");
+    ASSERT_EQ(scene.warnings.size(), 2u);
+    EXPECT_NE(scene.warnings[0].find("scene.xml:5:48: warning: distribution 'phong'"), std::string::npos)
+        << scene.warnings[0];
+    EXPECT_NE(scene.warnings[1].find("no parameter 'nonsense'; allowed: "), std::string::npos)
+        << scene.warnings[1];
+    const ObjectPtr map = bsdfs.at(1)->get_object("reflectance");
+    EXPECT_EQ(map->get_string("filter_type"), "bilinear");
+    const Matrix4d uv = map->get_transform("to_uv");
+    expect_near(uv.point({1, 1, 0}), 2.5, 3, 0);
+    EXPECT_EQ(bsdfs.at(2)->get_rgb("reflectance"), Spectrum(0, 1, 0));
+    EXPECT_EQ(bsdfs.at(3)->get_rgb("reflectance"), Spectrum(0.1f, 0.2f, 0.3f));
+    const ObjectPtr shape = first(scene, Category::shape);
+    EXPECT_TRUE(shape->get_bool("flip_normals"));
+    EXPECT_EQ(shape->child(Category::emitter)->get_rgb("radiance"), Spectrum(16));  // grey in this dialect
+    EXPECT_EQ(scene.root->children(Category::sensor).at(1)->child(Category::film)->get_int("width"), 100);
+    EXPECT_EQ(scene.parameters.at("size"), "100");
+    EXPECT_FALSE(scene.notes.empty());
+}
+
+TEST_F(Description, DefinesWinOverDefaults) {
+    const auto scene = read(R"(<default name="kind" value="path"/><default name="depth" value="3"/>
+        <integrator type="$kind"><integer name="max_depth" value="$depth"/></integrator>)",
+                            {{"depth", "7"}});
+    EXPECT_EQ(first(scene, Category::integrator)->get_int("max_depth"), 7);
+    EXPECT_EQ(scene.parameters, (std::map<std::string, std::string>{{"depth", "7"}, {"kind", "path"}}));
+}
+
+TEST_F(Description, IncludesAreRelativeToTheIncludingFile) {
+    write("parts/materials.xml",
+          R"(<scene version="0.6.0"><default name="grey" value="0.25"/><include filename="more/deep.xml"/>
+        <bsdf type="plastic" id="m"><float name="intIOR" value="1.3"/></bsdf></scene>)");
+    write(
+        "parts/more/deep.xml",
+        R"(<scene version="3.0.0"><bsdf type="diffuse" id="deep"><rgb name="reflectance" value="$grey"/></bsdf>
+        <texture type="bitmap"><string name="filename" value="beside_main.png"/></texture>
+        <texture type="bitmap"><string name="filename" value="beside_part.png"/></texture></scene>)");
+    write("beside_main.png", "");
+    write("parts/more/beside_part.png", "");
+    const auto scene =
+        read(R"(<shape type="cube"><ref id="m"/></shape><include filename="parts/materials.xml"/>
+        <shape type="cube"><ref id="deep"/></shape>)");
+    const auto shapes = scene.root->children(Category::shape);
+    EXPECT_FLOAT_EQ(shapes.at(0)->child(Category::bsdf)->get_ior("int_ior", "bk7"), 1.3f);
+    EXPECT_EQ(shapes.at(1)->child(Category::bsdf)->get_rgb("reflectance"), Spectrum(0.25f));
+    EXPECT_EQ(scene.files.size(), 5u);
+}
+
+// Every scene that is shared for comparison reads in its own dialect.
+TEST(SharedScenes, AllRead) {
+    const fs::path shared = fs::path(LOOM_SOURCE_DIR) / ".." / "shared";
+    if (!fs::exists(shared / "scenes")) GTEST_SKIP() << "no shared scenes beside the repository";
+    int n_read = 0;
+    for (const char* folder : {"scenes", "oracles/render", "oracles/derivative"})
+        for (const auto& entry : fs::recursive_directory_iterator(shared / folder)) {
+            // Fragments are included by scenes, whose folder their paths start from.
+            if (entry.path().extension() != ".xml" || entry.path().parent_path().filename() == "fragments")
+                continue;
+            EXPECT_NO_THROW({
+                const auto scene = read_scene(entry.path());
+                EXPECT_EQ(scene.warnings.size(), 0u) << scene.warnings.front();
+                ++n_read;
+            }) << entry.path();
+        }
+    EXPECT_GE(n_read, 45);
+}
+
+TEST(SharedScenes, StaircaseRefersToTheNestedMaterial) {
+    const fs::path file = fs::path(LOOM_SOURCE_DIR) / "../shared/scenes/staircase/scene.xml";
+    if (!fs::exists(file)) GTEST_SKIP() << "no shared scenes beside the repository";
+    for (const ObjectPtr& shape : read_scene(file).root->children(Category::shape))
+        EXPECT_NE(shape->child(Category::bsdf)->plugin, "bumpmap");
+}
+
+TEST(SharedScenes, TransientPluginsAreNamed) {
+    const fs::path file = fs::path(LOOM_SOURCE_DIR) / "../shared/oracles/transient/cornell_box.xml";
+    if (!fs::exists(file)) GTEST_SKIP() << "no shared scenes beside the repository";
+    try {
+        read_scene(file);
+        FAIL() << "must be refused";
+    } catch (const InputError& error) {
+        EXPECT_NE(std::string(error.what()).find("'transient_path' is not supported yet"), std::string::npos);
+    }
+}
+
+}  // namespace
+}  // namespace loom
