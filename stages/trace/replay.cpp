@@ -29,7 +29,7 @@ std::string replay(const Scene& scene, const PathOptions& options, const std::st
     if (x >= scene.sensor.width || y >= scene.sensor.height)
         throw InputError(fmt::format("--replay {}: the film has {} x {} pixels", place, scene.sensor.width, scene.sensor.height));
     PathRecord record;
-    const PathResult r = trace_path(scene, options, y * scene.sensor.width + x, sample, record);
+    const PathResult r = trace_path(scene, options, {y * scene.sensor.width + x, sample}, record);
     std::string out = fmt::format("pixel ({}, {}), sample {}: L = {}, of it seen directly {}; {} vertices, {} rays\n", x, y,
                                   sample, text(r.L), text(record.Le), r.n_vertices, r.n_rays);
     std::size_t edge = 0;

@@ -1,6 +1,7 @@
 #include "stages/trace/trace.h"
 
 #include <fmt/format.h>
+#include <tbb/enumerable_thread_specific.h>
 
 #include <atomic>
 #include <filesystem>
@@ -49,12 +50,12 @@ class NonfiniteLog {
   public:
     NonfiniteLog(app::Report& report, const Scene& scene, const PathOptions& path)
         : report_(report), width_(scene.sensor.width), seed_(path.seed) {}
-    void check(const Spectrum& L, std::uint64_t pixel, std::uint64_t sample) {
+    void check(const Spectrum& L, PathId id) {
         if (all_finite(L)) return;
-        const std::uint64_t x = pixel % width_, y = pixel / width_;
+        const std::uint64_t x = id.pixel % width_, y = id.pixel / width_;
         if (count_.fetch_add(1) < 5)
-            report_.warn("not finite: pixel ({}, {}), sample {}; replay with --seed {} --replay {},{},{}", x, y, sample,
-                         seed_, x, y, sample);
+            report_.warn("not finite: pixel ({}, {}), sample {}; replay with --seed {} --replay {},{},{}", x, y,
+                         id.sample, seed_, x, y, id.sample);
     }
     std::uint64_t count() const { return count_; }
 
@@ -71,6 +72,15 @@ struct Totals {
         rays += c.rays;
         vertices += c.vertices;
     }
+};
+
+/// What one thread works with, kept from chunk to chunk.
+struct Worker {
+    PathBatch batch;
+    std::vector<PathId> ids;
+    std::vector<PathResult> results;
+    std::vector<PathRecord> records;
+    Worker(const Scene& scene, const PathOptions& path) : batch(scene, path) {}
 };
 
 void count(const PathResult& r, Counts& counts) {
@@ -103,21 +113,31 @@ Image render_image(const Scene& scene, const PathOptions& path, const Work& work
     NonfiniteLog nonfinite(report, scene, path);
     app::Progress progress(report, "tracing", scene.sensor.n_pixels() * work.spp);
     Totals totals;
+    tbb::enumerable_thread_specific<Worker> workers([&] { return Worker(scene, path); });
     const std::uint64_t pixels_per_chunk = std::clamp<std::uint64_t>(paths_per_chunk / work.spp, 16, paths_per_chunk);
     parallel_chunks(scene.sensor.n_pixels(), pixels_per_chunk, work.threads,
                     [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
+                        Worker& worker = workers.local();
                         Counts mine;
-                        for (std::uint64_t pixel = begin; pixel < end; ++pixel) {
-                            PixelSums sums;
-                            for (std::uint64_t s = 0; s < work.spp; ++s) {
-                                const std::uint64_t sample = work.first_sample + s;
-                                const PathResult r = trace_path(scene, path, pixel, sample);
-                                nonfinite.check(r.L, pixel, sample);
-                                sums.add(r.L, r.first);
-                                count(r, mine);
+                        PixelSums sums;
+                        // Pixel by pixel, sample by sample, in batches that may end inside a pixel.
+                        const std::uint64_t first = begin * work.spp, last = end * work.spp;
+                        for (std::uint64_t i = first; i < last; i += worker.ids.size()) {
+                            worker.ids.resize(std::min<std::uint64_t>(PathBatch::capacity, last - i));
+                            for (std::size_t k = 0; k < worker.ids.size(); ++k)
+                                worker.ids[k] = {(i + k) / work.spp, work.first_sample + (i + k) % work.spp};
+                            worker.results.resize(worker.ids.size());
+                            worker.batch.trace(worker.ids, worker.results);
+                            for (std::size_t k = 0; k < worker.ids.size(); ++k) {
+                                nonfinite.check(worker.results[k].L, worker.ids[k]);
+                                sums.add(worker.results[k].L, worker.results[k].first);
+                                count(worker.results[k], mine);
+                                if ((i + k + 1) % work.spp == 0) {
+                                    film.set(worker.ids[k].pixel, sums);
+                                    sums = {};
+                                }
                             }
-                            film.set(pixel, sums);
-                            progress.add(work.spp);
+                            progress.add(worker.ids.size());
                         }
                         totals.add(mine);
                     });
@@ -128,22 +148,27 @@ Image render_image(const Scene& scene, const PathOptions& path, const Work& work
 PathGraph render_graph(const Scene& scene, const PathOptions& path, const Work& work, app::Report& report,
                        Counts& counts) {
     const std::uint64_t n_pixels = scene.sensor.n_pixels(), n_paths = n_pixels * work.spp;
-    std::vector<GraphPiece> pieces((n_paths + paths_per_chunk - 1) / paths_per_chunk);
+    std::vector<GraphPiece> pieces((n_paths + PathBatch::capacity - 1) / PathBatch::capacity);
     NonfiniteLog nonfinite(report, scene, path);
     Totals totals;
     {
         app::Progress progress(report, "tracing", n_paths);
         const bool roulette = path.roulette != Roulette::off;
-        parallel_chunks(n_paths, paths_per_chunk, work.threads,
+        tbb::enumerable_thread_specific<Worker> workers([&] { return Worker(scene, path); });
+        parallel_chunks(n_paths, PathBatch::capacity, work.threads,
                         [&](std::uint64_t chunk, std::uint64_t begin, std::uint64_t end) {
-                            PathRecord record;
+                            Worker& worker = workers.local();
                             Counts mine;
-                            for (std::uint64_t i = begin; i < end; ++i) {
-                                const std::uint64_t pixel = i % n_pixels, sample = work.first_sample + i / n_pixels;
-                                const PathResult r = trace_path(scene, path, pixel, sample, record);
-                                nonfinite.check(r.L, pixel, sample);
-                                pieces[chunk].append(record, scene, roulette);
-                                count(r, mine);
+                            worker.ids.resize(end - begin);
+                            for (std::uint64_t i = begin; i < end; ++i)
+                                worker.ids[i - begin] = {i % n_pixels, work.first_sample + i / n_pixels};
+                            worker.results.resize(worker.ids.size());
+                            worker.records.resize(PathBatch::capacity);
+                            worker.batch.trace(worker.ids, worker.results, worker.records);
+                            for (std::size_t k = 0; k < worker.ids.size(); ++k) {
+                                nonfinite.check(worker.results[k].L, worker.ids[k]);
+                                pieces[chunk].append(worker.records[k], scene, roulette);
+                                count(worker.results[k], mine);
                             }
                             totals.add(mine);
                             progress.add(end - begin);

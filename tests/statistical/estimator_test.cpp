@@ -15,7 +15,7 @@ std::unique_ptr<Scene> own_scene(const char* name, int width, int height) {
     return load_scene(source_dir() / "scenes" / name, {{"resx", std::to_string(width)}, {"resy", std::to_string(height)}});
 }
 
-/// Root mean square difference over the root mean square.
+/// Root mean square difference over the root mean square; the difference itself where all is 0.
 double relative_difference(const Image& a, const Image& b, const char* channel) {
     const auto x = a.find(channel), y = b.find(channel);
     double difference = 0, level = 0;
@@ -23,12 +23,13 @@ double relative_difference(const Image& a, const Image& b, const char* channel) 
         difference += sqr(double(x[i]) - y[i]);
         level += sqr(double(y[i]));
     }
-    return std::sqrt(difference / level);
+    return std::sqrt(level > 0 ? difference / level : difference);
 }
 
 class GraphAgainstImage : public testing::TestWithParam<const char*> {};
 
-// The graph holds all that the tracer used: the image gathered from it is the traced image to rounding.
+// The graph holds all that the tracer used: the image gathered from it is the traced image to rounding, which the
+// sharpest lobes (alpha 0.05) amplify to 1e-5: their value at a direction in world space, taken back to the frame.
 // Breaks seen to fail: normals stored after, but used before their rounding; textured reflectance stored for
 // materials without texture; pdf stored without roulette.
 TEST_P(GraphAgainstImage, GatheredImageEqualsTracedImage) {
@@ -42,7 +43,7 @@ TEST_P(GraphAgainstImage, GatheredImageEqualsTracedImage) {
     EXPECT_EQ(graph.problem(), "");
     const Image gathered = gather::path_traced_image(graph, 0);
     for (const char* channel : {"R", "G", "B", "Albedo.R", "Albedo.G", "N.X", "Depth.Z", "VarMean.G"})
-        EXPECT_LT(relative_difference(gathered, traced, channel), 1e-5) << channel;
+        EXPECT_LT(relative_difference(gathered, traced, channel), channel[0] == 'V' ? 1e-4 : 3e-5) << channel;
 }
 
 TEST_P(GraphAgainstImage, ThreadsDoNotMatter) {
@@ -56,6 +57,33 @@ TEST_P(GraphAgainstImage, ThreadsDoNotMatter) {
         const auto other = two.find(channel.name);
         EXPECT_TRUE(std::equal(other.begin(), other.end(), channel.values.begin())) << channel.name;
     }
+}
+
+// Many paths side by side are the paths that the plain tracer follows one by one, with the same vertices. Rays in
+// packets may differ from single ones in the last bit, and a tie of two surfaces may fall either way.
+TEST_P(GraphAgainstImage, BatchEqualsPathsOneByOne) {
+    const auto scene = own_scene(GetParam(), 64, 48);
+    const PathOptions options = options_of(*scene);
+    PathBatch batch(*scene, options);
+    std::vector<PathId> ids;
+    for (std::uint64_t pixel = 0; pixel < PathBatch::capacity; ++pixel) ids.push_back({3 * pixel, pixel % 5});
+    std::vector<PathResult> results(ids.size()), bare(ids.size());
+    std::vector<PathRecord> records(ids.size());
+    batch.trace(ids, results, records);
+    batch.trace(ids, bare);
+    int differ = 0;
+    for (std::size_t i = 0; i < ids.size(); ++i) {
+        PathRecord record;
+        const PathResult one = trace_path(*scene, options, ids[i], record);
+        EXPECT_EQ(bare[i].L, results[i].L);
+        const float scale = std::max(max_channel(one.L), 0.01f);
+        const Spectrum d = one.L - results[i].L;
+        const bool same = std::abs(d.r) <= 1e-3f * scale && std::abs(d.g) <= 1e-3f * scale && std::abs(d.b) <= 1e-3f * scale &&
+                          record.vertices.size() == records[i].vertices.size() &&
+                          record.light_edges.size() == records[i].light_edges.size() && one.n_rays == results[i].n_rays;
+        differ += !same;
+    }
+    EXPECT_LE(differ, 2);
 }
 
 INSTANTIATE_TEST_SUITE_P(Scenes, GraphAgainstImage,

@@ -210,12 +210,15 @@ void build_emitter(const Object& o, Scene& scene, TextureCache& cache) {
     scene.emitters.push_back(std::move(e));
 }
 
-void round_face_normals(Shape& shape) {
+void record_triangles(Shape& shape) {
     const Mesh& mesh = shape.mesh;
-    shape.face_normals.reserve(mesh.n_triangles());
+    shape.triangles.reserve(mesh.n_triangles());
     for (std::size_t t = 0; t < mesh.n_triangles(); ++t) {
+        const std::uint32_t* i = &mesh.indices[3 * t];
+        const Point3f& p0 = mesh.positions[i[0]];
         const Vector3f n = face_normal(mesh, t);
-        shape.face_normals.push_back(Normal3f(octahedral_round(shape.flip_normals ? -n : n)));
+        shape.triangles.push_back({p0, mesh.positions[i[1]] - p0, mesh.positions[i[2]] - p0,
+                                   Normal3f(octahedral_round(shape.flip_normals ? -n : n))});
     }
 }
 
@@ -317,7 +320,7 @@ std::unique_ptr<Scene> load_scene(const std::filesystem::path& file, const Defin
             return;
         }
         fill_shape(*shapes[i - 1], scene->shapes[i - 1], notes[i - 1]);
-        round_face_normals(scene->shapes[i - 1]);
+        record_triangles(scene->shapes[i - 1]);
     });
     for (std::size_t i = 0; i < shapes.size(); ++i) {
         Shape& shape = scene->shapes[i];

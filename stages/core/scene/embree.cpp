@@ -20,13 +20,12 @@ void on_error(void*, RTCError code, const char* message) {
 struct AnalyticHit {
     double t;
     float u, v;
-    Vector3f ng;
 };
 
 /// Nearest root in (t_min, t_max), in double: a float quadratic loses the far side of a large sphere.
-bool intersect_sphere(const Shape& s, const RTCRay& r, AnalyticHit& hit) {
-    const Vector3<double> o{double(r.org_x) - s.center.x, double(r.org_y) - s.center.y, double(r.org_z) - s.center.z};
-    const Vector3<double> d{r.dir_x, r.dir_y, r.dir_z};
+bool intersect_sphere(const Shape& s, const Ray& r, AnalyticHit& hit) {
+    const Vector3<double> o{double(r.o.x) - s.center.x, double(r.o.y) - s.center.y, double(r.o.z) - s.center.z};
+    const Vector3<double> d(r.d);
     const double a = length2(d), half_b = dot(o, d), radius = s.radius;
     // Distance of the line from the centre without cancellation.
     const Vector3<double> nearest = o - d * (half_b / a);
@@ -34,30 +33,29 @@ bool intersect_sphere(const Shape& s, const RTCRay& r, AnalyticHit& hit) {
     if (discriminant < 0) return false;
     const double root = std::sqrt(discriminant);
     double t = (-half_b - root) / a;
-    if (!(t > r.tnear && t < r.tfar)) t = (-half_b + root) / a;
-    if (!(t > r.tnear && t < r.tfar)) return false;
-    const Vector3<double> n = (o + d * t) / radius;
-    hit = {t, 0, 0, Vector3f(n)};
+    if (!(t > r.t_min && t < r.t_max)) t = (-half_b + root) / a;
+    if (!(t > r.t_min && t < r.t_max)) return false;
+    hit = {t, 0, 0};
     return true;
 }
 
-bool intersect_disk(const Shape& s, const RTCRay& r, AnalyticHit& hit) {
-    const Vector3<double> u(s.u_axis), v(s.v_axis), n = cross(u, v), d{r.dir_x, r.dir_y, r.dir_z};
-    const Vector3<double> to_center{double(s.center.x) - r.org_x, double(s.center.y) - r.org_y,
-                                    double(s.center.z) - r.org_z};
+bool intersect_disk(const Shape& s, const Ray& r, AnalyticHit& hit) {
+    const Vector3<double> u(s.u_axis), v(s.v_axis), n = cross(u, v), d(r.d);
+    const Vector3<double> to_center{double(s.center.x) - r.o.x, double(s.center.y) - r.o.y,
+                                    double(s.center.z) - r.o.z};
     const double slope = dot(n, d);
     if (slope == 0) return false;
     const double t = dot(n, to_center) / slope;
-    if (!(t > r.tnear && t < r.tfar)) return false;
+    if (!(t > r.t_min && t < r.t_max)) return false;
     // Affine coordinates in the plane of the disk; exact for skewed axes too.
     const Vector3<double> q = d * t - to_center;
     const double n2 = length2(n), x = dot(cross(q, v), n) / n2, y = dot(cross(u, q), n) / n2;
     if (x * x + y * y > 1) return false;
-    hit = {t, float(x), float(y), Vector3f(n)};
+    hit = {t, float(x), float(y)};
     return true;
 }
 
-bool intersect_analytic(const Shape& s, const RTCRay& r, AnalyticHit& hit) {
+bool intersect_analytic(const Shape& s, const Ray& r, AnalyticHit& hit) {
     return s.kind == ShapeKind::sphere ? intersect_sphere(s, r, hit) : intersect_disk(s, r, hit);
 }
 
@@ -70,20 +68,36 @@ void analytic_bounds(const RTCBoundsFunctionArguments* args) {
                        s.center.x + half.x, s.center.y + half.y, s.center.z + half.z, 0};
 }
 
+Ray lane(RTCRayN* rays, unsigned n, unsigned i) {
+    return {{RTCRayN_org_x(rays, n, i), RTCRayN_org_y(rays, n, i), RTCRayN_org_z(rays, n, i)},
+            {RTCRayN_dir_x(rays, n, i), RTCRayN_dir_y(rays, n, i), RTCRayN_dir_z(rays, n, i)},
+            RTCRayN_tnear(rays, n, i),
+            RTCRayN_tfar(rays, n, i)};
+}
+
 void analytic_intersect(const RTCIntersectFunctionNArguments* args) {
-    if (!args->valid[0]) return;
-    auto& rh = *reinterpret_cast<RTCRayHit*>(args->rayhit);
-    AnalyticHit hit;
-    if (!intersect_analytic(*static_cast<const Shape*>(args->geometryUserPtr), rh.ray, hit)) return;
-    rh.ray.tfar = float(hit.t);
-    rh.hit = {hit.ng.x, hit.ng.y, hit.ng.z, hit.u, hit.v, args->primID, args->geomID, {RTC_INVALID_GEOMETRY_ID}};
+    const unsigned n = args->N;
+    RTCRayN* rays = RTCRayHitN_RayN(args->rayhit, n);
+    RTCHitN* hits = RTCRayHitN_HitN(args->rayhit, n);
+    for (unsigned i = 0; i < n; ++i) {
+        AnalyticHit hit;
+        if (!args->valid[i] || !intersect_analytic(*static_cast<const Shape*>(args->geometryUserPtr), lane(rays, n, i), hit))
+            continue;
+        RTCRayN_tfar(rays, n, i) = float(hit.t);
+        RTCHitN_u(hits, n, i) = hit.u;
+        RTCHitN_v(hits, n, i) = hit.v;
+        RTCHitN_primID(hits, n, i) = args->primID;
+        RTCHitN_geomID(hits, n, i) = args->geomID;
+    }
 }
 
 void analytic_occluded(const RTCOccludedFunctionNArguments* args) {
-    if (!args->valid[0]) return;
-    auto& ray = *reinterpret_cast<RTCRay*>(args->ray);
-    AnalyticHit hit;
-    if (intersect_analytic(*static_cast<const Shape*>(args->geometryUserPtr), ray, hit)) ray.tfar = -INFINITY;
+    const unsigned n = args->N;
+    for (unsigned i = 0; i < n; ++i) {
+        AnalyticHit hit;
+        if (args->valid[i] && intersect_analytic(*static_cast<const Shape*>(args->geometryUserPtr), lane(args->ray, n, i), hit))
+            RTCRayN_tfar(args->ray, n, i) = -INFINITY;
+    }
 }
 
 RTCRay to_rtc(const Ray& ray) {
@@ -163,6 +177,66 @@ bool RayEngine::occluded(const Ray& ray) const {
     rtcInitIntersectContext(&context);
     rtcOccluded1(impl_->scene, &context, &r);
     return r.tfar < 0;
+}
+
+namespace {
+
+constexpr std::size_t packet = 16;
+
+/// Fills one lane of a packet of rays (RTCRay16 has the same members as columns).
+void set_lane(RTCRay16& p, std::size_t i, const Ray& ray) {
+    p.org_x[i] = ray.o.x;
+    p.org_y[i] = ray.o.y;
+    p.org_z[i] = ray.o.z;
+    p.dir_x[i] = ray.d.x;
+    p.dir_y[i] = ray.d.y;
+    p.dir_z[i] = ray.d.z;
+    p.tnear[i] = ray.t_min;
+    p.tfar[i] = ray.t_max;
+    p.time[i] = 0;
+    p.mask[i] = ~0u;
+    p.id[i] = 0;
+    p.flags[i] = 0;
+}
+
+}  // namespace
+
+void RayEngine::intersect(const Ray* const* rays, std::size_t n, Hit* hits, bool coherent) const {
+    RTCIntersectContext context;
+    rtcInitIntersectContext(&context);
+    if (coherent) context.flags = RTC_INTERSECT_CONTEXT_FLAG_COHERENT;
+    for (std::size_t begin = 0; begin < n; begin += packet) {
+        const std::size_t count = std::min(packet, n - begin);
+        alignas(64) int valid[packet];
+        RTCRayHit16 p;
+        for (std::size_t i = 0; i < packet; ++i) {
+            valid[i] = i < count ? -1 : 0;
+            set_lane(p.ray, i, *rays[begin + std::min(i, count - 1)]);
+            p.hit.geomID[i] = RTC_INVALID_GEOMETRY_ID;
+            p.hit.instID[0][i] = RTC_INVALID_GEOMETRY_ID;
+        }
+        rtcIntersect16(valid, impl_->scene, &context, &p);
+        for (std::size_t i = 0; i < count; ++i)
+            hits[begin + i] = p.hit.geomID[i] == RTC_INVALID_GEOMETRY_ID
+                                  ? Hit{}
+                                  : Hit{p.ray.tfar[i], p.hit.u[i], p.hit.v[i], p.hit.geomID[i], p.hit.primID[i]};
+    }
+}
+
+void RayEngine::occluded(const Ray* const* rays, std::size_t n, bool* blocked) const {
+    RTCIntersectContext context;
+    rtcInitIntersectContext(&context);
+    for (std::size_t begin = 0; begin < n; begin += packet) {
+        const std::size_t count = std::min(packet, n - begin);
+        alignas(64) int valid[packet];
+        RTCRay16 p;
+        for (std::size_t i = 0; i < packet; ++i) {
+            valid[i] = i < count ? -1 : 0;
+            set_lane(p, i, *rays[begin + std::min(i, count - 1)]);
+        }
+        rtcOccluded16(valid, impl_->scene, &context, &p);
+        for (std::size_t i = 0; i < count; ++i) blocked[begin + i] = p.tfar[i] < 0;
+    }
 }
 
 void prepare_ray_thread() {

@@ -1,4 +1,5 @@
 #pragma once
+#include <cstddef>
 #include <memory>
 #include <vector>
 
@@ -18,6 +19,10 @@ class RayEngine {
 
     Hit intersect(const Ray& ray) const;
     bool occluded(const Ray& ray) const;
+
+    /// The same for many rays, sixteen at a time. in: rays, n; coherent: neighbours start and go alike
+    void intersect(const Ray* const* rays, std::size_t n, Hit* hits, bool coherent) const;
+    void occluded(const Ray* const* rays, std::size_t n, bool* blocked) const;
 
   private:
     struct Impl;

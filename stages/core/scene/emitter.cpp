@@ -64,8 +64,8 @@ void sample_area(const Scene& scene, const Emitter& e, Point2f u, Point3f& y, No
     const std::size_t triangle = e.triangles.sample(u.x);
     const std::uint32_t* i = &mesh.indices[3 * triangle];
     const Point2f b = sample_triangle(u);
-    const Point3f &p0 = mesh.positions[i[0]], &p1 = mesh.positions[i[1]], &p2 = mesh.positions[i[2]];
-    y = p0 + (p1 - p0) * b.x + (p2 - p0) * b.y;
+    const TriangleRecord& record = shape.triangles[triangle];
+    y = record.p0 + record.e1 * b.x + record.e2 * b.y;
     n = e.normals[triangle];
     if (!mesh.normals.empty()) {
         const Vector3f ns = Vector3f(mesh.normals[i[0]]) * (1 - b.x - b.y) + Vector3f(mesh.normals[i[1]]) * b.x +

@@ -77,10 +77,10 @@ SurfacePoint Scene::surface(const Ray& ray, const Hit& hit) const {
 
     if (shape.kind == ShapeKind::mesh) {
         const Mesh& mesh = shape.mesh;
+        const TriangleRecord& triangle = shape.triangles[hit.primitive];
         const std::uint32_t* i = &mesh.indices[3 * std::size_t(hit.primitive)];
-        const Point3f& p0 = mesh.positions[i[0]];
-        at.p = p0 + ((mesh.positions[i[1]] - p0) * hit.u + (mesh.positions[i[2]] - p0) * hit.v);
-        at.ng = at.ns_smooth = shape.face_normals[hit.primitive];
+        at.p = triangle.p0 + (triangle.e1 * hit.u + triangle.e2 * hit.v);
+        at.ng = at.ns_smooth = triangle.ng;
         const float w = 1 - hit.u - hit.v;
         if (!mesh.normals.empty()) {
             const Vector3f n = Vector3f(mesh.normals[i[0]]) * w + Vector3f(mesh.normals[i[1]]) * hit.u +

@@ -33,9 +33,9 @@ class MediumStack {
         std::uint32_t shape;
         float ior;
     };
-    std::array<Entry, max_nesting> entries_;
     int size_ = 0;
     float outside_ = 1.0f;
+    std::array<Entry, max_nesting> entries_;
 };
 
 }  // namespace loom

@@ -2,6 +2,8 @@
 // Unidirectional path tracing with next-event estimation.
 
 #include <cstdint>
+#include <memory>
+#include <span>
 
 #include "stages/core/sampling/sampler.h"
 #include "stages/core/scene/scene.h"
@@ -41,14 +43,34 @@ struct PathResult {
     std::uint32_t n_rays = 0;
 };
 
-/// Radiance estimate of one camera sample.
+/// One camera sample; pixel = y * width + x.
+struct PathId {
+    std::uint64_t pixel = 0, sample = 0;
+};
+
+/// Traces many paths side by side: rays sixteen at a time, random numbers by column. One batch belongs to one
+/// thread; the results do not depend on what else is in a batch, apart from ties of two surfaces at one place.
 ///   L = Le(x1) + sum_j beta_j [ w_nee f cos Li / p_nee + w_bsdf f cos Li / (q p_bsdf) ],  power-heuristic
 /// weights over the density of next-event estimation and that of BSDF sampling with roulette folded in.
-/// in:  pixel   y * width + x
-PathResult trace_path(const Scene& scene, const PathOptions& options, std::uint64_t pixel, std::uint64_t sample);
+class PathBatch {
+  public:
+    PathBatch(const Scene& scene, const PathOptions& options);
+    ~PathBatch();
+    PathBatch(PathBatch&&) noexcept;
 
-/// The same path, bit for bit, with all of its vertices and light edges written to `record`.
-PathResult trace_path(const Scene& scene, const PathOptions& options, std::uint64_t pixel, std::uint64_t sample,
-                      PathRecord& record);
+    /// in: ids, at most `capacity`; out: results, of the same length
+    void trace(std::span<const PathId> ids, std::span<PathResult> results);
+    /// The same paths, with all of their vertices and light edges.
+    void trace(std::span<const PathId> ids, std::span<PathResult> results, std::span<PathRecord> records);
+
+    static constexpr std::size_t capacity = 1024;
+
+  private:
+    struct Impl;
+    std::unique_ptr<Impl> impl_;
+};
+
+/// One path alone, ray by ray: the plain twin of PathBatch, and what a replay runs.
+PathResult trace_path(const Scene& scene, const PathOptions& options, PathId id, PathRecord& record);
 
 }  // namespace loom

@@ -1,0 +1,220 @@
+#pragma once
+// One step of a path, shared by the tracer that follows a single path and the one that takes many side by
+// side: what happens when a ray has arrived, up to the next ray and the shadow ray that it asks for.
+
+#include <type_traits>
+
+#include "stages/core/transport/media.h"
+#include "stages/core/transport/path_tracer.h"
+
+namespace loom {
+
+// Pairs of random numbers, by bounce: indexed by place, never by consumption, so that an edit which skips a
+// decision leaves all others as they were.
+inline constexpr std::uint32_t film_pair = 0;
+enum class Place : std::uint32_t { light = 1, direction = 2, lobe = 3, roulette = 4 };
+constexpr std::uint32_t dimension(int depth, Place place) { return std::uint32_t(depth - 1) * 4 + std::uint32_t(place); }
+
+/// A path under way: the ray that is about to arrive and all that led to it.
+struct PathState {
+    Sampler sampler;
+    Ray ray;
+    Spectrum beta{1};     // of the ray: includes the last BSDF sample and roulette
+    float eta_scale = 1;  // product of squared relative indices: undoes radiance scaling for roulette
+    float pdf_w = 0;      // of the ray's direction, roulette folded in; for a delta lobe its pmf
+    Point3f from;         // vertex that it left
+    Lobe lobe = Lobe::none;
+    MediumStack media;
+    PathResult result;
+
+    PathState(const Scene& scene, const PathOptions& options, PathId id)
+        : sampler(options.sampler, options.seed, id.pixel, id.sample),
+          ray(scene.sensor.sample_ray(std::uint32_t(id.pixel % scene.sensor.width),
+                                      std::uint32_t(id.pixel / scene.sensor.width), sampler.pair(film_pair))) {}
+};
+
+/// The visibility that next-event estimation waits for, and what it is worth.
+struct ShadowRequest {
+    Ray ray;
+    Spectrum contribution;
+    LightEdgeRecord edge;  // filled when recording
+};
+
+enum class Step : std::uint8_t { ends = 0, goes_on = 1, asks_shadow = 2 };
+constexpr bool has(Step step, Step bit) { return (std::uint8_t(step) & std::uint8_t(bit)) != 0; }
+constexpr Step operator|(Step a, Step b) { return Step(std::uint8_t(a) | std::uint8_t(b)); }
+
+/// Light found by the ray that has just arrived, weighted against next-event estimation.
+/// in: pdf_nee   density of next-event estimation for the same light point, 0 where it has none
+template <bool recording>
+void add_arrived_light(PathState& path, PathRecord* record, const Spectrum& Li, float pdf_nee, int emitter,
+                       bool at_infinity, const SurfacePoint* at) {
+    path.result.L += path.beta * Li * power_heuristic(path.pdf_w, pdf_nee);
+    if constexpr (recording) {
+        LightEdgeRecord& edge = record->light_edges.emplace_back();
+        edge.vertex = std::uint32_t(record->vertices.size() - 1);
+        edge.technique = LightTechnique::bsdf_hit;
+        edge.y = at_infinity ? Point3f(path.ray.d) : at->p;
+        edge.at_infinity = at_infinity;
+        if (!at_infinity) edge.n = at->ng;
+        edge.Li = Li;
+        edge.pdf_nee_w = pdf_nee;
+        edge.pdf_bsdf_w = path.pdf_w;
+        edge.emitter = std::uint16_t(emitter);
+        edge.eta = path.media.index();
+    }
+}
+
+/// Next-event estimation from `here`. True when a shadow ray is to decide.
+template <bool recording>
+bool sample_next_event(const Scene& scene, const PathState& path, const ShadingPoint& here, std::uint32_t shape, float q,
+                       Point2f u, ShadowRequest& shadow, std::uint32_t vertex) {
+    const LightSample light = sample_light(scene, here.p, u);
+    if (!(light.pdf_w > 0)) return false;
+    const BsdfValue<float> value = f_cos_pdf(here, light.wi);
+    if (is_black(value.f_cos)) return false;
+    const float pdf_bsdf = light.delta ? 0.0f : value.pdf_w * q;
+    const float weight = power_heuristic(light.pdf_w, pdf_bsdf) / light.pdf_w;
+    shadow.contribution = path.beta * value.f_cos * light.Li * weight;
+    shadow.ray = light.at_infinity ? spawn_ray(here.p, here.ng, light.wi) : spawn_segment(here.p, here.ng, light.y);
+    if constexpr (recording) {
+        LightEdgeRecord& edge = shadow.edge;
+        edge = {};
+        edge.vertex = vertex;
+        edge.y = light.y;
+        edge.at_infinity = light.at_infinity;
+        edge.n = light.n;
+        edge.Li = light.Li;
+        edge.pdf_nee_w = light.pdf_w;
+        edge.pdf_bsdf_w = pdf_bsdf;
+        edge.emitter = light.emitter;
+        MediumStack beyond = path.media;
+        const float side = dot(here.n_side, light.wi);
+        if (scene.features.dielectric && side * dot(here.n_side, here.wo) < 0)
+            beyond.cross(shape, side < 0, here.bsdf.model->int_ior, here.bsdf.model->ext_ior);
+        edge.eta = beyond.index();
+    }
+    return true;
+}
+
+/// The ray of `path` has met `hit` (or nothing) as its edge number `depth`: adds emission, samples a light and
+/// the next direction.
+/// out: path.ray is the next ray when the path goes on; shadow is filled when asked for
+template <bool recording>
+Step arrive(const Scene& scene, const PathOptions& options, int depth, const Hit& hit, Point2f u_light, Point2f u_direction,
+            PathState& path, ShadowRequest& shadow, PathRecord* record) {
+    auto last = [&]() -> VertexRecord& { return record->vertices.back(); };
+    const Vector3f wo = -path.ray.d;
+    const bool mis = depth > 1 && !is_delta(path.lobe);
+    if (!hit) {
+        const Spectrum Le = environment(scene, path.ray.d);
+        if (depth == 1) {
+            path.result.L = Le;
+            if constexpr (recording) record->Le = Le;
+            return Step::ends;
+        }
+        if (!is_black(Le))
+            add_arrived_light<recording>(path, record, Le, mis ? pdf_environment_w(scene, path.ray.d) : 0.0f,
+                                         scene.environment, true, nullptr);
+        if constexpr (recording) last().ending = Ending::escaped;
+        return Step::ends;
+    }
+    const SurfacePoint at = scene.surface(path.ray, hit);
+    if (const int emitter = scene.shapes[at.shape].emitter; emitter >= 0) {
+        const Spectrum Le = emitted(scene, at, wo);
+        if (depth == 1) {
+            path.result.L = Le;
+            if constexpr (recording) record->Le = Le;
+        } else {
+            if (!is_black(Le))
+                add_arrived_light<recording>(path, record, Le, mis ? pdf_light_w(scene, path.from, at) : 0.0f, emitter,
+                                             false, &at);
+            // An emitter that reflects nothing ends the path as a light point.
+            if (scene.materials[at.material].black()) {
+                if constexpr (recording) last().ending = Ending::hit_emitter;
+                return Step::ends;
+            }
+        }
+    }
+    if constexpr (recording)
+        if (depth > 1) last().continued = true;
+
+    ++path.result.n_vertices;
+    ShadingPoint here;
+    here.p = at.p;
+    here.wo = wo;
+    here.frame = at.frame;
+    here.wo_local = at.frame.to_local(wo);
+    here.ng = at.ng;
+    here.n_side = at.ns_smooth;
+    here.perturbed = at.perturbed;
+    here.bsdf = scene.bsdf(at);
+    const BsdfModel& model = *here.bsdf.model;
+    if (depth == 1) path.result.first = {albedo(here.bsdf, here.wo_local), here.frame.n, hit.t};
+    if constexpr (recording) {
+        VertexRecord& vertex = record->vertices.emplace_back();
+        vertex.at = here;
+        vertex.shape = at.shape;
+        vertex.material = std::uint16_t(at.material);
+        vertex.eta = path.media.index();
+    }
+    if (options.max_depth >= 0 && depth >= options.max_depth) {
+        if constexpr (recording) last().ending = Ending::max_depth;
+        return Step::ends;
+    }
+
+    float q = 1;
+    if (depth >= options.rr_depth && options.roulette != Roulette::off) {
+        Spectrum survival = albedo(here.bsdf, here.wo_local);
+        if (options.roulette == Roulette::throughput) survival *= path.beta * path.eta_scale;
+        q = std::min(max_channel(survival), max_survival);
+    }
+    Step step = Step::ends;
+    const bool next_event = !scene.emitters.empty() && has_smooth_lobe(here.bsdf);
+    if (next_event && sample_next_event<recording>(scene, path, here, at.shape, q, u_light, shadow,
+                                                   recording ? std::uint32_t(record->vertices.size() - 1) : 0))
+        step = Step::asks_shadow;
+    if constexpr (recording) {
+        last().q = q;
+        last().attempted_nee = next_event;
+        last().attempted_bsdf = true;
+    }
+
+    if (q < 1 && path.sampler.pair(dimension(depth, Place::roulette)).x >= q) {
+        if constexpr (recording) last().ending = Ending::roulette;
+        return step;
+    }
+    const bool one_lobe = model.kind == BsdfKind::diffuse && here.bsdf.opacity == 1;
+    const float u_lobe = one_lobe ? 0.0f : path.sampler.pair(dimension(depth, Place::lobe)).x;
+    BsdfSample<float> s = sample(here.bsdf, here.wo_local, u_lobe, u_direction);
+    const Vector3f wi = here.frame.to_world(s.wi);
+    if (here.perturbed && s.lobe != Lobe::none && s.lobe != Lobe::null) s.weight *= bump_shadowing(here, wi, s.wi.z);
+    if (s.lobe == Lobe::none || is_black(s.weight)) {
+        if constexpr (recording) last().ending = Ending::invalid_sample;
+        return step;
+    }
+    path.lobe = s.lobe;
+    path.pdf_w = s.pdf_w * q;
+    path.from = here.p;
+    path.beta *= s.weight * (1 / q);
+    if (s.lobe == Lobe::delta_transmission || s.lobe == Lobe::glossy_transmission) {
+        path.eta_scale *= sqr(s.eta);
+        if (scene.features.dielectric && model.kind != BsdfKind::thin_dielectric)
+            path.media.cross(at.shape, s.wi.z < 0, model.int_ior, model.ext_ior);
+    }
+    path.ray = spawn_ray(here.p, here.ng, wi);
+    if constexpr (recording) {
+        last().lobe = s.lobe;
+        last().pdf_w = path.pdf_w;
+    }
+    return step | Step::goes_on;
+}
+
+/// The shadow ray of a step is through: the light is seen.
+template <bool recording>
+void add_next_event(PathState& path, const ShadowRequest& shadow, PathRecord* record) {
+    path.result.L += shadow.contribution;
+    if constexpr (recording) record->light_edges.push_back(shadow.edge);
+}
+
+}  // namespace loom
