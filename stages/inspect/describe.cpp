@@ -7,6 +7,7 @@
 
 #include "formats/io/cost.h"
 #include "formats/io/json.h"
+#include "stages/core/app/report.h"
 #include "stages/inspect/inspect.h"
 
 namespace loom::inspect {

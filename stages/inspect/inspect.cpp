@@ -4,6 +4,7 @@
 #include "formats/image.h"
 #include "formats/io/error.h"
 #include "formats/io/output_file.h"
+#include "stages/core/app/command.h"
 
 namespace loom::inspect {
 

@@ -6,7 +6,11 @@
 
 #include "formats/path_graph.h"
 #include "formats/survey.h"
-#include "stages/core/app/command.h"
+
+namespace loom::app {
+class Command;
+class Report;
+}  // namespace loom::app
 
 namespace loom::inspect {
 

@@ -1,5 +1,7 @@
 #include "stages/inspect/inspect.h"
 
+#include "stages/core/app/command.h"
+
 int main(int argc, char** argv) {
     using namespace loom;
     inspect::Options options;

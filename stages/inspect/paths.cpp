@@ -5,6 +5,7 @@
 
 #include "formats/io/error.h"
 #include "formats/io/octahedral.h"
+#include "stages/core/app/values.h"
 #include "stages/inspect/inspect.h"
 
 namespace loom::inspect {

@@ -1,5 +1,7 @@
 #include "stages/merge/merge.h"
 
+#include "stages/core/app/command.h"
+
 int main(int argc, char** argv) {
     using namespace loom;
     merge::Options options;

@@ -7,6 +7,7 @@
 
 #include "formats/io/cost.h"
 #include "formats/io/error.h"
+#include "stages/core/app/command.h"
 
 namespace loom::merge {
 namespace {
@@ -95,8 +96,8 @@ Image merge_images(std::span<const Image> parts, std::span<const std::string> na
 void declare(app::Command& command, Options& options) {
     command
         .files("parts", options.parts, "images (EXR with `samples`) of one size, in the order to sum them")
-        ->required();
-    command.output("-o,--output", options.output, "the joined image")->required();
+        .required();
+    command.output("-o,--output", options.output, "the joined image").required();
     command.flag("--zip", options.zip, "compress the output");
     command.example("loom-merge pass_0.exr pass_1.exr -o image.exr");
 }

@@ -6,7 +6,11 @@
 #include <vector>
 
 #include "formats/image.h"
-#include "stages/core/app/command.h"
+
+namespace loom::app {
+class Command;
+class Report;
+}  // namespace loom::app
 
 namespace loom::merge {
 

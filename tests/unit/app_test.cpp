@@ -37,7 +37,7 @@ struct Tried {
     template <class Body>
     Tried(std::vector<std::string> words, Body body) {
         Command command_line{"try: a stage for the tests"};
-        command_line.file("scene", options.scene, "scene file")->required();
+        command_line.file("scene", options.scene, "scene file").required();
         command_line.output("-o,--output", options.output, "graph to write");
         command_line.option("-D,--define", options.defines, "name=value");
         command_line.option("--seed", options.seed, "seed");
@@ -144,7 +144,7 @@ TEST_F(App, files_take_many) {
     std::vector<std::string> inputs;
     std::string output;
     Command command{"join: a stage with many inputs"};
-    command.files("inputs", inputs, "inputs")->required();
+    command.files("inputs", inputs, "inputs").required();
     command.output("-o,--output", output, "output");
     std::vector<std::string> words = {"loom-join", scene, scene, scene, "-o", folder / "x.exr", "--quiet"};
     std::vector<char*> argv;

@@ -1,5 +1,8 @@
 #include "stages/core/app/command.h"
 
+#include <CLI/App.hpp>
+#include <CLI/Config.hpp>
+#include <CLI/Formatter.hpp>
 #include <algorithm>
 #include <cstdio>
 #include <exception>
@@ -47,21 +50,27 @@ std::string shell_word(std::string_view word) {
     return out + "'";
 }
 
-Command::Command(const std::string& about) : report(program_of(about)), app(about, program_of(about)) {
-    app.set_version_flag("--version",
+Command::Command(const std::string& about) : report(program_of(about)), app_(std::make_unique<CLI::App>(about, program_of(about))) {
+    app_->set_version_flag("--version",
                          fmt::format("{} {} (commit {})", report.name(), LOOM_RELEASE, LOOM_COMMIT),
                          "print release and commit");
-    app.set_help_flag("-h,--help", "print this help");
-    app.get_formatter()->column_width(34);
-    app.add_flag_callback(
+    app_->set_help_flag("-h,--help", "print this help");
+    app_->get_formatter()->column_width(34);
+    app_->add_flag_callback(
         "--quiet", [this] { report.set_quiet(true); }, "only warnings and errors on stderr");
+}
+
+Command::~Command() = default;
+
+void Command::Option::required() {
+    option_->required();
 }
 
 void Command::refuse(const std::string& message) {
     throw CLI::ValidationError(message);
 }
 
-CLI::Option* Command::declare(const std::string& names, const std::string& help, const std::string& type,
+Command::Option Command::declare(const std::string& names, const std::string& help, const std::string& type,
                               Kind kind, std::function<void(const std::string&)> set,
                               std::function<std::vector<std::string>()> get) {
     const std::string shown = names.substr(names.rfind(',') + 1);
@@ -75,16 +84,16 @@ CLI::Option* Command::declare(const std::string& names, const std::string& help,
         }
         return true;
     };
-    CLI::Option* option = app.add_option(names, callback, help);
+    CLI::Option* option = app_->add_option(names, callback, help);
     option->type_name(type);
     const std::vector<std::string> now = get();
     if (!now.empty()) option->default_str(now.front());
     // "-o,--output" is known by its last name, the long one.
     declared_.push_back({kind, shown.starts_with('-') ? shown : "", std::move(get)});
-    return option;
+    return Option(option);
 }
 
-CLI::Option* Command::option(const std::string& names, std::string& field, const std::string& help) {
+Command::Option Command::option(const std::string& names, std::string& field, const std::string& help) {
     return declare(
         names, help, "TEXT", Kind::value, [&field](const std::string& text) { field = text; },
         [&field]() -> std::vector<std::string> {
@@ -93,16 +102,16 @@ CLI::Option* Command::option(const std::string& names, std::string& field, const
         });
 }
 
-CLI::Option* Command::option(const std::string& names, std::vector<std::string>& field,
+Command::Option Command::option(const std::string& names, std::vector<std::string>& field,
                              const std::string& help) {
-    return declare(
-               names, help, "TEXT", Kind::value, [&field](const std::string& text) { field.push_back(text); },
-               [&field] { return field; })
-        ->take_all()
-        ->allow_extra_args(false);
+    const Option list = declare(
+        names, help, "TEXT", Kind::value, [&field](const std::string& text) { field.push_back(text); },
+        [&field] { return field; });
+    list.option_->take_all()->allow_extra_args(false);
+    return list;
 }
 
-CLI::Option* Command::flag(const std::string& names, bool& field, const std::string& help) {
+Command::Option Command::flag(const std::string& names, bool& field, const std::string& help) {
     const std::string shown = names.substr(names.rfind(',') + 1);
     declared_.push_back({Kind::value, shown,
                          [&field]() -> std::vector<std::string> {
@@ -110,38 +119,41 @@ CLI::Option* Command::flag(const std::string& names, bool& field, const std::str
                              return {"true"};
                          },
                          true});
-    return app.add_flag_callback(
-        names, [&field] { field = true; }, help);
+    return Option(app_->add_flag_callback(
+        names, [&field] { field = true; }, help));
 }
 
-CLI::Option* Command::file(const std::string& names, std::string& field, const std::string& help) {
-    CLI::Option* option = this->option(names, field, help);
+Command::Option Command::file(const std::string& names, std::string& field, const std::string& help) {
+    const Option option = this->option(names, field, help);
     declared_.back().kind = Kind::input;
-    return option->type_name("FILE");
+    option.option_->type_name("FILE");
+    return option;
 }
 
-CLI::Option* Command::files(const std::string& names, std::vector<std::string>& field,
+Command::Option Command::files(const std::string& names, std::vector<std::string>& field,
                             const std::string& help) {
-    CLI::Option* option = this->option(names, field, help);
+    const Option option = this->option(names, field, help);
     declared_.back().kind = Kind::input;
-    return option->type_name("FILE")->expected(1, any_number)->allow_extra_args();
+    option.option_->type_name("FILE")->expected(1, any_number)->allow_extra_args();
+    return option;
 }
 
-CLI::Option* Command::output(const std::string& names, std::string& field, const std::string& help) {
-    CLI::Option* option = this->option(names, field, help);
+Command::Option Command::output(const std::string& names, std::string& field, const std::string& help) {
+    const Option option = this->option(names, field, help);
     declared_.back().kind = Kind::place;
     declared_.back().is_output = true;
-    return option->type_name("FILE");
+    option.option_->type_name("FILE");
+    return option;
 }
 
-CLI::Option* Command::threads(int& field) {
-    CLI::Option* option = this->option("--threads", field, "threads; 0: one per core", Range<int>{0, 1024});
+Command::Option Command::threads(int& field) {
+    const Option option = this->option("--threads", field, "threads; 0: one per core", Range<int>{0, 1024});
     declared_.back().kind = Kind::place;
     return option;
 }
 
 void Command::example(const std::string& line) {
-    app.footer("Example: " + line);
+    app_->footer("Example: " + line);
 }
 
 std::string Command::text(bool for_output) const {
@@ -179,7 +191,7 @@ void Command::check_files() const {
 
 int Command::execute_body(int argc, char** argv, const std::function<int()>& body) {
     try {
-        app.parse(argc, argv);
+        app_->parse(argc, argv);
         report.set_command(text(true));
         report.info("{}", text(false));
         check_files();
@@ -187,7 +199,7 @@ int Command::execute_body(int argc, char** argv, const std::function<int()>& bod
         if (std::fflush(stdout) != 0) throw std::runtime_error("cannot write to the standard output");
         return code;
     } catch (const CLI::Success& asked) {  // --help, --version
-        app.exit(asked);
+        app_->exit(asked);
         return std::fflush(stdout) == 0 ? exit_done : exit_failed;
     } catch (const CLI::ParseError& wrong) {
         report.error("{}\n{}: see {} --help", wrong.what(), report.name(), report.name());

@@ -8,10 +8,8 @@
 //       return command.execute(argc, argv, [&] { return trace::run(options, command.report); });
 //   }
 
-#include <CLI/App.hpp>
-#include <CLI/Config.hpp>
-#include <CLI/Formatter.hpp>
 #include <functional>
+#include <memory>
 #include <optional>
 #include <string>
 #include <type_traits>
@@ -20,6 +18,11 @@
 
 #include "stages/core/app/report.h"
 #include "stages/core/app/values.h"
+
+namespace CLI {
+class App;
+class Option;
+}  // namespace CLI
 
 namespace loom::app {
 
@@ -31,30 +34,43 @@ enum Exit : int { exit_done = 0, exit_no = 1, exit_wrong_input = 2, exit_failed 
 /// (positional).
 class Command {
   public:
+    /// What was declared, to say more of it.
+    class Option {
+      public:
+        /// Its absence is an error.
+        void required();
+
+      private:
+        friend class Command;
+        explicit Option(CLI::Option* option) : option_(option) {}
+        CLI::Option* option_;
+    };
+
     /// about: "NAME: what the stage does"; the program is then called loom-NAME.
     explicit Command(const std::string& about);
+    ~Command();
 
     /// A number, or an optional one (left out of the command's text while unset).
     template <class T>
-    requires Number<typename value_of<T>::type> CLI::Option* option(
+    requires Number<typename value_of<T>::type> Option option(
         const std::string& names, T& field, const std::string& help,
         std::optional<Range<typename value_of<T>::type>> range = std::nullopt);
     /// A text; a list of texts, one per use of the flag (`-D a=1 -D b=2`).
-    CLI::Option* option(const std::string& names, std::string& field, const std::string& help);
-    CLI::Option* option(const std::string& names, std::vector<std::string>& field, const std::string& help);
-    CLI::Option* flag(const std::string& names, bool& field, const std::string& help);
+    Option option(const std::string& names, std::string& field, const std::string& help);
+    Option option(const std::string& names, std::vector<std::string>& field, const std::string& help);
+    Option flag(const std::string& names, bool& field, const std::string& help);
     /// One value of a closed set, by name.
     template <class Enum>
-    CLI::Option* choice(const std::string& names, Enum& field, const std::string& help,
+    Option choice(const std::string& names, Enum& field, const std::string& help,
                         std::vector<std::pair<std::string, Enum>> values);
 
     /// An input that must be there; `files` takes one or more. The command's text has base names only.
-    CLI::Option* file(const std::string& names, std::string& field, const std::string& help);
-    CLI::Option* files(const std::string& names, std::vector<std::string>& field, const std::string& help);
+    Option file(const std::string& names, std::string& field, const std::string& help);
+    Option files(const std::string& names, std::vector<std::string>& field, const std::string& help);
     /// A file to write; its folder must be there. Not in the command's text.
-    CLI::Option* output(const std::string& names, std::string& field, const std::string& help);
+    Option output(const std::string& names, std::string& field, const std::string& help);
     /// --threads; 0 is all. Not in the command's text.
-    CLI::Option* threads(int& field);
+    Option threads(int& field);
     /// A line to copy, shown at the end of the help.
     void example(const std::string& line);
 
@@ -73,7 +89,6 @@ class Command {
     std::string text(bool for_output) const;
 
     Report report;
-    CLI::App app;
 
   private:
     enum class Kind { value, input, place };  // place: where or how fast, never what
@@ -85,18 +100,18 @@ class Command {
         bool is_output = false;
     };
 
-    CLI::Option* declare(const std::string& names, const std::string& help, const std::string& type,
-                         Kind kind, std::function<void(const std::string&)> set,
-                         std::function<std::vector<std::string>()> get);
+    Option declare(const std::string& names, const std::string& help, const std::string& type, Kind kind,
+                   std::function<void(const std::string&)> set, std::function<std::vector<std::string>()> get);
     void check_files() const;
     int execute_body(int argc, char** argv, const std::function<int()>& body);
     [[noreturn]] static void refuse(const std::string& message);
 
+    std::unique_ptr<CLI::App> app_;  // behind a pointer: its headers are slow to compile
     std::vector<Declared> declared_;
 };
 
 template <class T>
-requires Number<typename value_of<T>::type> CLI::Option* Command::option(
+requires Number<typename value_of<T>::type> Command::Option Command::option(
     const std::string& names, T& field, const std::string& help,
     std::optional<Range<typename value_of<T>::type>> range) {
     using Value = typename value_of<T>::type;
@@ -131,7 +146,7 @@ requires Number<typename value_of<T>::type> CLI::Option* Command::option(
 }
 
 template <class Enum>
-CLI::Option* Command::choice(const std::string& names, Enum& field, const std::string& help,
+Command::Option Command::choice(const std::string& names, Enum& field, const std::string& help,
                              std::vector<std::pair<std::string, Enum>> values) {
     std::string allowed;
     for (const auto& [name, value] : values) allowed += (allowed.empty() ? "" : "|") + name;
