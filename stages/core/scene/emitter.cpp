@@ -25,9 +25,10 @@ Point2f cell_point(const EnvironmentMap& map, Point2f uv) {
     return {s - std::floor(s), uv.y};
 }
 
-/// sr^-1, from a density over the unit square of latitude and longitude.
-float solid_angle_density(float density, float cos_latitude_axis) {
-    const float sin_theta = safe_sqrt(1 - sqr(cos_latitude_axis));
+/// sr^-1 in a local direction, from a density over the unit square of latitude and longitude.
+float solid_angle_density(float density, const Vector3f& local) {
+    // Not from the cosine: near the poles nothing is left of 1 - cos^2.
+    const float sin_theta = std::sqrt(sqr(local.x) + sqr(local.z));
     return sin_theta > 0 ? density / (two_pi * pi<float> * sin_theta) : 0.0f;
 }
 
@@ -208,7 +209,7 @@ LightSample sample_light(const Scene& scene, const Point3f& from, Point2f u) {
             const Vector3f local = sphere_direction(uv);
             s.at_infinity = true;
             s.wi = e.frame.to_world(local);
-            s.pdf_w = solid_angle_density(density, local.y);
+            s.pdf_w = solid_angle_density(density, local);
             s.Li = e.map->eval({uv.x - std::floor(uv.x), uv.y});
             break;
         }
@@ -238,7 +239,7 @@ float pdf_environment_w(const Scene& scene, const Vector3f& d) {
     const float pmf = scene.emitters.size() > 1 ? scene.emitter_pmf.pmf(scene.environment) : 1.0f;
     if (e.kind == EmitterKind::constant) return pmf / (2 * two_pi);
     const Vector3f local = e.frame.to_local(d);
-    return pmf * solid_angle_density(e.map->density.pdf(cell_point(*e.map, sphere_uv(local))), local.y);
+    return pmf * solid_angle_density(e.map->density.pdf(cell_point(*e.map, sphere_uv(local))), local);
 }
 
 Spectrum emitted(const Scene& scene, const SurfacePoint& at, const Vector3f& wo) {
