@@ -71,6 +71,7 @@ void fill_shape(const Object& o, Shape& shape, std::vector<std::string>& notes) 
         if (!(shape.radius > 0)) o.fail("radius", "the radius of a sphere must be positive");
         shape.u_axis = normalize(column(world, 0));
         shape.v_axis = normalize(column(world, 1));
+        shape.w_axis = normalize(column(world, 2));
         shape.flip_normals = o.get_bool("flip_normals", false) != mirrored;
     } else if (o.plugin == "disk") {
         shape.kind = ShapeKind::disk;

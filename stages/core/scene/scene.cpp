@@ -99,8 +99,7 @@ SurfacePoint Scene::surface(const Ray& ray, const Hit& hit) const {
         const Vector3f outward = normalize(ray.o + ray.d * hit.t - shape.center);
         at.p = shape.center + outward * shape.radius;
         at.ng = Normal3f(outward);
-        // u_axis, v_axis and their cross product are the sphere's own x, y, z.
-        const Vector3f z = cross(shape.u_axis, shape.v_axis);
+        const Vector3f& z = shape.w_axis;
         const float x = dot(outward, shape.u_axis), y = dot(outward, shape.v_axis);
         const float phi = std::atan2(y, x) * (0.5f * inv_pi<float>);
         at.uv = {phi < 0 ? phi + 1 : phi, std::acos(clamp(dot(outward, z), -1.0f, 1.0f)) * inv_pi<float>};

@@ -76,10 +76,10 @@ struct Shape {
     int emitter = -1;
     Mesh mesh;  // world space; empty for analytic shapes
     std::vector<TriangleRecord> triangles;  // of the mesh
-    // sphere: centre and radius. disk: centre; u_axis and v_axis span the unit disk.
+    // sphere: centre, radius, and its own x, y, z. disk: centre; u_axis and v_axis span the unit disk.
     Point3f center;
     float radius = 1;
-    Vector3f u_axis, v_axis;
+    Vector3f u_axis, v_axis, w_axis;
     bool flip_normals = false;
 };
 
