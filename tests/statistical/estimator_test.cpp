@@ -89,13 +89,7 @@ TEST_P(GraphAgainstImage, BatchEqualsPathsOneByOne) {
 INSTANTIATE_TEST_SUITE_P(Scenes, GraphAgainstImage,
                          testing::Values("cornell-box.xml", "glossy-box.xml", "all-emitters.xml", "caustic.xml",
                                          "textured.xml", "mask.xml", "environment-map.xml"),
-                         [](const auto& info) {
-                             std::string name = info.param;
-                             name = name.substr(0, name.find('.'));
-                             for (char& c : name)
-                                 if (c == '-') c = '_';
-                             return name;
-                         });
+                         [](const auto& info) { return test_name(info.param); });
 
 class SamplersAndRoulettes : public testing::TestWithParam<const char*> {};
 
@@ -129,13 +123,7 @@ TEST_P(SamplersAndRoulettes, SameImageMeanAndTiles) {
 
 INSTANTIATE_TEST_SUITE_P(Scenes, SamplersAndRoulettes,
                          testing::Values("cornell-box.xml", "glossy-box.xml", "all-emitters.xml", "environment-map.xml"),
-                         [](const auto& info) {
-                             std::string name = info.param;
-                             name = name.substr(0, name.find('.'));
-                             for (char& c : name)
-                                 if (c == '-') c = '_';
-                             return name;
-                         });
+                         [](const auto& info) { return test_name(info.param); });
 
 TEST(Noise, ClaimedVarianceIsTheSpreadBetweenReplicates) {
     const auto scene = own_scene("cornell-box.xml", 48, 48);

@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 
+#include <cctype>
 #include <cmath>
 #include <cstdlib>
 
@@ -17,8 +18,15 @@ std::filesystem::path shared_dir() {
     return std::filesystem::is_directory(dir / "oracles") ? dir : std::filesystem::path();
 }
 
+std::string test_name(std::string text) {
+    if (const auto ending = text.find(".xml"); ending != std::string::npos) text.erase(ending, 4);
+    for (char& c : text)
+        if (!std::isalnum(static_cast<unsigned char>(c))) c = '_';
+    return text;
+}
+
 bool full_run() {
-    const char* full = std::getenv("LOOM_FULL");
+    const char* full = std::getenv("LOOM_TEST_FULL");
     return full && *full && std::string(full) != "0";
 }
 

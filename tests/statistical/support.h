@@ -20,6 +20,8 @@ inline constexpr int n_tiles = 8;  // per side
 std::filesystem::path source_dir();
 /// The folder of shared scenes and references beside the project; empty when it is not there.
 std::filesystem::path shared_dir();
+/// "a-scene.xml 3" as GoogleTest wants names: a_scene_3.
+std::string test_name(std::string text);
 /// True under `make test-full`: more samples.
 bool full_run();
 
