@@ -11,8 +11,8 @@ JOBS ?= $(shell nproc)
 
 # Debian packages: what the build needs, then what only `make peers` needs.
 PACKAGES := g++ cmake ninja-build ccache pkg-config \
-	libembree-dev libopenexr-dev libopenimageio-dev libassimp-dev libhdf5-dev libpugixml-dev libcli11-dev \
-	libtbb-dev libeigen3-dev libfmt-dev libspdlog-dev zlib1g-dev libgtest-dev libbenchmark-dev
+	libembree-dev libopenexr-dev libopenimageio-dev libhdf5-dev libpugixml-dev libcli11-dev \
+	libtbb-dev libfmt-dev libspdlog-dev zlib1g-dev libgtest-dev
 PEER_PACKAGES := python3-venv
 
 STAGES := $(patsubst stages/%/main.cpp,loom-%,$(wildcard stages/*/main.cpp))
@@ -31,13 +31,16 @@ install = have=" $$(dpkg-query -W -f='$${db:Status-Status} $${Package}\n' $(1) 2
 		echo "no apt-get here; the build needs the equivalents of: $$missing" >&2; \
 	fi
 
+# Without the sloppiness ccache leaves alone whatever uses a precompiled header (the tests).
+launcher := env;CCACHE_SLOPPINESS=pch_defines,time_macros;ccache
+
 # $(call compile,FOLDER,OPTIONS,TARGETS): configures once, with Ninja and ccache where they are, and builds.
 # Variables of this make (OUT, DEFINES, ...) are none of the compiler's business, hence `unset`.
 compile = unset MAKEFLAGS MFLAGS; \
 	if ! [ -f $(1)/build.ninja ] && ! [ -f $(1)/Makefile ]; then \
 		cmake --fresh -S . -B $(1) $(2) \
 			$$(command -v ninja >/dev/null && echo -G Ninja) \
-			$$(command -v ccache >/dev/null && echo -DCMAKE_CXX_COMPILER_LAUNCHER=ccache) >&2; \
+			$$(command -v ccache >/dev/null && echo '-DCMAKE_CXX_COMPILER_LAUNCHER=$(launcher)') >&2; \
 	fi && cmake --build $(1) --parallel $(JOBS) $(if $(3),--target $(3)) >&2
 
 demo: stages ## (default) install, build, trace a small scene, show where the results lie; takes SCENE= too

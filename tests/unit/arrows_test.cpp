@@ -131,9 +131,7 @@ TEST(Arrows, libraries_stay_in_their_rooms) {
         {"CLI/", {"stages/core/app/"}},
         {"spdlog/", {"stages/core/app/"}},
         {"pugixml", {"stages/core/scene/"}},
-        {"assimp/", {"stages/core/scene/"}},
         {"gtest/", {"tests/"}},
-        {"benchmark/", {"tests/"}},
     };
     for (const Include& i : includes()) {
         if (i.quoted) continue;
