@@ -71,7 +71,7 @@ INSTANTIATE_TEST_SUITE_P(
                     Known{"direct-spot.xml", {}, 0.5 * 40 * 0.8 / (6.25 * pi_double), 4, false},
                     Known{"direct-disk.xml", {}, 1.0, 64}, Known{"direct-sphere.xml", {}, 1.0, 64},
                     Known{"direct-rectangle.xml", {}, 0.5 * 4 * 4 / pi_double * std::atan(std::sqrt(0.5)) / std::sqrt(2.0), 64},
-                    Known{"environment-sphere.xml", {}, 1.2, 64}, Known{"slab.xml", {}, 1.0, 16, false},
+                    Known{"environment-sphere.xml", {}, 1.2, 64}, Known{"slab.xml", {}, 1.5, 16, false},
                     Known{"mask.xml", {}, 0.85, 256}),
     [](const auto& info) { return test_name(fmt::format("{} {}", info.param.scene, info.index)); });
 
