@@ -12,6 +12,7 @@
 #include <set>
 #include <vector>
 
+#include "stages/core/sampling/sampler_levels.h"
 #include "stages/core/stats/chi_square.h"
 #include "tests/unit/bsdf_cases.h"
 
@@ -120,6 +121,30 @@ TEST(Sampler, APairDoesNotDependOnWhatWasAskedBefore) {
             EXPECT_EQ(u.x, down[40 - d].x);
             EXPECT_EQ(u.y, down[40 - d].y);
         }
+    }
+}
+
+TEST(Sampler, ColumnsHoldThePairsOnEveryLevel) {
+    constexpr std::size_t n = 77;  // no multiple of any vector's width
+    for (const SamplerKind kind : kinds) {
+        std::vector<std::uint32_t> key_lo, key_hi, index;
+        for (std::size_t i = 0; i < n; ++i) {
+            const Sampler s(kind, 5, 3 * i, i % 11);
+            key_lo.push_back(s.key_lo()), key_hi.push_back(s.key_hi()), index.push_back(s.index());
+        }
+        const auto expect_pairs = [&](auto columns, const char* level) {
+            std::vector<float> x(n), y(n);
+            columns(kind, key_lo.data(), key_hi.data(), index.data(), 6, n, x.data(), y.data());
+            for (std::size_t i = 0; i < n; ++i) {
+                const Point2f u = Sampler(kind, 5, 3 * i, i % 11).pair(6);
+                EXPECT_EQ(x[i], u.x) << level << " " << i;
+                EXPECT_EQ(y[i], u.y) << level << " " << i;
+            }
+        };
+        expect_pairs(sampler_pairs, "chosen");
+        expect_pairs(v2::sampler_pairs, "v2");
+        if (__builtin_cpu_supports("x86-64-v3")) expect_pairs(v3::sampler_pairs, "v3");
+        if (__builtin_cpu_supports("x86-64-v4")) expect_pairs(v4::sampler_pairs, "v4");
     }
 }
 
