@@ -1,6 +1,7 @@
 #include "tests/statistical/support.h"
 
 #include <fmt/format.h>
+#include <tbb/parallel_for.h>
 
 #include <cctype>
 #include <cmath>
@@ -64,17 +65,23 @@ Estimate Replicates::estimate(int channel, int region) const {
     return estimate_of(values);
 }
 
-Replicates trace_replicates(const Scene& scene, PathOptions path, std::uint64_t spp, int replicates) {
+Replicates trace_replicates(const Scene& scene, const PathOptions& path, std::uint64_t spp, int replicates) {
     app::Report report;
     report.set_quiet(true);
     Replicates out;
     const std::size_t n = scene.sensor.n_pixels();
     std::vector<Moments> moments(3 * n);
     const char* rgb[] = {"R", "G", "B"};
-    for (int i = 0; i < replicates; ++i) {
-        path.seed = 1000 + i;
+    // Side by side, for many of the images are too small to keep several threads busy.
+    std::vector<Image> images(replicates);
+    tbb::parallel_for(0, replicates, [&](int i) {
+        PathOptions mine = path;
+        mine.seed = 1000 + i;
         trace::Counts counts;
-        Image image = trace::render_image(scene, path, {0, spp, 0}, report, counts);
+        images[i] = trace::render_image(scene, mine, {0, spp, 1}, report, counts);
+    });
+    for (int i = 0; i < replicates; ++i) {
+        Image& image = images[i];
         out.regions.push_back(region_means(image));
         for (int c = 0; c < 3; ++c) {
             const auto values = image.find(rgb[c]), var = image.find(std::string("VarMean.") + rgb[c]);
