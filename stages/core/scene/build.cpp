@@ -223,12 +223,18 @@ void record_triangles(Shape& shape) {
     }
 }
 
-void build_area_light(const Object& o, std::uint32_t shape_index, Scene& scene, TextureCache& cache) {
+/// A rectangle whose corners go (0, 0), (1, 0), (1, 1), (0, 1) in texture space, and not round the other way.
+bool is_parallelogram(const Object& shape) {
+    return shape.plugin == "rectangle" && shape.get_transform("to_world").determinant3() > 0;
+}
+
+void build_area_light(const Object& o, bool parallelogram, std::uint32_t shape_index, Scene& scene, TextureCache& cache) {
     if (o.plugin != "area") o.fail("", "a shape can only have an area emitter");
     Emitter e;
     e.id = o.id;
     e.sampling_weight = o.get_float("sampling_weight", 1.0f);
     e.shape = shape_index;
+    e.parallelogram = parallelogram;
     const auto radiance = o.get_texture_or_rgb("radiance", Spectrum(1));
     if (const auto* texture = std::get_if<ObjectPtr>(&radiance)) {
         e.radiance = Spectrum(1);
@@ -327,7 +333,8 @@ std::unique_ptr<Scene> load_scene(const std::filesystem::path& file, const Defin
         Shape& shape = scene->shapes[i];
         shape.id = shapes[i]->id;
         shape.material = materials.index(shapes[i]->child(Category::bsdf));
-        if (const ObjectPtr e = shapes[i]->child(Category::emitter)) build_area_light(*e, std::uint32_t(i), *scene, cache);
+        if (const ObjectPtr e = shapes[i]->child(Category::emitter)) 
+            build_area_light(*e, is_parallelogram(*shapes[i]), std::uint32_t(i), *scene, cache);
         scene->notes.insert(scene->notes.end(), notes[i].begin(), notes[i].end());
     }
     for (const ObjectPtr& o : root.children(Category::emitter)) build_emitter(*o, *scene, cache);

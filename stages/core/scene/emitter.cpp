@@ -61,6 +61,14 @@ void sample_area(const Scene& scene, const Emitter& e, Point2f u, Point3f& y, No
         uv = {};
         return;
     }
+    if (e.parallelogram) {
+        // The first triangle spans the edges from its middle vertex.
+        const TriangleRecord& record = shape.triangles[0];
+        y = record.p0 + record.e1 * u.x + (record.e2 - record.e1) * u.y;
+        n = e.normals[0];
+        uv = u;
+        return;
+    }
     const Mesh& mesh = shape.mesh;
     const std::size_t triangle = e.triangles.sample(u.x);
     const std::uint32_t* i = &mesh.indices[3 * triangle];

@@ -33,6 +33,7 @@ struct Emitter {
     int texture = -1;               // area: factor on radiance by uv; spot: by position in the beam
     std::uint32_t shape = 0;        // area
     double area = 0;                // area: m^2
+    bool parallelogram = false;     // area on a rectangle: its two triangles are sampled as one
     Distribution1 triangles;        // area on a mesh: by area
     std::vector<Normal3f> normals;  // area on a mesh: geometric, by triangle
     Frame<float> frame;             // world from local; spot and directional shine along +z; envmap axes

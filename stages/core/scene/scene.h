@@ -41,13 +41,13 @@ struct Hit {
 /// A BsdfModel with its textures (index into Scene::textures, -1: the model's constant).
 struct Material {
     std::string id;
-    BsdfModel model;
     int diffuse = -1, specular = -1, transmittance = -1;
     int alpha_u = -1, alpha_v = -1;
     int opacity = -1;
     int normal_map = -1, bump_map = -1;
     float bump_scale = 1;
     int back = -1;  // material seen from behind; -1: this one
+    BsdfModel model;
     bool textured() const {
         return diffuse >= 0 || specular >= 0 || transmittance >= 0 || alpha_u >= 0 || alpha_v >= 0 || opacity >= 0;
     }

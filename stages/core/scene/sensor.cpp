@@ -34,6 +34,7 @@ float Sensor::sample_offset(float u, float low, float high) const {
     switch (filter) {
         case Filter::box: return low + u * (high - low);
         case Filter::tent: {
+            if (low == -r && high == r) return r * (u < 0.5f ? std::sqrt(2 * u) - 1 : 1 - std::sqrt(2 * (1 - u)));
             auto cdf = [&](float x) {
                 const float s = 1 - std::abs(x) / r;
                 return x < 0 ? 0.5f * s * s : 1 - 0.5f * s * s;
