@@ -31,7 +31,7 @@ std::vector<fs::path> scene_files(const Options& options) {
 
 std::string name_of(const fs::path& file) {
     const std::string name = file.stem().string();
-    return name.starts_with("scene") ? file.parent_path().filename().string() : name;
+    return name.starts_with("scene") ? file.parent_path().filename().string() + "/" : name;
 }
 
 /// The film of the scene made as large as the paths allow at one sample per pixel.
@@ -48,7 +48,7 @@ void throughput(const Options& options, app::Report& report) {
     report.answer(fmt::format(
         "Throughput, Mpaths/s at 1 sample per pixel, fastest of {} rounds in turns; roulette by albedo; in brackets\n"
         "over that of the bare loop (diffuse, no textures, no multiple importance sampling, nothing kept).\n"
-        "{:16}{:>9}{:>16}{:>16}{:>16}{:>14}\n",
+        "{:16}{:>9}{:>16}{:>16}{:>16}{:>15}\n",
         options.rounds, "scene", "bare", "image", "graph", "graph, file", "vertices/path"));
     app::Report silent;
     silent.set_quiet(true);
