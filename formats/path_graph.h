@@ -240,7 +240,8 @@ void PathGraph::fields(Self& g, Visitor& v) {
     v.field("light_edges/technique", e.technique, 1, "edge", "1",
             "0 next-event estimation, 1 hit by the BSDF sample; in this order for a vertex");
     v.field("light_edges/y", e.y, 4, "edge,xyzw", "m, or 1 at infinity",
-            "homogeneous light point: w = 1 position; w = 0 unit direction towards the light");
+            "homogeneous light point: w = 1 position; w = 0 unit direction towards the light. Found by the BSDF "
+            "sample it lies exactly in the sampled direction, off the light by the ray's offset at most");
     v.optional("light_edges/n", e.n, 2, "edge,uv", "1/32767", "normal at the light point, octahedral");
     v.field("light_edges/Li", e.Li, 3, "edge,rgb", "W m^-2 sr^-1",
             "radiance that arrives at the vertex; for point, spot and directional lights the irradiance on a "

@@ -127,6 +127,7 @@ void sample_area_light(const Scene& scene, const Emitter& e, const Point3f& from
             const Point3f on_ray = from + s.wi * t;
             s.n = Normal3f(normalize(on_ray - shape.center));
             s.y = shape.center + Vector3f(s.n) * shape.radius;
+            s.wi = normalize(s.y - from);  // as a reader of the stored point computes it
             s.pdf_w = 1.0f / (two_pi * omc);
             s.Li = e.radiance;
             return;

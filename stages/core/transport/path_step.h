@@ -54,7 +54,9 @@ void add_arrived_light(PathState& path, PathRecord* record, const Spectrum& Li, 
         LightEdgeRecord& edge = record->light_edges.emplace_back();
         edge.vertex = std::uint32_t(record->vertices.size() - 1);
         edge.technique = LightTechnique::bsdf_hit;
-        edge.y = at_infinity ? Point3f(path.ray.d) : at->p;
+        // Along the very direction of the sample from the vertex itself: the ray started off the surface, and the
+        // point that it hit lies in a direction that differs by that offset over the distance.
+        edge.y = at_infinity ? Point3f(path.ray.d) : path.from + path.ray.d * dot(at->p - path.from, path.ray.d);
         edge.at_infinity = at_infinity;
         if (!at_infinity) edge.n = at->ng;
         edge.Li = Li;
