@@ -51,8 +51,9 @@ std::vector<Include> includes() {
 
 /// "formats/io", "formats", "core/math", …, "stages/trace", "tests": where a path from the root lives.
 std::string room_of(const std::string& path) {
+    const fs::path parts(path);  // outlives its iterators
     const auto part = [&](int n) {
-        auto at = fs::path(path).begin();
+        auto at = parts.begin();
         std::advance(at, n);
         return at->string();
     };
