@@ -147,6 +147,24 @@ std::string missing_parameter(const PathGraph& g) {
     return {};
 }
 
+template <class Graph>
+void write_graph(const Graph& graph, const std::filesystem::path& path, Sync sync) {
+    if (graph.n_vertices() > std::numeric_limits<std::uint32_t>::max()) {
+        throw InputError(
+            fmt::format("{}: {} vertices are more than one path graph can number; use fewer samples per "
+                        "file",
+                        path.native(), graph.n_vertices()));
+    }
+    write_format(graph, path, sync);
+}
+
+template <class Graph>
+std::vector<ColumnBytes> sizes_of(const Graph& graph) {
+    ColumnSizer sizer;
+    Graph::fields(graph, sizer);
+    return sizer.sizes;
+}
+
 }  // namespace
 
 std::string_view ending_name(Ending ending) {
@@ -186,13 +204,10 @@ std::string PathGraph::problem() const {
 }
 
 void write_path_graph(const PathGraph& graph, const std::filesystem::path& path, Sync sync) {
-    if (graph.n_vertices() > std::numeric_limits<std::uint32_t>::max()) {
-        throw InputError(
-            fmt::format("{}: {} vertices are more than one path graph can number; use fewer samples per "
-                        "file",
-                        path.native(), graph.n_vertices()));
-    }
-    write_format(graph, path, sync);
+    write_graph(graph, path, sync);
+}
+void write_path_graph(const PathGraphInPieces& graph, const std::filesystem::path& path, Sync sync) {
+    write_graph(graph, path, sync);
 }
 
 PathGraph read_path_graph(const std::filesystem::path& path) {
@@ -200,9 +215,10 @@ PathGraph read_path_graph(const std::filesystem::path& path) {
 }
 
 std::vector<ColumnBytes> column_bytes(const PathGraph& graph) {
-    ColumnSizer sizer;
-    PathGraph::fields(graph, sizer);
-    return sizer.sizes;
+    return sizes_of(graph);
+}
+std::vector<ColumnBytes> column_bytes(const PathGraphInPieces& graph) {
+    return sizes_of(graph);
 }
 
 }  // namespace loom

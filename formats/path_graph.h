@@ -14,6 +14,7 @@
 #include <string_view>
 #include <vector>
 
+#include "formats/io/arena.h"
 #include "formats/io/documenter.h"
 #include "formats/io/field.h"
 #include "formats/io/mapped_file.h"
@@ -72,9 +73,44 @@ enum class EmitterKind : std::uint8_t {
 inline constexpr int n_emitter_kinds = 6;
 std::string_view emitter_kind_name(std::uint8_t kind);
 
-struct PathGraph {
-    static constexpr FormatId format{"path_graph", 1, 0};
+/// What a graph keeps of each path; ColumnOf says how its columns lie in memory.
+template <template <class> class ColumnOf>
+struct PathRows {
+    struct Paths {
+        ColumnOf<std::uint64_t> first_vertex;
+        ColumnOf<float> Le, origin;
+    } paths;
 
+    struct Vertices {
+        ColumnOf<float> p, wo;
+        ColumnOf<std::int16_t> ns, ng, n_side, tangent;
+        ColumnOf<std::uint16_t> material, flags;
+        ColumnOf<std::uint32_t> shape;
+        ColumnOf<std::uint8_t> lobe;
+        ColumnOf<float> pdf_w, q, eta;
+        ColumnOf<Half> diffuse, specular, transmittance, alpha, opacity;
+    } vertices;
+
+    struct LightEdges {
+        ColumnOf<std::uint32_t> vertex;
+        ColumnOf<std::uint8_t> technique;
+        ColumnOf<float> y;
+        ColumnOf<std::int16_t> n;
+        ColumnOf<float> Li, pdf_nee_w, pdf_bsdf_w;
+        ColumnOf<std::uint16_t> emitter;
+        ColumnOf<float> eta;
+    } light_edges;
+
+    std::size_t n_paths() const { return paths.first_vertex.empty() ? 0 : paths.first_vertex.size() - 1; }
+    std::size_t n_vertices() const { return vertices.flags.size(); }
+    std::size_t n_light_edges() const { return light_edges.vertex.size(); }
+
+    template <class Self, class Visitor>
+    static void row_fields(Self& g, Visitor& v);
+};
+
+/// What a graph says of the scene and of how it was traced.
+struct PathGraphHeader {
     struct Sensor {
         std::string kind = "perspective";  // or "orthographic"
         std::uint32_t width = 0, height = 0;
@@ -95,31 +131,6 @@ struct PathGraph {
         std::string sampler = "independent";
     } tracing;
 
-    struct Paths {
-        Column<std::uint64_t> first_vertex;
-        Column<float> Le, origin;
-    } paths;
-
-    struct Vertices {
-        Column<float> p, wo;
-        Column<std::int16_t> ns, ng, n_side, tangent;
-        Column<std::uint16_t> material, flags;
-        Column<std::uint32_t> shape;
-        Column<std::uint8_t> lobe;
-        Column<float> pdf_w, q, eta;
-        Column<Half> diffuse, specular, transmittance, alpha, opacity;
-    } vertices;
-
-    struct LightEdges {
-        Column<std::uint32_t> vertex;
-        Column<std::uint8_t> technique;
-        Column<float> y;
-        Column<std::int16_t> n;
-        Column<float> Li, pdf_nee_w, pdf_bsdf_w;
-        Column<std::uint16_t> emitter;
-        Column<float> eta;
-    } light_edges;
-
     struct Materials {
         std::vector<std::string> id;
         Column<std::uint8_t> kind, distribution, two_sided, nonlinear, sample_visible, textured;
@@ -139,56 +150,46 @@ struct PathGraph {
     } shapes;
 
     Provenance provenance;
-    std::shared_ptr<const MappedFile> storage;  // what the columns are borrowed from, if from a file
 
     std::size_t n_pixels() const { return std::size_t{sensor.width} * sensor.height; }
-    std::size_t n_paths() const { return paths.first_vertex.empty() ? 0 : paths.first_vertex.size() - 1; }
-    std::size_t n_vertices() const { return vertices.flags.size(); }
-    std::size_t n_light_edges() const { return light_edges.vertex.size(); }
+};
 
-    /// The invariants that go beyond types, lengths and finite floats; empty when all hold.
-    std::string problem() const;
+/// The declaration of the format; the same for every way in which the columns can lie in memory.
+template <template <class> class ColumnOf>
+struct PathGraphOf : PathGraphHeader, PathRows<ColumnOf> {
+    static constexpr FormatId format{"path_graph", 1, 0};
 
     template <class Self, class Visitor>
     static void fields(Self& g, Visitor& v);
 };
 
+struct PathGraph : PathGraphOf<Column> {
+    std::shared_ptr<const MappedFile> storage;  // what the columns are borrowed from, if from a file
+
+    /// The invariants that go beyond types, lengths and finite floats; empty when all hold.
+    std::string problem() const;
+};
+
+/// A graph as it was traced, to be written: its columns lie in the pieces in which they were filled.
+struct PathGraphInPieces : PathGraphOf<PiecedColumn> {
+    std::shared_ptr<const Arena> storage;  // of the pieces
+};
+
 /// needs:   columns of one axis of one length
 void write_path_graph(const PathGraph& graph, const std::filesystem::path& path, Sync sync = Sync::yes);
+/// The same bytes as from the joined columns.
+void write_path_graph(const PathGraphInPieces& graph, const std::filesystem::path& path, Sync sync = Sync::yes);
 /// Reads, maps and checks the whole file.
 /// throws:  InputError naming the file and the dataset
 PathGraph read_path_graph(const std::filesystem::path& path);
 
 /// Bytes of each column that is there.
 std::vector<ColumnBytes> column_bytes(const PathGraph& graph);
+std::vector<ColumnBytes> column_bytes(const PathGraphInPieces& graph);
 
+template <template <class> class ColumnOf>
 template <class Self, class Visitor>
-void PathGraph::fields(Self& g, Visitor& v) {
-    auto& s = g.sensor;
-    v.value("sensor/kind", s.kind, "", "1", "perspective or orthographic");
-    v.value("sensor/width", s.width, "", "px", "image width");
-    v.value("sensor/height", s.height, "", "px", "image height");
-    v.value("sensor/world_from_camera", s.world_from_camera, "row,column", "1 and m",
-            "world from camera; the camera looks along +z, +y is up, +x is left");
-    v.value("sensor/origin", s.origin, "xyz", "m", "pinhole, world space");
-    v.value("sensor/fov_x_deg", s.fov_x_deg, "", "degree",
-            "full horizontal field of view; 0 for orthographic");
-    v.value("sensor/principal_point", s.principal_point, "xy", "1",
-            "offset of the principal point in image widths and heights");
-    v.value("sensor/near_clip", s.near_clip, "", "m", "near clip distance along the optical axis");
-    v.value("sensor/far_clip", s.far_clip, "", "m", "far clip distance along the optical axis");
-    v.value("sensor/rfilter", s.rfilter, "", "1", "pixel filter that the scene asks for");
-    v.value("sensor/rfilter_radius", s.rfilter_radius, "", "px", "radius of the pixel filter");
-
-    auto& t = g.tracing;
-    v.value("tracing/first_sample", t.first_sample, "", "1", "index of the first sample of each pixel");
-    v.value("tracing/samples_per_pixel", t.samples_per_pixel, "", "1", "samples of each pixel in this file");
-    v.value("tracing/max_depth", t.max_depth, "", "1", "largest number of edges of a path; -1 for no limit");
-    v.value("tracing/roulette", t.roulette, "", "1", "rule of Russian roulette");
-    v.value("tracing/roulette_depth", t.roulette_depth, "", "1", "depth from which roulette is played");
-    v.value("tracing/sampler", t.sampler, "", "1",
-            "sampler; its numbers are a function of (seed, pixel, sample, dimension)");
-
+void PathRows<ColumnOf>::row_fields(Self& g, Visitor& v) {
     auto& p = g.paths;
     v.field("paths/first_vertex", p.first_vertex, 1, "path+1", "1",
             "offsets into vertices; path i is sample first_sample + i / (width height) of pixel i mod (width "
@@ -255,6 +256,37 @@ void PathGraph::fields(Self& g, Visitor& v) {
     v.field("light_edges/emitter", e.emitter, 1, "edge", "1", "row of emitters");
     v.optional("light_edges/eta", e.eta, 1, "edge", "1",
                "absolute refractive index along the edge; absent: 1");
+}
+
+template <template <class> class ColumnOf>
+template <class Self, class Visitor>
+void PathGraphOf<ColumnOf>::fields(Self& g, Visitor& v) {
+    auto& s = g.sensor;
+    v.value("sensor/kind", s.kind, "", "1", "perspective or orthographic");
+    v.value("sensor/width", s.width, "", "px", "image width");
+    v.value("sensor/height", s.height, "", "px", "image height");
+    v.value("sensor/world_from_camera", s.world_from_camera, "row,column", "1 and m",
+            "world from camera; the camera looks along +z, +y is up, +x is left");
+    v.value("sensor/origin", s.origin, "xyz", "m", "pinhole, world space");
+    v.value("sensor/fov_x_deg", s.fov_x_deg, "", "degree",
+            "full horizontal field of view; 0 for orthographic");
+    v.value("sensor/principal_point", s.principal_point, "xy", "1",
+            "offset of the principal point in image widths and heights");
+    v.value("sensor/near_clip", s.near_clip, "", "m", "near clip distance along the optical axis");
+    v.value("sensor/far_clip", s.far_clip, "", "m", "far clip distance along the optical axis");
+    v.value("sensor/rfilter", s.rfilter, "", "1", "pixel filter that the scene asks for");
+    v.value("sensor/rfilter_radius", s.rfilter_radius, "", "px", "radius of the pixel filter");
+
+    auto& t = g.tracing;
+    v.value("tracing/first_sample", t.first_sample, "", "1", "index of the first sample of each pixel");
+    v.value("tracing/samples_per_pixel", t.samples_per_pixel, "", "1", "samples of each pixel in this file");
+    v.value("tracing/max_depth", t.max_depth, "", "1", "largest number of edges of a path; -1 for no limit");
+    v.value("tracing/roulette", t.roulette, "", "1", "rule of Russian roulette");
+    v.value("tracing/roulette_depth", t.roulette_depth, "", "1", "depth from which roulette is played");
+    v.value("tracing/sampler", t.sampler, "", "1",
+            "sampler; its numbers are a function of (seed, pixel, sample, dimension)");
+
+    PathRows<ColumnOf>::row_fields(g, v);
 
     auto& m = g.materials;
     v.names("materials/id", m.id, "material", "id in the scene file, or a made-up one");

@@ -1,4 +1,5 @@
 #pragma once
+#include <array>
 #include <cstddef>
 #include <span>
 #include <utility>
@@ -32,6 +33,8 @@ class Column {
     }
 
     std::span<const T> values() const { return view_; }
+    /// All of it in order, as of a PiecedColumn.
+    std::array<std::span<const T>, 1> pieces() const { return {view_}; }
     operator std::span<const T>() const { return view_; }
     const T* data() const { return view_.data(); }
     std::size_t size() const { return view_.size(); }
@@ -45,6 +48,33 @@ class Column {
   private:
     std::vector<T> owned_;
     std::span<const T> view_;
+};
+
+/// One array that is still being filled.
+template <class T>
+struct GrowingColumn : std::vector<T> {
+    using Element = T;
+    using std::vector<T>::vector;
+};
+
+/// One array whose consecutive pieces lie apart, in memory that outlives it: what a writer takes without
+/// anyone having joined it.
+template <class T>
+class PiecedColumn {
+  public:
+    using Element = T;
+
+    void add(std::span<T> piece) {
+        pieces_.push_back(piece);
+        size_ += piece.size();
+    }
+    const std::vector<std::span<T>>& pieces() const { return pieces_; }
+    std::size_t size() const { return size_; }
+    bool empty() const { return size_ == 0; }
+
+  private:
+    std::vector<std::span<T>> pieces_;
+    std::size_t size_ = 0;
 };
 
 }  // namespace loom

@@ -36,11 +36,11 @@ struct ColumnBytes {
 /// Visits a filled format and measures its columns; absent ones are left out.
 class ColumnSizer : public FieldVisitor<ColumnSizer> {
   public:
-    template <class T>
-    void column_of(const Field& field, const Column<T>& column) {
+    template <class C>
+    void column_of(const Field& field, const C& column) {
         if (column.empty()) return;
         sizes.push_back({std::string(field.name), std::string(field.axes.substr(0, field.axes.find(','))),
-                         column.size() / field.row_size(), column.size() * sizeof(T)});
+                         column.size() / field.row_size(), column.size() * sizeof(typename C::Element)});
     }
     template <class V>
     void value_of(const Field&, const V&) {}

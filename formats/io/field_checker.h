@@ -22,14 +22,20 @@ class FieldChecker : public FieldVisitor<FieldChecker> {
     /// The first thing that is wrong, naming the dataset; empty when all is well.
     const std::string& problem() const { return problem_; }
 
-    template <class T>
-    void column_of(const Field& field, const Column<T>& column) {
+    template <class C>
+    void column_of(const Field& field, const C& column) {
+        using T = typename C::Element;
         if (field.presence == Presence::optional && column.empty()) return;
         check_length(field, column.size());
         if constexpr (std::is_floating_point_v<T> || std::is_same_v<T, Half>) {
-            if (finite_ && field.finite == Finite::required && problem_.empty()) {
-                check_finite(field, column.size(), first_nonfinite(column.values()));
+            if (!finite_ || field.finite != Finite::required || !problem_.empty()) return;
+            std::size_t first_bad = 0;
+            for (const std::span<const T> piece : column.pieces()) {
+                const std::size_t in_piece = first_nonfinite(piece);
+                first_bad += in_piece;
+                if (in_piece < piece.size()) break;
             }
+            check_finite(field, column.size(), first_bad);
         }
     }
     template <class V>

@@ -2,7 +2,11 @@
 
 #include <fmt/format.h>
 
+#include <fcntl.h>
+#include <unistd.h>
+
 #include <algorithm>
+#include <cerrno>
 #include <cstring>
 
 #include "formats/io/hdf5_handle.h"
@@ -12,6 +16,8 @@ namespace {
 
 constexpr hsize_t page_bytes = 4096;
 constexpr hsize_t aligned_from_bytes = 65536;
+/// Bytes after which the device is sent to work, so that the sync at the end finds little left.
+constexpr off_t writeback_bytes = 32 << 20;
 
 /// Property lists without times: two equal runs then give equal bytes.
 Hdf5Handle timeless(hid_t property_class) {
@@ -36,14 +42,24 @@ std::vector<char> buffer_from_texts(std::span<const std::string> texts, std::siz
     return buffer;
 }
 
+bool write_at(int fd, std::span<const std::byte> bytes, off_t at) {
+    while (!bytes.empty()) {
+        const ssize_t n = ::pwrite(fd, bytes.data(), bytes.size(), at);
+        if (n < 0 && errno == EINTR) continue;
+        if (n <= 0) return false;
+        bytes = bytes.subspan(static_cast<std::size_t>(n));
+        at += n;
+    }
+    return true;
+}
+
 }  // namespace
 
 struct Hdf5Writer::Impl {
     explicit Impl(const std::filesystem::path& path) : output(path) {}
 
-    [[noreturn]] void fail(std::string_view what) const {
-        throw std::runtime_error(
-            fmt::format("{}: cannot write {}: {}", output.path().native(), what, hdf5_error_text()));
+    [[noreturn]] void fail(std::string_view what, const std::string& why = hdf5_error_text()) const {
+        throw std::runtime_error(fmt::format("{}: cannot write {}: {}", output.path().native(), what, why));
     }
 
     void attribute(hid_t object, const char* name, hid_t type, const std::vector<std::size_t>& extents,
@@ -74,24 +90,70 @@ struct Hdf5Writer::Impl {
         }
     }
 
-    void dataset(const Field& field, const std::vector<std::size_t>& extents, hid_t type, const void* data) {
+    Hdf5Handle make_dataset(const Field& field, const std::vector<std::size_t>& extents, hid_t type) {
         const std::string name(field.name);
         make_groups(name);
         const Hdf5Handle creation = timeless(H5P_DATASET_CREATE);
         H5Pset_layout(creation.get(), H5D_CONTIGUOUS);
         H5Pset_fill_time(creation.get(), H5D_FILL_TIME_NEVER);
         const Hdf5Handle space = space_of(extents);
-        const Hdf5Handle made(
+        Hdf5Handle made(
             H5Dcreate2(file.get(), name.c_str(), type, space.get(), H5P_DEFAULT, creation.get(), H5P_DEFAULT),
             H5Dclose);
         if (!made) fail(name);
         text(made.get(), "units", field.units);
         text(made.get(), "axes", field.axes);
         text(made.get(), "description", field.text);
-        const bool empty = !extents.empty() && extents[0] == 0;
-        if (!empty && H5Dwrite(made.get(), type, H5S_ALL, H5S_ALL, H5P_DEFAULT, data) < 0) fail(name);
+        return made;
     }
 
+    void dataset(const Field& field, const std::vector<std::size_t>& extents, hid_t type, const void* data) {
+        const Hdf5Handle made = make_dataset(field, extents, type);
+        const bool empty = !extents.empty() && extents[0] == 0;
+        if (!empty && H5Dwrite(made.get(), type, H5S_ALL, H5S_ALL, H5P_DEFAULT, data) < 0) fail(field.name);
+    }
+
+    /// A dataset without its data: one zero is written, at which the library takes the room for all of it
+    /// behind the attributes. (Early allocation would do, but is noted in the file and moves its parts.)
+    void reserve(const Field& field, const std::vector<std::size_t>& extents, hid_t type, Pieces pieces) {
+        const Hdf5Handle made = make_dataset(field, extents, type);
+        if (extents[0] == 0) return;
+        const Hdf5Handle space = space_of(extents), one = space_of({});
+        const std::vector<hsize_t> start(extents.size(), 0), count(extents.size(), 1);
+        const std::uint64_t zero = 0;
+        if (H5Sselect_hyperslab(space.get(), H5S_SELECT_SET, start.data(), nullptr, count.data(), nullptr) < 0 ||
+            H5Dwrite(made.get(), type, one.get(), space.get(), H5P_DEFAULT, &zero) < 0)
+            fail(field.name);
+        const haddr_t offset = H5Dget_offset(made.get());
+        if (offset == HADDR_UNDEF) fail(field.name);
+        reserved.push_back({offset, std::move(pieces)});
+    }
+
+    /// Fills the reserved datasets of the closed file, in the order in which they lie.
+    void fill_reserved(Sync sync) {
+        const int fd = ::open(output.partial().c_str(), O_WRONLY | O_CLOEXEC);
+        bool good = fd >= 0;
+        for (auto r = reserved.begin(); good && r != reserved.end(); ++r) {
+            off_t at = static_cast<off_t>(r->offset), kicked = at;
+            for (auto piece = r->pieces.begin(); good && piece != r->pieces.end(); ++piece) {
+                good = write_at(fd, *piece, at);
+                at += static_cast<off_t>(piece->size());
+                if (sync == Sync::yes && at - kicked >= writeback_bytes) {
+                    ::sync_file_range(fd, kicked, at - kicked, SYNC_FILE_RANGE_WRITE);
+                    kicked = at;
+                }
+            }
+        }
+        const int error = errno;
+        if (fd >= 0 && ::close(fd) != 0 && good) fail("the file", std::strerror(errno));
+        if (!good) fail("the file", std::strerror(error));
+    }
+
+    struct Reserved {
+        haddr_t offset;
+        Pieces pieces;
+    };
+    std::vector<Reserved> reserved;
     OutputFile output;
     Hdf5Handle file;
 };
@@ -129,12 +191,17 @@ Hdf5Writer::~Hdf5Writer() = default;
 
 void Hdf5Writer::commit(Sync sync) {
     if (H5Fflush(impl_->file.get(), H5F_SCOPE_LOCAL) < 0 || !impl_->file.close()) impl_->fail("the file");
+    impl_->fill_reserved(sync);
     impl_->output.commit(sync);
 }
 
 void Hdf5Writer::write(const Field& field, const std::vector<std::size_t>& extents,
                        std::span<const std::byte> data) {
     impl_->dataset(field, extents, disk_type(field.type).get(), data.data());
+}
+
+void Hdf5Writer::reserve(const Field& field, const std::vector<std::size_t>& extents, Pieces pieces) {
+    impl_->reserve(field, extents, disk_type(field.type).get(), std::move(pieces));
 }
 
 void Hdf5Writer::write_texts(const Field& field, const std::vector<std::size_t>& extents,

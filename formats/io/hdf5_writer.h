@@ -18,12 +18,15 @@ class Hdf5Writer : public FieldVisitor<Hdf5Writer> {
     /// Syncs the file and gives it its name. Without it nothing is left.
     void commit(Sync sync);
 
-    template <class T>
-    void column_of(const Field& field, const Column<T>& column) {
+    /// The bytes of a column are taken at commit(); until then it MUST stay where it is.
+    template <class C>
+    void column_of(const Field& field, const C& column) {
         if (field.presence == Presence::optional && column.empty()) return;
         std::vector<std::size_t> extents = field.row_shape;
         extents.insert(extents.begin(), column.size() / field.row_size());
-        write(field, extents, std::as_bytes(column.values()));
+        Pieces pieces;
+        for (const auto piece : column.pieces()) pieces.push_back(std::as_bytes(piece));
+        reserve(field, extents, std::move(pieces));
     }
     template <class V>
     void value_of(const Field& field, const V& value) {
@@ -37,7 +40,9 @@ class Hdf5Writer : public FieldVisitor<Hdf5Writer> {
     }
 
   private:
+    using Pieces = std::vector<std::span<const std::byte>>;
     struct Impl;
+    void reserve(const Field& field, const std::vector<std::size_t>& extents, Pieces pieces);
     void write(const Field& field, const std::vector<std::size_t>& extents, std::span<const std::byte> data);
     void write_texts(const Field& field, const std::vector<std::size_t>& extents,
                      std::span<const std::string> texts);

@@ -80,6 +80,7 @@ struct Worker {
     std::vector<PathId> ids;
     std::vector<PathResult> results;
     std::vector<PathRecord> records;
+    GraphRows rows;
     Worker(const Scene& scene, const PathOptions& path) : batch(scene, path) {}
 };
 
@@ -145,10 +146,10 @@ Image render_image(const Scene& scene, const PathOptions& path, const Work& work
     return std::move(film).finish({});
 }
 
-PathGraph render_graph(const Scene& scene, const PathOptions& path, const Work& work, app::Report& report,
-                       Counts& counts) {
+PathGraphInPieces render_graph(const Scene& scene, const PathOptions& path, const Work& work,
+                               app::Report& report, Counts& counts) {
     const std::uint64_t n_pixels = scene.sensor.n_pixels(), n_paths = n_pixels * work.spp;
-    std::vector<GraphPiece> pieces((n_paths + PathBatch::capacity - 1) / PathBatch::capacity);
+    GraphBuilder builder((n_paths + PathBatch::capacity - 1) / PathBatch::capacity);
     NonfiniteLog nonfinite(report, scene, path);
     Totals totals;
     {
@@ -167,15 +168,16 @@ PathGraph render_graph(const Scene& scene, const PathOptions& path, const Work& 
                             worker.batch.trace(worker.ids, worker.results, worker.records);
                             for (std::size_t k = 0; k < worker.ids.size(); ++k) {
                                 nonfinite.check(worker.results[k].L, worker.ids[k]);
-                                pieces[chunk].append(worker.records[k], scene, roulette);
+                                worker.rows.append(worker.records[k], scene, roulette);
                                 count(worker.results[k], mine);
                             }
+                            builder.set(chunk, worker.rows);
                             totals.add(mine);
                             progress.add(end - begin);
                         });
     }
     counts = {totals.rays, totals.vertices, nonfinite.count()};
-    return join_pieces(pieces, scene, path, work.first_sample, work.spp);
+    return std::move(builder).finish(scene, path, work.first_sample, work.spp);
 }
 
 void declare(app::Command& command, Options& options) {
@@ -259,7 +261,7 @@ void run(const Options& options, app::Report& report) {
         image.provenance = provenance;
         write_image(image, options.output);
     } else {
-        PathGraph graph = render_graph(*scene, path, work, report, counts);
+        PathGraphInPieces graph = render_graph(*scene, path, work, report, counts);
         graph.provenance = provenance;
         write_path_graph(graph, options.output);
         std::uint64_t bytes = 0;

@@ -47,9 +47,9 @@ struct Counts {
 /// Path-traced image with auxiliary layers; keeps nothing but the film. Same values for any number of threads.
 Image render_image(const Scene& scene, const PathOptions& path, const Work& work, app::Report& report, Counts& counts);
 
-/// The same paths as a graph.
-PathGraph render_graph(const Scene& scene, const PathOptions& path, const Work& work, app::Report& report,
-                       Counts& counts);
+/// The same paths as a graph, to be written.
+PathGraphInPieces render_graph(const Scene& scene, const PathOptions& path, const Work& work, app::Report& report,
+                               Counts& counts);
 
 void declare(app::Command& command, Options& options);
 

@@ -8,30 +8,57 @@ namespace loom {
 namespace {
 
 template <class Kind>
-void push(std::vector<float>& column, const Triple<float, Kind>& v) {
+void push(GrowingColumn<float>& column, const Triple<float, Kind>& v) {
     column.insert(column.end(), {v.x, v.y, v.z});
 }
-void push(std::vector<float>& column, const Spectrum& v) { column.insert(column.end(), {v.r, v.g, v.b}); }
-void push(std::vector<Half>& column, const Spectrum& v) {
+void push(GrowingColumn<float>& column, const Spectrum& v) { column.insert(column.end(), {v.r, v.g, v.b}); }
+void push(GrowingColumn<Half>& column, const Spectrum& v) {
     column.insert(column.end(), {half_from_float(v.r), half_from_float(v.g), half_from_float(v.b)});
 }
 template <class Kind>
-void push_direction(std::vector<std::int16_t>& column, const Triple<float, Kind>& v) {
+void push_direction(GrowingColumn<std::int16_t>& column, const Triple<float, Kind>& v) {
     const auto code = octahedral_from_unit(v.x, v.y, v.z);
     column.insert(column.end(), code.begin(), code.end());
 }
 
-template <class T>
-Column<T> join(std::vector<GraphPiece>& pieces, std::vector<T> GraphPiece::*member) {
-    std::vector<std::size_t> start(pieces.size() + 1, 0);
-    for (std::size_t i = 0; i < pieces.size(); ++i) start[i + 1] = start[i] + (pieces[i].*member).size();
-    std::vector<T> joined(start.back());
-    tbb::parallel_for(std::size_t(0), pieces.size(), [&](std::size_t i) {
-        std::copy((pieces[i].*member).begin(), (pieces[i].*member).end(), joined.begin() + start[i]);
-        std::vector<T>().swap(pieces[i].*member);
-    });
-    return joined;
-}
+/// Bytes of all columns.
+struct RowsSize : FieldVisitor<RowsSize> {
+    std::size_t n_bytes = 0;
+    template <class T>
+    void column_of(const Field&, const GrowingColumn<T>& column) {
+        n_bytes += padded(column.size() * sizeof(T));
+    }
+    /// Every column of a piece begins where any number may.
+    static std::size_t padded(std::size_t n) { return (n + 7) / 8 * 8; }
+};
+
+/// Moves columns behind one another into a block.
+struct RowsPacker : FieldVisitor<RowsPacker> {
+    std::span<std::byte> block;
+    std::vector<std::span<std::byte>> columns;
+    explicit RowsPacker(std::span<std::byte> to) : block(to) {}
+    template <class T>
+    void column_of(const Field&, GrowingColumn<T>& column) {
+        const auto bytes = std::as_bytes(std::span(column));
+        std::copy(bytes.begin(), bytes.end(), block.begin());
+        columns.push_back(block.first(bytes.size()));
+        block = block.subspan(RowsSize::padded(bytes.size()));
+        column.clear();
+    }
+};
+
+/// Hands the k-th column of every piece to the k-th column of the graph.
+struct RowsCollector : FieldVisitor<RowsCollector> {
+    const std::vector<std::vector<std::span<std::byte>>>& pieces;
+    std::size_t k = 0;
+    explicit RowsCollector(const std::vector<std::vector<std::span<std::byte>>>& from) : pieces(from) {}
+    template <class T>
+    void column_of(const Field&, PiecedColumn<T>& column) {
+        for (const auto& piece : pieces)
+            column.add({reinterpret_cast<T*>(piece[k].data()), piece[k].size() / sizeof(T)});
+        ++k;
+    }
+};
 
 template <class T, class Get>
 Column<T> gather(const std::vector<Material>& materials, Get get) {
@@ -43,7 +70,7 @@ Column<T> gather(const std::vector<Material>& materials, Get get) {
 
 std::array<float, 3> triple(const Spectrum& s) { return {s.r, s.g, s.b}; }
 
-void describe_scene(const Scene& scene, PathGraph& g) {
+void describe_scene(const Scene& scene, PathGraphHeader& g) {
     const Sensor& s = scene.sensor;
     const bool perspective = s.kind == SensorKind::perspective;
     g.sensor.kind = perspective ? "perspective" : "orthographic";
@@ -109,54 +136,64 @@ void describe_scene(const Scene& scene, PathGraph& g) {
 
 }  // namespace
 
-void GraphPiece::append(const PathRecord& path, const Scene& scene, bool roulette) {
+void GraphRows::append(const PathRecord& path, const Scene& scene, bool roulette) {
     const SceneFeatures& f = scene.features;
-    const auto first = std::uint32_t(flags.size());
-    vertices_per_path.push_back(std::uint32_t(path.vertices.size()));
-    push(Le, path.Le);
-    if (scene.sensor.kind != SensorKind::perspective) push(origin, path.origin);
-    for (const VertexRecord& v : path.vertices) {
-        const ShadingPoint& at = v.at;
-        push(p, at.p);
-        push(wo, at.wo);
-        push_direction(ns, at.frame.n);
-        if (f.smooth_normals) push_direction(ng, at.ng);
-        if (f.perturbed_normals) push_direction(n_side, at.n_side);
-        if (f.anisotropic) push_direction(tangent, at.frame.s);
-        material.push_back(v.material);
-        shape.push_back(v.shape);
-        std::uint16_t bits = (v.attempted_nee ? vertex_flag::attempted_nee : 0) |
-                             (v.attempted_bsdf ? vertex_flag::attempted_bsdf : 0) |
-                             (v.continued ? vertex_flag::continued : 0);
-        flags.push_back(flags_with_ending(bits, v.ending));
-        lobe.push_back(std::uint8_t(v.lobe));
-        pdf_w.push_back(v.pdf_w);
-        if (roulette) q.push_back(v.q);
-        if (f.dielectric) eta.push_back(v.eta);
-        if (f.textured_diffuse) push(diffuse, at.bsdf.diffuse);
-        if (f.textured_specular) push(specular, at.bsdf.specular);
-        if (f.textured_transmittance) push(transmittance, at.bsdf.transmittance);
+    auto& v = vertices;
+    auto& e = light_edges;
+    const auto first = std::uint32_t(v.flags.size());
+    paths.first_vertex.push_back(first + path.vertices.size());
+    push(paths.Le, path.Le);
+    if (scene.sensor.kind != SensorKind::perspective) push(paths.origin, path.origin);
+    for (const VertexRecord& r : path.vertices) {
+        const ShadingPoint& at = r.at;
+        push(v.p, at.p);
+        push(v.wo, at.wo);
+        push_direction(v.ns, at.frame.n);
+        if (f.smooth_normals) push_direction(v.ng, at.ng);
+        if (f.perturbed_normals) push_direction(v.n_side, at.n_side);
+        if (f.anisotropic) push_direction(v.tangent, at.frame.s);
+        v.material.push_back(r.material);
+        v.shape.push_back(r.shape);
+        std::uint16_t bits = (r.attempted_nee ? vertex_flag::attempted_nee : 0) |
+                             (r.attempted_bsdf ? vertex_flag::attempted_bsdf : 0) |
+                             (r.continued ? vertex_flag::continued : 0);
+        v.flags.push_back(flags_with_ending(bits, r.ending));
+        v.lobe.push_back(std::uint8_t(r.lobe));
+        v.pdf_w.push_back(r.pdf_w);
+        if (roulette) v.q.push_back(r.q);
+        if (f.dielectric) v.eta.push_back(r.eta);
+        if (f.textured_diffuse) push(v.diffuse, at.bsdf.diffuse);
+        if (f.textured_specular) push(v.specular, at.bsdf.specular);
+        if (f.textured_transmittance) push(v.transmittance, at.bsdf.transmittance);
         if (f.textured_alpha)
-            alpha.insert(alpha.end(), {half_from_float(at.bsdf.alpha_u), half_from_float(at.bsdf.alpha_v)});
-        if (f.textured_opacity) opacity.push_back(half_from_float(at.bsdf.opacity));
+            v.alpha.insert(v.alpha.end(), {half_from_float(at.bsdf.alpha_u), half_from_float(at.bsdf.alpha_v)});
+        if (f.textured_opacity) v.opacity.push_back(half_from_float(at.bsdf.opacity));
     }
-    for (const LightEdgeRecord& e : path.light_edges) {
-        edge_vertex.push_back(first + e.vertex);
-        edge_technique.push_back(std::uint8_t(e.technique));
-        push(y, e.y);
-        y.push_back(e.at_infinity ? 0.0f : 1.0f);
-        push_direction(n, e.n == Normal3f{} ? Normal3f{0, 0, 1} : e.n);
-        push(Li, e.Li);
-        pdf_nee_w.push_back(e.pdf_nee_w);
-        pdf_bsdf_w.push_back(e.pdf_bsdf_w);
-        emitter.push_back(e.emitter);
-        if (f.dielectric) edge_eta.push_back(e.eta);
+    for (const LightEdgeRecord& r : path.light_edges) {
+        e.vertex.push_back(first + r.vertex);
+        e.technique.push_back(std::uint8_t(r.technique));
+        push(e.y, r.y);
+        e.y.push_back(r.at_infinity ? 0.0f : 1.0f);
+        push_direction(e.n, r.n == Normal3f{} ? Normal3f{0, 0, 1} : r.n);
+        push(e.Li, r.Li);
+        e.pdf_nee_w.push_back(r.pdf_nee_w);
+        e.pdf_bsdf_w.push_back(r.pdf_bsdf_w);
+        e.emitter.push_back(r.emitter);
+        if (f.dielectric) e.eta.push_back(r.eta);
     }
 }
 
-PathGraph join_pieces(std::vector<GraphPiece>& pieces, const Scene& scene, const PathOptions& options,
-                      std::uint64_t first_sample, std::uint64_t samples) {
-    PathGraph g;
+void GraphBuilder::set(std::size_t i, GraphRows& rows) {
+    RowsSize size;
+    GraphRows::row_fields(rows, size);
+    RowsPacker packer(arena_->allocate(size.n_bytes));
+    GraphRows::row_fields(rows, packer);
+    pieces_[i] = std::move(packer.columns);
+}
+
+PathGraphInPieces GraphBuilder::finish(const Scene& scene, const PathOptions& options, std::uint64_t first_sample,
+                                       std::uint64_t samples) && {
+    PathGraphInPieces g;
     describe_scene(scene, g);
     g.tracing.first_sample = first_sample;
     g.tracing.samples_per_pixel = samples;
@@ -165,47 +202,17 @@ PathGraph join_pieces(std::vector<GraphPiece>& pieces, const Scene& scene, const
     g.tracing.roulette_depth = options.rr_depth;
     g.tracing.sampler = sampler_name(options.sampler);
 
-    std::vector<std::uint64_t> first_vertex{0};
-    first_vertex.reserve(scene.sensor.n_pixels() * samples + 1);
-    std::uint32_t base = 0;
-    for (GraphPiece& piece : pieces) {
-        for (std::uint32_t count : piece.vertices_per_path) first_vertex.push_back(first_vertex.back() + count);
-        for (std::uint32_t& vertex : piece.edge_vertex) vertex += base;
-        base += std::uint32_t(piece.flags.size());
-    }
-    using P = GraphPiece;
-    g.paths.first_vertex = std::move(first_vertex);
-    g.paths.Le = join(pieces, &P::Le);
-    g.paths.origin = join(pieces, &P::origin);
-    auto& v = g.vertices;
-    v.p = join(pieces, &P::p);
-    v.wo = join(pieces, &P::wo);
-    v.ns = join(pieces, &P::ns);
-    v.ng = join(pieces, &P::ng);
-    v.n_side = join(pieces, &P::n_side);
-    v.tangent = join(pieces, &P::tangent);
-    v.material = join(pieces, &P::material);
-    v.shape = join(pieces, &P::shape);
-    v.flags = join(pieces, &P::flags);
-    v.lobe = join(pieces, &P::lobe);
-    v.pdf_w = join(pieces, &P::pdf_w);
-    v.q = join(pieces, &P::q);
-    v.eta = join(pieces, &P::eta);
-    v.diffuse = join(pieces, &P::diffuse);
-    v.specular = join(pieces, &P::specular);
-    v.transmittance = join(pieces, &P::transmittance);
-    v.alpha = join(pieces, &P::alpha);
-    v.opacity = join(pieces, &P::opacity);
-    auto& e = g.light_edges;
-    e.vertex = join(pieces, &P::edge_vertex);
-    e.technique = join(pieces, &P::edge_technique);
-    e.y = join(pieces, &P::y);
-    e.n = join(pieces, &P::n);
-    e.Li = join(pieces, &P::Li);
-    e.pdf_nee_w = join(pieces, &P::pdf_nee_w);
-    e.pdf_bsdf_w = join(pieces, &P::pdf_bsdf_w);
-    e.emitter = join(pieces, &P::emitter);
-    e.eta = join(pieces, &P::edge_eta);
+    const auto zero = arena_->allocate(sizeof(std::uint64_t));
+    g.paths.first_vertex.add({reinterpret_cast<std::uint64_t*>(zero.data()), 1});
+    RowsCollector collector(pieces_);
+    PathGraphInPieces::row_fields(g, collector);
+    std::vector<std::uint64_t> base(pieces_.size(), 0);  // vertices before each piece
+    for (std::size_t i = 0; i + 1 < pieces_.size(); ++i) base[i + 1] = base[i] + g.vertices.flags.pieces()[i].size();
+    tbb::parallel_for(std::size_t(0), pieces_.size(), [&](std::size_t i) {
+        for (std::uint64_t& vertex : g.paths.first_vertex.pieces()[i + 1]) vertex += base[i];
+        for (std::uint32_t& vertex : g.light_edges.vertex.pieces()[i]) vertex += std::uint32_t(base[i]);
+    });
+    g.storage = std::move(arena_);
     return g;
 }
 

@@ -1,5 +1,8 @@
 #pragma once
+#include <cstddef>
 #include <cstdint>
+#include <memory>
+#include <span>
 #include <vector>
 
 #include "formats/path_graph.h"
@@ -9,32 +12,29 @@
 
 namespace loom {
 
-/// Columns of consecutive paths, as one worker fills them. Only the columns that the scene needs are filled.
-struct GraphPiece {
-    std::vector<std::uint32_t> vertices_per_path;
-    std::vector<float> Le, origin;
-    std::vector<float> p, wo;
-    std::vector<std::int16_t> ns, ng, n_side, tangent;
-    std::vector<std::uint16_t> material, flags;
-    std::vector<std::uint32_t> shape;
-    std::vector<std::uint8_t> lobe;
-    std::vector<float> pdf_w, q, eta;
-    std::vector<Half> diffuse, specular, transmittance, alpha, opacity;
-    std::vector<std::uint32_t> edge_vertex;  // within the piece
-    std::vector<std::uint8_t> edge_technique;
-    std::vector<float> y;
-    std::vector<std::int16_t> n;
-    std::vector<float> Li, pdf_nee_w, pdf_bsdf_w;
-    std::vector<std::uint16_t> emitter;
-    std::vector<float> edge_eta;
-
+/// Columns of consecutive paths while a worker fills them; only those that the scene needs. Rows are numbered
+/// from the first of these paths, and `first_vertex` holds, for each path, where the next one begins.
+struct GraphRows : PathRows<GrowingColumn> {
     void append(const PathRecord& path, const Scene& scene, bool roulette);
 };
 
-/// Joins pieces, in their order, into a graph of `samples` samples per pixel, and adds what the graph says
-/// of the scene. The pieces are emptied.
-PathGraph join_pieces(std::vector<GraphPiece>& pieces, const Scene& scene, const PathOptions& options,
-                      std::uint64_t first_sample, std::uint64_t samples);
+/// Collects the rows of all workers, packed tightly into huge pages, and numbers them through.
+class GraphBuilder {
+  public:
+    explicit GraphBuilder(std::size_t n_pieces) : pieces_(n_pieces), arena_(std::make_shared<Arena>()) {}
+
+    /// Takes a worker's rows as the i-th piece and empties them. From any thread, once for each i.
+    void set(std::size_t i, GraphRows& rows);
+
+    /// The pieces, in their order, as a graph of `samples` samples per pixel, with what it says of the scene.
+    PathGraphInPieces finish(const Scene& scene, const PathOptions& options, std::uint64_t first_sample,
+                             std::uint64_t samples) &&;
+
+  private:
+    using Piece = std::vector<std::span<std::byte>>;  // columns in the order of their declaration
+    std::vector<Piece> pieces_;
+    std::shared_ptr<Arena> arena_;
+};
 
 /// Names as on disk and on command lines.
 std::string_view roulette_name(Roulette roulette);
