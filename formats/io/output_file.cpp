@@ -2,9 +2,12 @@
 
 #include <fcntl.h>
 #include <fmt/format.h>
+#include <limits.h>
+#include <signal.h>
 #include <unistd.h>
 
 #include <cerrno>
+#include <charconv>
 #include <cstring>
 #include <fstream>
 #include <system_error>
@@ -16,6 +19,27 @@ namespace {
 
 std::filesystem::path folder_of(const std::filesystem::path& path) {
     return path.has_parent_path() ? path.parent_path() : std::filesystem::path(".");
+}
+
+std::string host_name() {
+    char name[HOST_NAME_MAX + 1] = {};
+    return ::gethostname(name, HOST_NAME_MAX) == 0 ? name : "host";
+}
+
+/// Removes what killed writers of `path` left. Those of another machine, which may share the folder, are left
+/// alone: whether they live cannot be asked here.
+void remove_leftovers(const std::filesystem::path& path) {
+    const std::string start = path.filename().native() + "." + host_name() + "-", end = ".partial";
+    std::error_code ignored;
+    for (const auto& entry : std::filesystem::directory_iterator(folder_of(path), ignored)) {
+        const std::string name = entry.path().filename();
+        if (!name.starts_with(start) || !name.ends_with(end) || name.size() <= start.size() + end.size()) continue;
+        pid_t writer = 0;
+        const char *first = name.data() + start.size(), *last = name.data() + name.size() - end.size();
+        const auto parsed = std::from_chars(first, last, writer);
+        if (parsed.ec != std::errc() || parsed.ptr != last || writer <= 0) continue;
+        if (::kill(writer, 0) != 0 && errno == ESRCH) std::filesystem::remove(entry.path(), ignored);
+    }
 }
 
 void sync_path(const std::filesystem::path& path, int flags) {
@@ -47,7 +71,8 @@ void check_output_path(const std::filesystem::path& path) {
 
 OutputFile::OutputFile(std::filesystem::path path) : path_(std::move(path)), partial_(path_) {
     check_output_path(path_);
-    partial_ += ".partial";
+    partial_ += fmt::format(".{}-{}.partial", host_name(), ::getpid());
+    remove_leftovers(path_);
 }
 
 OutputFile::~OutputFile() {

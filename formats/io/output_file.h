@@ -7,8 +7,9 @@ namespace loom {
 /// Whether the bytes must be on the device before the name appears. `no` is for timed runs only.
 enum class Sync { no, yes };
 
-/// Write-then-rename: the work goes to NAME.partial in the same folder; commit() syncs it and gives it
-/// its name. A writer that throws, or never commits, leaves neither.
+/// Write-then-rename: the work goes to NAME.HOST-PID.partial in the same folder, where no other writer of NAME
+/// is; commit() syncs it and gives it its name. A writer that throws, or never commits, leaves neither; what a
+/// killed one left is removed by the next writer of NAME on that machine.
 class OutputFile {
   public:
     /// throws:  InputError when the folder is missing or the path is a directory

@@ -3,6 +3,8 @@
 #include <gtest/gtest.h>
 #include <hdf5.h>
 #include <sys/resource.h>
+#include <sys/wait.h>
+#include <unistd.h>
 
 #include <csignal>
 
@@ -73,7 +75,7 @@ TEST(FileLayout, FailedWriteLeavesNothing) {
     setrlimit(RLIMIT_FSIZE, &old_limit);
     std::signal(SIGXFSZ, old_handler);
     EXPECT_FALSE(std::filesystem::exists(folder / "g.h5"));
-    EXPECT_FALSE(std::filesystem::exists(folder / "g.h5.partial"));
+    EXPECT_EQ(folder.n_partial(), 0);
 }
 
 TEST(FileLayout, AFailureKeepsTheOldFile) {
@@ -84,7 +86,42 @@ TEST(FileLayout, AFailureKeepsTheOldFile) {
         testing::write_bytes(output.partial(), "half of the n");
     }
     EXPECT_EQ(file_bytes(folder / "a.txt"), "old");
-    EXPECT_FALSE(std::filesystem::exists(folder / "a.txt.partial"));
+    EXPECT_EQ(folder.n_partial(), 0);
+}
+
+/// A process that holds the temporary file of `path`, half written, until it is killed.
+pid_t writer_of(const std::filesystem::path& path) {
+    int ready[2];
+    if (::pipe(ready) != 0) return -1;
+    const pid_t child = ::fork();
+    if (child == 0) {
+        const OutputFile output(path);
+        testing::write_bytes(output.partial(), "half of");
+        if (::write(ready[1], "!", 1) != 1) ::_exit(1);
+        for (;;) ::pause();
+    }
+    char byte = 0;
+    EXPECT_EQ(::read(ready[0], &byte, 1), 1);
+    ::close(ready[0]);
+    ::close(ready[1]);
+    return child;
+}
+
+// Would catch two writers that share a temporary name, and leftovers that stay for ever.
+TEST(FileLayout, TwoWritersDoNotMeetAndTheDeadAreCleanedUp) {
+    const ScratchFolder folder;
+    const pid_t other = writer_of(folder / "a.txt");
+    ASSERT_GT(other, 0);
+    write_text_file(folder / "a.txt", "new");
+    EXPECT_EQ(file_bytes(folder / "a.txt"), "new");
+    EXPECT_EQ(folder.n_partial(), 1) << "that of the living writer";
+    ::kill(other, SIGKILL);
+    ::waitpid(other, nullptr, 0);
+    write_text_file(folder / "b.txt", "of another name");
+    EXPECT_EQ(folder.n_partial(), 1);
+    write_text_file(folder / "a.txt", "newer");
+    EXPECT_EQ(file_bytes(folder / "a.txt"), "newer");
+    EXPECT_EQ(folder.n_partial(), 0);
 }
 
 TEST(FileLayout, OutputsThatCannotBeAreRefusedEarly) {

@@ -167,6 +167,13 @@ ScratchFolder::~ScratchFolder() {
     std::filesystem::remove_all(folder_, ignored);
 }
 
+int ScratchFolder::n_partial() const {
+    int n = 0;
+    for (const auto& entry : std::filesystem::directory_iterator(folder_))
+        n += entry.path().extension() == ".partial" ? 1 : 0;
+    return n;
+}
+
 std::string file_bytes(const std::filesystem::path& path) {
     std::ifstream stream(path, std::ios::binary);
     std::ostringstream bytes;

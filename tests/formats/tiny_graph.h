@@ -20,6 +20,8 @@ class ScratchFolder {
     ScratchFolder();
     ~ScratchFolder();
     std::filesystem::path operator/(const std::string& name) const { return folder_ / name; }
+    /// Temporary files of writers in it.
+    int n_partial() const;
 
   private:
     std::filesystem::path folder_;
