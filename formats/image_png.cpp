@@ -1,5 +1,5 @@
-#include <OpenImageIO/imageio.h>
 #include <fmt/format.h>
+#include <png.h>
 
 #include <algorithm>
 #include <cmath>
@@ -33,15 +33,13 @@ std::size_t write_png(const Image& image, const std::filesystem::path& path, dou
         n_bad += finite ? 0 : 1;
     }
     OutputFile output(path);
-    const auto png = OIIO::ImageOutput::create("png");
-    OIIO::ImageSpec spec(static_cast<int>(image.width), static_cast<int>(image.height), 3,
-                         OIIO::TypeDesc::UINT8);
-    spec.attribute("oiio:ColorSpace", "sRGB");
-    if (!png || !png->open(output.partial().native(), spec) ||
-        !png->write_image(OIIO::TypeDesc::UINT8, bytes.data()) || !png->close()) {
-        throw std::runtime_error(
-            fmt::format("{}: cannot write: {}", path.native(), png ? png->geterror() : OIIO::geterror()));
-    }
+    png_image png{};
+    png.version = PNG_IMAGE_VERSION;
+    png.width = image.width;
+    png.height = image.height;
+    png.format = PNG_FORMAT_RGB;  // 8 bits, sRGB, and marked so
+    if (png_image_write_to_file(&png, output.partial().c_str(), 0, bytes.data(), 0, nullptr) == 0)
+        throw std::runtime_error(fmt::format("{}: cannot write: {}", path.native(), png.message));
     output.commit();
     return n_bad;
 }

@@ -52,6 +52,17 @@ TEST_F(CommandLine, wrong_command_lines_are_2) {
     expect_failure(2, stage("trace") + " " + box + o + " --depfile " + in("no/folder/x.d"));
 }
 
+// OpenImageIO and the 150 libraries that it brings cost 0.3 s of every process that loads them.
+TEST_F(CommandLine, only_textures_load_their_library) {
+    const auto libraries = [&](const std::string& scene) {
+        const Outcome outcome = sh("LD_DEBUG=libs " + stage("trace") + " " + scene + " --plan");
+        EXPECT_EQ(outcome.code, 0);
+        return outcome.err;
+    };
+    EXPECT_EQ(libraries(box).find("libOpenImageIO"), std::string::npos);
+    EXPECT_NE(libraries("scenes/textured.xml").find("libOpenImageIO"), std::string::npos);
+}
+
 TEST_F(CommandLine, foreign_inputs_are_2) {
     std::ofstream(folder / "text.h5") << "this is no HDF5 file\n";
     std::ofstream(folder / "empty.h5");

@@ -1,9 +1,9 @@
-#include <OpenImageIO/imageio.h>
 #include <fmt/format.h>
 
 #include <cmath>
 
 #include "formats/io/error.h"
+#include "stages/core/scene/image_decoder.h"
 #include "stages/core/scene/spectrum.h"
 #include "stages/core/scene/texture.h"
 
@@ -53,48 +53,23 @@ Spectrum mean_of_floats(const TextureImage& image) {
 }
 
 TextureImage read_image(const std::filesystem::path& file, Decode decode) {
-    const std::string name = file.string();
-    std::error_code error;
-    if (!std::filesystem::is_regular_file(file, error)) throw InputError(name + ": no such file");
-    OIIO::ImageSpec wanted;
-    wanted.attribute("oiio:UnassociatedAlpha", 1);  // colours as stored, not multiplied by alpha
-    const auto input = OIIO::ImageInput::open(name, &wanted);
-    if (!input) throw InputError(fmt::format("{}: not a readable image: {}", name, OIIO::geterror()));
-    const OIIO::ImageSpec& spec = input->spec();
-    constexpr std::int64_t most_pixels = std::int64_t(1) << 30;
-    if (spec.width < 1 || spec.height < 1 || spec.nchannels < 1 || spec.depth > 1 ||
-        std::int64_t(spec.width) * spec.height > most_pixels)
-        throw InputError(fmt::format("{}: {} x {} pixels with {} channels cannot be used as a texture", name,
-                                     spec.width, spec.height, spec.nchannels));
+    const DecodedImage in = decode_image(file);
     TextureImage image;
-    image.width = spec.width;
-    image.height = spec.height;
-    image.grey = spec.nchannels < 3;
-    const bool eight_bit = spec.format == OIIO::TypeDesc::UINT8;
-    const bool integers = eight_bit || spec.format == OIIO::TypeDesc::UINT16;
-    const std::size_t n_values =
-        std::size_t(spec.width) * std::size_t(spec.height) * std::size_t(spec.nchannels);
-    const auto read = [&](auto& values, OIIO::TypeDesc type) {
-        values.resize(n_values);
-        if (!input->read_image(0, 0, 0, spec.nchannels, type, values.data()))
-            throw InputError(fmt::format("{}: truncated or damaged image: {}", name, input->geterror()));
-    };
-    if (eight_bit) {
-        std::vector<std::uint8_t> values;
-        read(values, OIIO::TypeDesc::UINT8);
-        image.bytes = pick_channels(values, spec.nchannels, image.grey, 4);
+    image.width = in.width;
+    image.height = in.height;
+    image.grey = in.n_channels < 3;
+    if (!in.bytes.empty()) {
+        image.bytes = pick_channels(in.bytes, in.n_channels, image.grey, 4);
         for (int v = 0; v < 256; ++v)
-            image.decode[std::size_t(v)] = decoded(float(v) / 255.0f, decode, integers);
+            image.decode[std::size_t(v)] = decoded(float(v) / 255.0f, decode, in.integers);
         image.mean = mean_of_bytes(image);
     } else {
-        std::vector<float> values;
-        read(values, OIIO::TypeDesc::FLOAT);
-        image.floats = pick_channels(values, spec.nchannels, image.grey, 3);
+        image.floats = pick_channels(in.floats, in.n_channels, image.grey, 3);
         for (std::size_t i = 0; i < image.floats.size(); ++i) {
-            image.floats[i] = decoded(image.floats[i], decode, integers);
+            image.floats[i] = decoded(image.floats[i], decode, in.integers);
             if (!std::isfinite(image.floats[i])) {
                 const std::size_t pixel = i / (image.grey ? 1 : 3);
-                throw InputError(fmt::format("{}: pixel ({}, {}) is not finite", name,
+                throw InputError(fmt::format("{}: pixel ({}, {}) is not finite", file.string(),
                                              pixel % std::size_t(image.width),
                                              pixel / std::size_t(image.width)));
             }
