@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 
+#include "formats/clusters.h"
 #include "formats/image.h"
 #include "formats/path_graph.h"
 
@@ -47,7 +48,7 @@ std::string section() {
 }  // namespace
 
 std::string formats_markdown() {
-    return std::string(preamble) + section<PathGraph>() +
+    return std::string(preamble) + section<PathGraph>() + section<Clusters>() +
            fmt::format(
                "\n## {} {}.{} (OpenEXR)\n\nfloat32, row 0 on top; the header says `samples` per pixel "
                "too.\n\n{}",

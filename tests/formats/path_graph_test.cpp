@@ -7,52 +7,17 @@
 #include <fstream>
 #include <sstream>
 
+#include "tests/formats/field_bytes.h"
 #include "tests/formats/tiny_graph.h"
 
 namespace loom {
 namespace {
 
+using testing::expect_equal;
 using testing::file_bytes;
 using testing::large_graph;
 using testing::ScratchFolder;
 using testing::tiny_graph;
-
-/// Collects the bytes of all fields, so that two graphs can be compared whatever fields a version has.
-class ByteCollector : public FieldVisitor<ByteCollector> {
-  public:
-    template <class T>
-    void column_of(const Field& field, const Column<T>& column) {
-        add(field, column.data(), column.size() * sizeof(T));
-    }
-    template <class V>
-    void value_of(const Field& field, const V& value) {
-        if constexpr (std::is_same_v<V, std::string>)
-            add(field, value.data(), value.size());
-        else
-            add(field, &value, sizeof value);
-    }
-    void names_of(const Field& field, const std::vector<std::string>& texts) {
-        std::string joined;
-        for (const auto& text : texts) joined += text + "\n";
-        add(field, joined.data(), joined.size());
-    }
-    std::vector<std::pair<std::string, std::string>> found;
-
-  private:
-    void add(const Field& field, const void* data, std::size_t n) {
-        found.emplace_back(field.name, n == 0 ? "" : std::string(static_cast<const char*>(data), n));
-    }
-};
-
-void expect_equal(const PathGraph& a, const PathGraph& b) {
-    ByteCollector left, right;
-    PathGraph::fields(a, left);
-    PathGraph::fields(b, right);
-    ASSERT_EQ(left.found.size(), right.found.size());
-    for (std::size_t i = 0; i < left.found.size(); ++i)
-        EXPECT_EQ(left.found[i], right.found[i]) << left.found[i].first;
-    EXPECT_EQ(a.provenance, b.provenance);
-}
 
 // Would catch a column that is written but not read, read into another, or changed on the way.
 TEST(PathGraph, ReadsBackBitForBit) {

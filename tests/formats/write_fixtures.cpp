@@ -3,6 +3,7 @@
 
 #include <gtest/gtest.h>
 
+#include "tests/formats/tiny_clusters.h"
 #include "tests/formats/tiny_graph.h"
 #include "tests/formats/tiny_image.h"
 
@@ -15,6 +16,8 @@ TEST(Fixtures, DISABLED_WriteFixtures) {
     };
     unless_there("tests/fixtures/path_graph_1.0.h5",
                  [](const auto& path) { write_path_graph(testing::tiny_graph(), path); });
+    unless_there("tests/fixtures/clusters_1.0.h5",
+                 [](const auto& path) { write_clusters(testing::tiny_clusters(), path); });
     unless_there("tests/fixtures/image_1.0.exr",
                  [](const auto& path) { write_image(testing::tiny_image(), path); });
 }

@@ -1,0 +1,88 @@
+#pragma once
+// clusters: which vertices of a path graph share their samples.
+//
+// A cluster is a set of vertices that lie close and face alike; its rows are a run of `clusters/member`. A
+// vertex is in one cluster or in none: the ones without a cluster ("solitary") are those whose scattering is
+// too narrow for a neighbour's sample to be of use.
+
+#include <cstdint>
+#include <filesystem>
+#include <memory>
+#include <string>
+
+#include "formats/io/documenter.h"
+#include "formats/io/field.h"
+#include "formats/io/mapped_file.h"
+#include "formats/io/output_file.h"
+#include "formats/io/provenance.h"
+
+namespace loom {
+
+struct PathGraph;
+
+struct Clusters {
+    static constexpr FormatId format{"clusters", 1, 0};
+
+    std::string graph;                 // content hash of the path graph, as in Provenance::inputs
+    std::uint64_t graph_vertices = 0;  // how many vertices that graph has
+
+    struct Settings {
+        std::string method = "balanced";  // or "centres"
+        std::uint32_t k = 16, max_size = 32;
+        float normal_weight = 0, length_scale = 1;
+        float private_roughness = 0.03f;
+        std::uint64_t seed = 0;
+    } settings;
+
+    Column<std::uint32_t> first;   // cluster+1 offsets into member
+    Column<std::uint32_t> member;  // rows of the graph's vertices, cluster by cluster
+
+    Provenance provenance;
+    std::shared_ptr<const MappedFile> storage;  // what the columns are borrowed from, if from a file
+
+    std::size_t n_clusters() const { return first.empty() ? 0 : first.size() - 1; }
+    std::size_t n_members() const { return member.size(); }
+
+    /// The invariants that go beyond types, lengths and finite floats; empty when all hold.
+    std::string problem() const;
+
+    template <class Self, class Visitor>
+    static void fields(Self& c, Visitor& v);
+};
+
+/// needs:   columns of one axis of one length
+void write_clusters(const Clusters& clusters, const std::filesystem::path& path, Sync sync = Sync::yes);
+/// Reads, maps and checks the whole file.
+/// throws:  InputError naming the file and the dataset
+Clusters read_clusters(const std::filesystem::path& path);
+
+/// Refuses clusters of another graph than this one, known as graph_id.
+/// throws:  InputError naming both files and the command that mends it
+void require_clusters_of(const PathGraph& graph, const InputId& graph_id, const Clusters& clusters,
+                         const std::filesystem::path& clusters_path);
+
+template <class Self, class Visitor>
+void Clusters::fields(Self& c, Visitor& v) {
+    v.value("graph/hash", c.graph, "", "1", "content hash (XXH64, 16 hexadecimal digits) of the path graph");
+    v.value("graph/n_vertices", c.graph_vertices, "", "1", "vertices of the path graph");
+
+    auto& s = c.settings;
+    v.value("settings/method", s.method, "", "1",
+            "balanced: median splits; centres: each vertex to the nearest of randomly chosen vertices");
+    v.value("settings/k", s.k, "", "1", "balanced: largest cluster; centres: mean size of a cluster");
+    v.value("settings/max_size", s.max_size, "", "1", "no cluster is larger");
+    v.value("settings/normal_weight", s.normal_weight, "", "1",
+            "w of distance^2 = |dp|^2 / s^2 + w^2 |dn|^2; n is the shading normal on the side of wo");
+    v.value("settings/length_scale", s.length_scale, "", "m", "s of that distance");
+    v.value("settings/private_roughness", s.private_roughness, "", "1",
+            "vertices with a smaller microfacet roughness are in no cluster");
+    v.value("settings/seed", s.seed, "", "1", "seed of what is drawn anew in each pass");
+
+    v.field("clusters/first", c.first, 1, "cluster+1", "1",
+            "offsets into clusters/member; neighbouring clusters lie close in space");
+    v.field("clusters/member", c.member, 1, "member", "1",
+            "row of the graph's vertices; vertices in no cluster are solitary: their scattering is all delta "
+            "or nearly specular");
+}
+
+}  // namespace loom
