@@ -11,7 +11,7 @@ JOBS ?= $(shell nproc)
 
 # Debian packages: what the build needs, then what only `make peers` needs.
 PACKAGES := g++ cmake ninja-build ccache pkg-config \
-	libembree-dev libopenexr-dev libopenimageio-dev libhdf5-dev libpugixml-dev libcli11-dev \
+	libembree-dev libopenexr-dev libopenimageio-dev libhdf5-dev libflann-dev libpugixml-dev libcli11-dev \
 	libtbb-dev libfmt-dev libspdlog-dev zlib1g-dev libpng-dev libgtest-dev
 PEER_PACKAGES := python3-venv
 

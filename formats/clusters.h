@@ -72,7 +72,7 @@ void Clusters::fields(Self& c, Visitor& v) {
     v.value("settings/k", s.k, "", "1", "balanced: largest cluster; centres: mean size of a cluster");
     v.value("settings/max_size", s.max_size, "", "1", "no cluster is larger");
     v.value("settings/normal_weight", s.normal_weight, "", "1",
-            "w of distance^2 = |dp|^2 / s^2 + w^2 |dn|^2; n is the shading normal on the side of wo");
+            "w of distance^2 = (dp / s)^2 + (w dn)^2 between positions p and shading normals n on the side of wo");
     v.value("settings/length_scale", s.length_scale, "", "m", "s of that distance");
     v.value("settings/private_roughness", s.private_roughness, "", "1",
             "vertices with a smaller microfacet roughness are in no cluster");

@@ -1,0 +1,259 @@
+#include "stages/cluster/cluster.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <numeric>
+#include <vector>
+
+#include "stages/cluster/median_splits.h"
+#include "stages/cluster/metric.h"
+#include "stages/cluster/nearest_centres.h"
+#include "stages/cluster/scratch.h"
+#include "stages/core/sampling/sampler.h"
+#include "stages/core/transport/parallel.h"
+#include "stages/core/transport/sharing.h"
+
+namespace loom::cluster {
+
+struct Workspace::Parts {
+    Scratch<Point> points, centres;
+    Scratch<std::uint32_t> bucket, nearest, slot;
+};
+
+Workspace::Workspace() : parts_(std::make_unique<Parts>()) {}
+Workspace::~Workspace() = default;
+
+namespace {
+
+/// No piece is wider than this along any of three orthogonal axes of normals: then no two of its normals are farther
+/// apart than 0.8 sqrt(3) < sqrt(2), which is less than 90 degrees.
+constexpr float normal_spread = 0.8f;
+
+/// Of vertices per task, and of the parts that are counted apart.
+constexpr std::uint64_t vertices_per_chunk = 1 << 16;
+/// A bucket is worked on in the second-level cache: 128 KiB of points.
+constexpr std::size_t points_per_bucket = 4096;
+constexpr std::uint32_t subset_per_bucket = 32;
+constexpr std::size_t most_buckets = 1 << 15;
+constexpr std::uint32_t no_bucket = 0xffffffffu;
+
+struct Sharing {
+    SharingRule rule;
+    std::size_t n = 0;  // vertices that share
+};
+
+Sharing count_sharing(const PathGraph& graph, const ClusterOptions& options) {
+    Sharing sharing{SharingRule(graph, options.private_roughness)};
+    const std::size_t n = graph.n_vertices();
+    std::vector<std::size_t> counts((n + vertices_per_chunk - 1) / vertices_per_chunk);
+    parallel_chunks(n, vertices_per_chunk, options.threads,
+                    [&](std::uint64_t chunk, std::uint64_t begin, std::uint64_t end) {
+                        std::size_t count = 0;
+                        for (std::uint64_t j = begin; j < end; ++j) count += sharing.rule(j) ? 1 : 0;
+                        counts[chunk] = count;
+                    });
+    sharing.n = std::accumulate(counts.begin(), counts.end(), std::size_t{0});
+    return sharing;
+}
+
+/// All sharing vertices as points, bucket by bucket, in each bucket in the order of the graph.
+struct BucketedPoints {
+    std::span<Point> points;
+    std::vector<std::size_t> first;  // bucket+1 offsets into points
+};
+
+BucketedPoints fill_buckets(const PathGraph& graph, const Sharing& sharing, const Metric& metric,
+                            const ClusterOptions& options, Workspace::Parts& memory) {
+    const std::size_t n = graph.n_vertices();
+    const std::size_t n_wanted = std::clamp<std::size_t>(sharing.n / points_per_bucket, 1, most_buckets);
+    std::vector<Point> subset;
+    const std::size_t n_subset = n_wanted == 1 ? 0 : n_wanted * subset_per_bucket;
+    for (std::uint64_t i = 0; subset.size() < n_subset; ++i) {
+        const std::size_t j = mix64(options.seed * 0x9e3779b97f4a7c15ull + i) % n;
+        if (sharing.rule(j)) subset.push_back(metric(j));
+    }
+    const Buckets buckets(subset, subset_per_bucket, options.seed);
+
+    const std::size_t n_chunks = (n + vertices_per_chunk - 1) / vertices_per_chunk, n_buckets = buckets.size();
+    const std::span<std::uint32_t> bucket_of = memory.bucket.get(n);
+    std::vector<std::uint32_t> counts(n_chunks * n_buckets);
+    parallel_chunks(n, vertices_per_chunk, options.threads,
+                    [&](std::uint64_t chunk, std::uint64_t begin, std::uint64_t end) {
+                        std::uint32_t* mine = counts.data() + chunk * n_buckets;
+                        for (std::uint64_t j = begin; j < end; ++j) {
+                            bucket_of[j] = sharing.rule(j) ? buckets.of(metric(j)) : no_bucket;
+                            if (bucket_of[j] != no_bucket) ++mine[bucket_of[j]];
+                        }
+                    });
+
+    BucketedPoints out{memory.points.get(sharing.n), std::vector<std::size_t>(n_buckets + 1)};
+    std::vector<std::size_t> places(n_chunks * n_buckets);
+    std::size_t place = 0;
+    for (std::size_t bucket = 0; bucket < n_buckets; ++bucket) {
+        for (std::size_t chunk = 0; chunk < n_chunks; ++chunk) {
+            places[chunk * n_buckets + bucket] = place;
+            place += counts[chunk * n_buckets + bucket];
+        }
+        out.first[bucket + 1] = place;
+    }
+    // Making a point again is cheaper than storing it twice.
+    parallel_chunks(n, vertices_per_chunk, options.threads,
+                    [&](std::uint64_t chunk, std::uint64_t begin, std::uint64_t end) {
+                        std::size_t* mine = places.data() + chunk * n_buckets;
+                        for (std::uint64_t j = begin; j < end; ++j)
+                            if (bucket_of[j] != no_bucket) out.points[mine[bucket_of[j]]++] = metric(j);
+                    });
+    return out;
+}
+
+/// Sizes of the clusters that each task has made, in the order of the tasks, as offsets.
+std::vector<std::uint32_t> offsets_of(const std::vector<std::vector<std::uint32_t>>& sizes_of_tasks) {
+    std::size_t n = 0;
+    for (const auto& sizes : sizes_of_tasks) n += sizes.size();
+    std::vector<std::uint32_t> first;
+    first.reserve(n + 1);
+    first.push_back(0);
+    for (const auto& sizes : sizes_of_tasks)
+        for (const std::uint32_t size : sizes) first.push_back(first.back() + size);
+    return first;
+}
+
+void balanced_clusters(const BucketedPoints& in, const ClusterOptions& options, float spread, Clusters& out) {
+    const std::size_t n_buckets = in.first.size() - 1;
+    std::vector<std::vector<std::uint32_t>> sizes(n_buckets);
+    std::vector<std::uint32_t> member(in.points.size());
+    parallel_chunks(n_buckets, 1, options.threads, [&](std::uint64_t bucket, std::uint64_t, std::uint64_t) {
+        const auto points = in.points.subspan(in.first[bucket], in.first[bucket + 1] - in.first[bucket]);
+        sizes[bucket].reserve(points.size() / options.k * 5 / 4 + 1);
+        split_by_medians(points, {options.k, spread, mix64(options.seed + bucket)}, sizes[bucket]);
+        for (std::size_t i = 0; i < points.size(); ++i) member[in.first[bucket] + i] = points[i].vertex;
+    });
+    out.first = offsets_of(sizes);
+    out.member = std::move(member);
+}
+
+/// Bits of x with two zeros after each; x < 1024.
+std::uint32_t spread_bits(std::uint32_t x) {
+    x = (x | (x << 16)) & 0x030000ffu;
+    x = (x | (x << 8)) & 0x0300f00fu;
+    x = (x | (x << 4)) & 0x030c30c3u;
+    return (x | (x << 2)) & 0x09249249u;
+}
+
+/// Sorts the points of one bucket along a Z-order curve through its own box.
+void sort_along_curve(std::span<Point> points) {
+    if (points.empty()) return;
+    std::array<float, 3> low{}, high{}, scale{};
+    for (std::size_t c = 0; c < 3; ++c) {
+        low[c] = high[c] = points[0].x[c];
+        for (const Point& p : points) {
+            low[c] = std::min(low[c], p.x[c]);
+            high[c] = std::max(high[c], p.x[c]);
+        }
+        scale[c] = high[c] > low[c] ? 1023 / (high[c] - low[c]) : 0;
+    }
+    std::vector<std::uint64_t> keys(points.size());
+    for (std::size_t i = 0; i < points.size(); ++i) {
+        std::uint32_t code = 0;
+        for (std::size_t c = 0; c < 3; ++c)
+            code |= spread_bits(std::min(std::uint32_t((points[i].x[c] - low[c]) * scale[c]), 1023u)) << c;
+        keys[i] = std::uint64_t{code} << 32 | i;
+    }
+    std::sort(keys.begin(), keys.end());
+    const std::vector<Point> before(points.begin(), points.end());
+    for (std::size_t i = 0; i < points.size(); ++i) points[i] = before[std::uint32_t(keys[i])];
+}
+
+/// n of the points, each subset of n as likely as any other, in their order.
+///                                              [Knuth1981] The Art of Computer Programming 2, 3.4.2, algorithm S
+void select(std::span<const Point> points, std::span<Point> chosen, std::uint64_t seed) {
+    std::size_t taken = 0;
+    for (std::size_t i = 0; taken < chosen.size(); ++i) {
+        const double u = double(mix64(seed * 0xd6e8feb86659fd93ull + i + 1) >> 11) * 0x1p-53;
+        if (double(points.size() - i) * u < double(chosen.size() - taken)) chosen[taken++] = points[i];
+    }
+}
+
+void centre_clusters(const BucketedPoints& in, const ClusterOptions& options, std::uint32_t max_size, float spread,
+                     Workspace::Parts& memory, Clusters& out) {
+    const std::size_t n = in.points.size();
+    parallel_chunks(in.first.size() - 1, 1, options.threads, [&](std::uint64_t bucket, std::uint64_t, std::uint64_t) {
+        sort_along_curve(in.points.subspan(in.first[bucket], in.first[bucket + 1] - in.first[bucket]));
+    });
+    const std::size_t n_centres = (n + options.k - 1) / options.k;
+    const std::span<Point> centres = memory.centres.get(n_centres);
+    select(in.points, centres, options.seed);
+    const std::span<std::uint32_t> nearest = memory.nearest.get(n);
+    if (n > 0) nearest_centres(in.points, centres, options.normal_weight > 0 ? 6 : 3, options.threads, nearest);
+
+    std::vector<std::uint32_t> first(n_centres + 1);
+    for (const std::uint32_t centre : nearest) ++first[centre + 1];
+    std::partial_sum(first.begin(), first.end(), first.begin());
+    std::vector<std::uint32_t> next(first.begin(), first.end());
+    const std::span<std::uint32_t> slot = memory.slot.get(n);
+    for (std::size_t i = 0; i < n; ++i) slot[next[nearest[i]]++] = std::uint32_t(i);
+
+    constexpr std::size_t centres_per_chunk = 1024;
+    std::vector<std::vector<std::uint32_t>> sizes((n_centres + centres_per_chunk - 1) / centres_per_chunk);
+    std::vector<std::uint32_t> member(n);
+    parallel_chunks(n_centres, centres_per_chunk, options.threads,
+                    [&](std::uint64_t chunk, std::uint64_t begin, std::uint64_t end) {
+                        std::vector<Point> points;
+                        for (std::uint64_t centre = begin; centre < end; ++centre) {
+                            points.clear();
+                            for (std::uint32_t i = first[centre]; i < first[centre + 1]; ++i)
+                                points.push_back(in.points[slot[i]]);
+                            split_by_medians(points, {max_size, spread, mix64(options.seed + centre)}, sizes[chunk]);
+                            for (std::size_t i = 0; i < points.size(); ++i)
+                                member[first[centre] + i] = points[i].vertex;
+                        }
+                    });
+    out.first = offsets_of(sizes);
+    out.member = std::move(member);
+}
+
+}  // namespace
+
+std::string_view method_name(Method method) {
+    return method == Method::balanced ? "balanced" : "centres";
+}
+
+Clusters make_clusters(const PathGraph& graph, const ClusterOptions& options, Workspace& workspace) {
+    const Sharing sharing = count_sharing(graph, options);
+    const float length_scale = typical_radius(graph, sharing.rule, sharing.n, options.k);
+    const std::uint32_t max_size = options.max_size == 0 ? 2 * options.k : options.max_size;
+
+    Clusters out;
+    out.graph_vertices = graph.n_vertices();
+    out.settings = {std::string(method_name(options.method)),
+                    options.k,
+                    max_size,
+                    options.normal_weight,
+                    length_scale,
+                    options.private_roughness,
+                    options.seed};
+    const Metric metric(graph, length_scale, options.normal_weight, options.seed);
+    const BucketedPoints points = fill_buckets(graph, sharing, metric, options, workspace.parts());
+    const float spread = options.normal_weight > 0 ? normal_spread * options.normal_weight : infinite_spread;
+    if (options.method == Method::balanced) balanced_clusters(points, options, spread, out);
+    else centre_clusters(points, options, max_size, spread, workspace.parts(), out);
+    return out;
+}
+
+Clusters make_clusters(const PathGraph& graph, const ClusterOptions& options) {
+    Workspace workspace;
+    return make_clusters(graph, options, workspace);
+}
+
+std::string plan(const PathGraph& graph, const ClusterOptions& options) {
+    const Sharing sharing = count_sharing(graph, options);
+    const std::size_t n_solitary = graph.n_vertices() - sharing.n;
+    std::string on = options.method == Method::balanced ? "median splits" : "nearest of random centres", off;
+    (options.normal_weight > 0 ? on : off) += options.normal_weight > 0 ? ", normals" : "normals (weight 0)";
+    if (n_solitary == 0) off += std::string(off.empty() ? "" : ", ") + "solitary vertices (all share)";
+    else on += fmt::format(", {} solitary vertices", n_solitary);
+    return "on: " + on + "; off: " + (off.empty() ? "nothing" : off);
+}
+
+}  // namespace loom::cluster

@@ -1,0 +1,69 @@
+#pragma once
+#include <cstdint>
+#include <memory>
+#include <string>
+
+#include "formats/clusters.h"
+#include "formats/path_graph.h"
+
+namespace loom::app {
+class Command;
+class Report;
+}  // namespace loom::app
+
+namespace loom::cluster {
+
+enum class Method : std::uint8_t { balanced, centres };
+std::string_view method_name(Method method);
+
+/// How vertices are put into clusters.
+struct ClusterOptions {
+    Method method = Method::balanced;
+    std::uint32_t k = 16;             // balanced: largest cluster; centres: mean size
+    std::uint32_t max_size = 0;       // of a cluster; 0: 2 k
+    float normal_weight = 4;          // w of the metric, in cluster radii per unit of |dn|; 0: positions alone
+    float private_roughness = 0.03f;  // narrower vertices are in no cluster
+    std::uint64_t seed = 0;           // another one moves all borders
+    int threads = 0;                  // 0: all
+};
+
+/// Working memory, kept from call to call: a second pass then touches no fresh pages.
+class Workspace {
+  public:
+    Workspace();
+    ~Workspace();
+    struct Parts;
+    Parts& parts() { return *parts_; }
+
+  private:
+    std::unique_ptr<Parts> parts_;
+};
+
+/// Puts every vertex that shares (SharingRule) into exactly one cluster.
+///   balanced:  median splits down to at most k members
+///   centres:   N/k random vertices, each other one to its nearest; larger than max_size: split by medians
+/// With a normal weight, no cluster of either method holds two normals 90 degrees or more apart.
+/// Clusters are numbered so that neighbours in number are neighbours in space; members ascend within a cluster.
+/// The result depends on graph and options, not on the number of threads. `graph` (the content hash) and the
+/// provenance are left to who knows the file.
+/// needs:   k >= 1, max_size 0 or >= k
+/// differs: the paper uses a hash grid and positions alone, without limit of size     PG section 6
+Clusters make_clusters(const PathGraph& graph, const ClusterOptions& options, Workspace& workspace);
+Clusters make_clusters(const PathGraph& graph, const ClusterOptions& options);
+
+struct Options {
+    std::string graph;   // path graph (.h5)
+    std::string output;  // clusters (.h5)
+    ClusterOptions cluster;
+    bool plan = false;   // print the plan and stop
+};
+
+void declare(app::Command& command, Options& options);
+
+/// What is on, what is off and why, in one line.
+std::string plan(const PathGraph& graph, const ClusterOptions& options);
+
+/// throws: InputError
+void run(const Options& options, app::Report& report);
+
+}  // namespace loom::cluster

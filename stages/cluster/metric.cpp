@@ -1,0 +1,93 @@
+#include "stages/cluster/metric.h"
+
+#include <algorithm>
+#include <cmath>
+#include <vector>
+
+#include "formats/io/octahedral.h"
+#include "stages/cluster/median_splits.h"
+#include "stages/core/sampling/sampler.h"
+
+namespace loom::cluster {
+namespace {
+
+/// Rows of a uniformly random rotation from three numbers in [0, 1), by a random unit quaternion.
+///                                          [Shoemake1992] "Uniform Random Rotations", Graphics Gems III
+std::array<Vector3f, 3> random_rotation(float u1, float u2, float u3) {
+    const float a = std::sqrt(1 - u1), b = std::sqrt(u1), two_pi = 6.2831853f;
+    const float x = a * std::sin(two_pi * u2), y = a * std::cos(two_pi * u2);
+    const float z = b * std::sin(two_pi * u3), w = b * std::cos(two_pi * u3);
+    return {Vector3f{1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)},
+            Vector3f{2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)},
+            Vector3f{2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)}};
+}
+
+std::array<Vector3f, 3> random_rotation(std::uint64_t key, float scale) {
+    const auto u = [&](std::uint64_t i) { return unit_float(std::uint32_t(mix64(key + i) >> 32)); };
+    auto rows = random_rotation(u(0), u(1), u(2));
+    for (Vector3f& row : rows) row = row * scale;
+    return rows;
+}
+
+/// Of all vertices of the graph: enough for a median to a percent or two.
+constexpr std::size_t subset_size = 32768;
+constexpr std::uint32_t subset_k = 16;
+
+}  // namespace
+
+Metric::Metric(const PathGraph& graph, float length_scale, float normal_weight, std::uint64_t seed)
+    : graph_(graph),
+      p_rows_(random_rotation(mix64(seed), 1 / length_scale)),
+      n_rows_(random_rotation(mix64(~seed), normal_weight)),
+      origin_{} {
+    // Rounding is smallest near the middle of things; where exactly does not matter.
+    if (graph.n_vertices() > 0) origin_ = {graph.vertices.p[0], graph.vertices.p[1], graph.vertices.p[2]};
+}
+
+Point Metric::operator()(std::size_t j) const {
+    const auto& v = graph_.vertices;
+    const Vector3f p = Vector3f{v.p[3 * j], v.p[3 * j + 1], v.p[3 * j + 2]} - origin_;
+    const auto unit = unit_from_octahedral(v.ns[2 * j], v.ns[2 * j + 1]);
+    Vector3f n{unit[0], unit[1], unit[2]};
+    if (dot(n, Vector3f{v.wo[3 * j], v.wo[3 * j + 1], v.wo[3 * j + 2]}) < 0) n = -n;
+    return {{dot(p_rows_[0], p), dot(p_rows_[1], p), dot(p_rows_[2], p), dot(n_rows_[0], n), dot(n_rows_[1], n),
+             dot(n_rows_[2], n)},
+            std::uint32_t(j),
+            0};
+}
+
+float typical_radius(const PathGraph& graph, const SharingRule& shares, std::size_t n_sharing, std::uint32_t k) {
+    const std::size_t n = graph.n_vertices();
+    const Metric positions(graph, 1, 0, 0);
+    std::vector<Point> points;
+    const std::size_t n_tried = std::min(n, subset_size);
+    for (std::size_t i = 0; i < n_tried; ++i) {
+        const std::size_t j = n <= subset_size ? i : std::size_t(mix64(i) % n);
+        if (shares(j)) points.push_back(positions(j));
+    }
+    if (points.empty()) return 1;
+    std::vector<std::uint32_t> sizes;
+    split_by_medians(points, {subset_k, infinite_spread, 0}, sizes);
+    std::vector<double> squares;
+    const Point* at = points.data();
+    for (const std::uint32_t size : sizes) {
+        std::array<double, 3> sum{}, sum2{};
+        for (std::uint32_t i = 0; i < size; ++i)
+            for (int c = 0; c < 3; ++c) {
+                const double d = double(at[i].x[c]) - double(at[0].x[c]);
+                sum[c] += d;
+                sum2[c] += d * d;
+            }
+        double variance = 0;
+        for (int c = 0; c < 3; ++c) variance += sum2[c] / size - (sum[c] / size) * (sum[c] / size);
+        squares.push_back(std::max(variance, 0.0));
+        at += size;
+    }
+    const auto middle = squares.begin() + std::ptrdiff_t(squares.size() / 2);
+    std::nth_element(squares.begin(), middle, squares.end());
+    const double density = double(points.size()) / double(std::max<std::size_t>(n_sharing, 1));
+    const auto radius = float(std::sqrt(*middle * density * double(k) / double(subset_k)));
+    return radius > 0 && std::isfinite(radius) ? radius : 1.0f;
+}
+
+}  // namespace loom::cluster

@@ -1,0 +1,41 @@
+#pragma once
+#include <array>
+#include <cstdint>
+
+#include "formats/path_graph.h"
+#include "stages/core/math/vector.h"
+#include "stages/core/transport/sharing.h"
+
+namespace loom::cluster {
+
+/// A vertex in the space in which clusters are sought; Euclidean distance there is the metric.
+struct Point {
+    std::array<float, 6> x;  // rotated p / s, rotated w n
+    std::uint32_t vertex;
+    std::uint32_t order;     // for whoever sorts
+};
+static_assert(sizeof(Point) == 32);
+
+/// distance^2 = |dp|^2 / s^2 + w^2 |dn|^2, n the shading normal on the side of wo.
+/// The two halves of the space are turned at random, by the seed: distances stay, but what depends on axes (splits,
+/// boxes) lies elsewhere in each pass.
+class Metric {
+  public:
+    Metric(const PathGraph& graph, float length_scale, float normal_weight, std::uint64_t seed);
+    Point operator()(std::size_t vertex) const;
+
+  private:
+    const PathGraph& graph_;
+    std::array<Vector3f, 3> p_rows_, n_rows_;
+    Vector3f origin_;
+};
+
+/// Typical radius (m) of a cluster of k vertices: the median, over clusters of median splits of a subset of the sharing
+/// vertices, of the root mean square distance to the centroid, scaled from the density of the subset to that of all.
+/// Vertices lie on surfaces, so the radius goes with the root of the area per cluster. A median: a ground plane that
+/// reaches to the horizon does not count for more than its share of vertices.
+/// in: n_sharing  how many vertices of the graph share
+/// out: > 0 (1 when all vertices lie at one point)
+float typical_radius(const PathGraph& graph, const SharingRule& shares, std::size_t n_sharing, std::uint32_t k);
+
+}  // namespace loom::cluster
