@@ -21,7 +21,7 @@ struct ClusterOptions {
     Method method = Method::balanced;
     std::uint32_t k = 16;             // balanced: largest cluster; centres: mean size
     std::uint32_t max_size = 0;       // of a cluster; 0: 2 k
-    float normal_weight = 4;          // w of the metric, in cluster radii per unit of |dn|; 0: positions alone
+    float normal_weight = 8;          // w of the metric, in cluster radii per unit of |dn|; 0: positions alone
     float private_roughness = 0.03f;  // narrower vertices are in no cluster
     std::uint64_t seed = 0;           // another one moves all borders
     int threads = 0;                  // 0: all

@@ -4,10 +4,13 @@
 #include <array>
 #include <filesystem>
 #include <map>
+#include <optional>
 
+#include "formats/clusters.h"
 #include "formats/io/cost.h"
 #include "formats/io/json.h"
 #include "stages/core/app/report.h"
+#include "stages/core/transport/cluster_quality.h"
 #include "stages/inspect/inspect.h"
 
 namespace loom::inspect {
@@ -43,6 +46,47 @@ struct GraphFacts {
 bool is_path_graph(const Survey& survey) {
     return survey.attribute("filetype") == PathGraph::format.name;
 }
+
+bool is_clusters(const Survey& survey) {
+    return survey.attribute("filetype") == Clusters::format.name;
+}
+
+/// Sizes of clusters; with the graph that they are of, their extent too.
+struct ClusterFacts {
+    ClusterSizes sizes;
+    std::optional<ClusterSpread> spread;
+
+    ClusterFacts(const std::string& file, const std::string& graph_file) {
+        const Clusters clusters = read_clusters(file);
+        sizes = cluster_sizes(clusters);
+        if (graph_file.empty()) return;
+        const PathGraph graph = read_path_graph(graph_file);
+        require_clusters_of(graph, identify(graph_file), clusters, file);
+        spread = cluster_spread(graph, clusters);
+    }
+    std::string text() const {
+        return "\n" + text_of(sizes) + "\n" +
+               (spread ? text_of(*spread) + "\n" : "radii and normals: name the graph with --graph\n");
+    }
+    void write(JsonWriter& json) const {
+        json.begin_object("clusters");
+        json.integer("n_clusters", sizes.n_clusters);
+        json.integer("n_members", sizes.n_members);
+        json.number("size_mean", sizes.mean);
+        json.number("size_weighted_mean", sizes.size_weighted_mean);
+        json.integer("size_min", sizes.min);
+        json.integer("size_median", sizes.median);
+        json.integer("size_p99", sizes.p99);
+        json.integer("size_max", sizes.max);
+        if (spread) {
+            json.number("mean_distance", spread->mean_distance);
+            json.number("median_radius", spread->median_radius);
+            json.number("share_off_normal", spread->share_off_normal);
+            json.number("share_opposed", spread->share_opposed);
+        }
+        json.end_object();
+    }
+};
 
 bool has_cost(const std::string& file) {
     return std::filesystem::exists(cost_path(file));
@@ -131,7 +175,7 @@ void dataset_json(const DatasetSummary& d, JsonWriter& json) {
 
 }  // namespace
 
-std::string text_of(const Survey& survey, const std::string& file) {
+std::string text_of(const Survey& survey, const std::string& file, const std::string& graph) {
     const std::string filetype = survey.attribute("filetype");
     std::string text =
         fmt::format("{}: {}, {}\n", file,
@@ -154,6 +198,7 @@ std::string text_of(const Survey& survey, const std::string& file) {
                             cost.samples, app::bytes_text(cost.peak_memory_bytes));
     }
     if (is_path_graph(survey)) text += graph_text(GraphFacts(read_path_graph(file)));
+    if (is_clusters(survey)) text += ClusterFacts(file, graph).text();
     std::size_t name_width = 7;
     for (const auto& d : survey.datasets) name_width = std::max(name_width, d.name.size());
     text += fmt::format("\n  {:<{}}  {:<9} {:>14}  {:<14} {:>11} {:>11} {:>11}\n", "dataset", name_width,
@@ -162,7 +207,7 @@ std::string text_of(const Survey& survey, const std::string& file) {
     return text;
 }
 
-std::string json_of(const Survey& survey, const std::string& file) {
+std::string json_of(const Survey& survey, const std::string& file, const std::string& graph) {
     JsonWriter json;
     json.begin_object();
     json.text("file", file);
@@ -182,6 +227,7 @@ std::string json_of(const Survey& survey, const std::string& file) {
         json.end_object();
     }
     if (is_path_graph(survey)) graph_json(GraphFacts(read_path_graph(file)), json);
+    if (is_clusters(survey)) ClusterFacts(file, graph).write(json);
     json.begin_array("datasets");
     for (const auto& d : survey.datasets) dataset_json(d, json);
     json.end_array();

@@ -21,6 +21,7 @@ void declare(app::Command& command, Options& options) {
     command.output("--png", options.png, "write an sRGB preview of an image");
     command.option("--exposure", options.exposure_ev, "exposure of the preview",
                    app::Range<double>{-50, 50, "EV"});
+    command.file("--graph", options.graph, "the path graph of a clusters file, for radii and normal spread");
     command.flag("--formats", options.formats, "print the documentation of all formats");
     command.example("loom-inspect graph.h5 --path 320:180,0");
 }
@@ -33,7 +34,8 @@ void run(const Options& options, app::Report& report) {
     if (options.file.empty()) throw InputError("no file is named; loom-inspect FILE, or --help");
     if (options.path.empty() && options.obj.empty() && options.png.empty()) {
         const Survey survey = survey_file(options.file);
-        report.answer(options.json ? json_of(survey, options.file) : text_of(survey, options.file));
+        report.answer(options.json ? json_of(survey, options.file, options.graph)
+                                   : text_of(survey, options.file, options.graph));
     }
     if (!options.path.empty() || !options.obj.empty()) {
         const PathGraph graph = read_path_graph(options.file);

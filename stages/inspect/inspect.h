@@ -22,6 +22,7 @@ struct Options {
     std::uint64_t max_paths = 1000;  // at most so many paths in the OBJ file
     std::string png;                 // write a preview of an image to this file
     double exposure_ev = 0;          // of the preview, in stops
+    std::string graph;               // path graph of the clusters in `file`, for their radii
     bool formats = false;            // print the documentation of all formats
 };
 
@@ -33,9 +34,10 @@ void declare(app::Command& command, Options& options);
 void run(const Options& options, app::Report& report);
 
 /// Text of a survey: what the file is, its lineage, a table of its datasets, and for a path graph counts,
-/// endings and bytes per vertex by column. JSON has the same.
-std::string text_of(const Survey& survey, const std::string& file);
-std::string json_of(const Survey& survey, const std::string& file);
+/// endings and bytes per vertex by column; for clusters their sizes and, with the graph that they were made from,
+/// radii and normal spread. JSON has the same.
+std::string text_of(const Survey& survey, const std::string& file, const std::string& graph = "");
+std::string json_of(const Survey& survey, const std::string& file, const std::string& graph = "");
 
 /// One path, vertex by vertex. `which` is "PIXEL,SAMPLE": the pixel as x:y or as the index y width + x, the
 /// sample by its number in the whole render (from first_sample on).

@@ -2,8 +2,10 @@
 
 #include <gtest/gtest.h>
 
+#include "formats/clusters.h"
 #include "formats/io/cost.h"
 #include "formats/io/json.h"
+#include "tests/formats/tiny_clusters.h"
 #include "tests/formats/tiny_graph.h"
 #include "tests/formats/tiny_image.h"
 
@@ -45,6 +47,26 @@ TEST(Inspect, JsonOfAGraphParses) {
     EXPECT_EQ(std::get<JsonValue::Number>(graph->find("bytes_per_vertex")->find("vertices/p")->value).text,
               "12");
     EXPECT_GT(std::get<JsonValue::Array>(json.find("datasets")->value).size(), 60u);
+}
+
+// Clusters of one, two and two vertices; vertices lie 0.1 m apart along x: {0, 2} and {3, 1} have a radius of 0.1 m,
+// and so a mean distance of 4/5 of that.
+TEST(Inspect, ClustersHaveSizesAndWithTheirGraphRadii) {
+    const ScratchFolder folder;
+    const std::string graph = folder / "g.h5", file = folder / "c.h5";
+    write_path_graph(tiny_graph(), graph);
+    Clusters clusters = testing::tiny_clusters();
+    clusters.graph = identify(graph).hash;
+    write_clusters(clusters, file);
+    const std::string text = inspect::text_of(survey_file(file), file);
+    EXPECT_TRUE(holds(text, "3 clusters of 5 vertices; size: mean 1.67, weighted by size 1.80, min 1, median 2")) << text;
+    const std::string more = inspect::text_of(survey_file(file), file, graph);
+    EXPECT_TRUE(holds(more, "distance to the centroid: mean 0.08 m, median radius 0.1 m")) << more;
+    EXPECT_TRUE(holds(more, "26 degrees off: 0.00 %, opposed: 0.00 % (of 5 members)")) << more;
+    const JsonValue json = parse_json(inspect::json_of(survey_file(file), file, graph), "json");
+    EXPECT_EQ(std::get<JsonValue::Number>(json.find("clusters")->find("size_max")->value).text, "2");
+    write_path_graph(testing::large_graph(6), graph);
+    EXPECT_TRUE(holds(input_error_of([&] { inspect::text_of(survey_file(file), file, graph); }), "made from tiny graph.h5"));
 }
 
 TEST(Inspect, StatisticsAreOfTheFiniteNumbers) {

@@ -22,7 +22,7 @@ class CommandLine : public PipelineTest {
 };
 
 TEST_F(CommandLine, help_and_version) {
-    for (const char* name : {"trace", "gather", "merge", "inspect"}) {
+    for (const char* name : {"trace", "cluster", "gather", "merge", "inspect"}) {
         const Outcome help = sh(stage(name) + " --help");
         EXPECT_EQ(help.code, 0) << name;
         EXPECT_NE(help.out.find("--quiet"), std::string::npos) << name;
@@ -35,10 +35,12 @@ TEST_F(CommandLine, help_and_version) {
 TEST_F(CommandLine, wrong_command_lines_are_2) {
     const std::string o = " -o " + in("x.h5"), image = " -o " + in("x.exr");
     expect_failure(2, stage("trace"));
+    expect_failure(2, stage("cluster"));
     expect_failure(2, stage("gather"));
     expect_failure(2, stage("merge"));
     expect_failure(2, stage("inspect"));
     expect_failure(2, stage("trace") + " missing.xml" + o);
+    expect_failure(2, stage("cluster") + " missing.h5" + o);
     expect_failure(2, stage("gather") + " missing.h5" + image);
     expect_failure(2, stage("merge") + " missing.exr" + image);
     expect_failure(2, stage("inspect") + " missing.h5");
@@ -70,6 +72,7 @@ TEST_F(CommandLine, foreign_inputs_are_2) {
     std::ofstream(folder / "text.xml") << "not <xml\n";
     for (const char* graph : {"text.h5", "empty.h5"}) {
         expect_failure(2, stage("gather") + " " + in(graph) + " -o " + in("x.exr"));
+        expect_failure(2, stage("cluster") + " " + in(graph) + " -o " + in("x.h5"));
         expect_failure(2, stage("inspect") + " " + in(graph));
     }
     expect_failure(2, stage("merge") + " " + in("text.exr") + " -o " + in("x.exr"));
@@ -116,6 +119,25 @@ TEST_F(CommandLine, outputs_do_not_depend_on_place_or_threads) {
     }
     EXPECT_TRUE(bytes_of(folder / "p1.exr") == bytes_of(folder / "p2.exr"));
     EXPECT_TRUE(bytes_of(folder / "g1.exr") == bytes_of(folder / "g2.exr"));
+}
+
+TEST_F(CommandLine, clusters_do_not_depend_on_place_or_threads) {
+    ASSERT_EQ(sh(stage("trace") + " " + box + "--spp 4 -o " + in("g.h5")).code, 0);
+    for (const char* method : {"balanced", "centres"}) {
+        const std::string cluster = stage("cluster") + " " + in("g.h5") + " --method " + method;
+        const Outcome one = sh(cluster + " --threads 1 -o " + in("a.h5"));
+        ASSERT_EQ(one.code, 0) << one.err;
+        EXPECT_NE(one.err.find("size: mean"), std::string::npos) << one.err;
+        ASSERT_EQ(sh(cluster + " --threads 2 --quiet -o " + in("b.h5")).code, 0);
+        EXPECT_TRUE(bytes_of(folder / "a.h5") == bytes_of(folder / "b.h5"));
+        EXPECT_EQ(sh(stage("inspect") + " " + in("a.h5") + " --graph " + in("g.h5")).code, 0);
+        EXPECT_NE(sh(cluster + " --plan").out, "");
+        expect_failure(2, cluster + " --max-size 8 -o " + in("c.h5"));
+    }
+    expect_failure(2, stage("inspect") + " " + in("g.h5") + " --graph " + in("nothing.h5"));
+    ASSERT_EQ(sh(stage("trace") + " " + box + "--spp 4 --seed 1 -o " + in("other.h5")).code, 0);
+    expect_failure(2, stage("inspect") + " " + in("a.h5") + " --graph " + in("other.h5"));
+    expect_failure(2, stage("cluster") + " " + in("a.h5") + " -o " + in("c.h5"));  // clusters of clusters
 }
 
 TEST_F(CommandLine, plan_and_replay_answer_and_write_nothing) {
