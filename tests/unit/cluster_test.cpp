@@ -146,7 +146,7 @@ TEST_P(MakeClusters, DoNotDependOnThreadsOrOnWhatTheWorkspaceHeld) {
     EXPECT_FALSE(std::ranges::equal(one.member, other.member));  // borders move from pass to pass
 }
 
-// METHODS 5, PG leak: a wall of 1 mm, one face lit. A cluster over both faces would carry the light through.
+// Light leaks: a wall of 1 mm, one face lit. A cluster over both faces would carry the light through.
 TEST_P(MakeClusters, FacesOfAThinWallNeverShare) {
     GraphOfVertices v;
     for (std::uint64_t i = 0; i < 30'000; ++i) {
@@ -178,7 +178,7 @@ TEST_P(MakeClusters, NormalsOfAClusterAreLessThan90DegreesApart) {
                 ASSERT_GT(dot(side_normal(g, c.member[a]), side_normal(g, c.member[b])), 0.0f);
 }
 
-// METHODS 5, PG cost: where vertices lie four times as dense, clusters must not be larger than twice the mean.
+// Cost: where vertices lie four times as dense, clusters must not be larger than twice the mean.
 TEST_P(MakeClusters, DenseAndSparseHalvesHaveClustersOfBoundedSize) {
     GraphOfVertices v;
     for (std::uint64_t i = 0; i < 50'000; ++i) {
@@ -202,7 +202,7 @@ TEST_P(MakeClusters, UnitsOfLengthDoNotMatter) {
     EXPECT_TRUE(std::ranges::equal(metres.member, other.member));
 }
 
-// A plane to the horizon must not set the scale of the room: METHODS' prototype had a box of known size instead.
+// A plane to the horizon must not set the scale of the room.
 TEST(ClusterScale, IsThatOfMostVertices) {
     const PathGraph g = room_on_a_plain(80'000);
     // 0.45 of 80 000 vertices on 100 m^2 of floor, one in eight on a mirror: 16 of them cover 0.0508 m^2, the disc of

@@ -26,7 +26,7 @@ float narrowest_lobe(const PathGraph::Materials& m, std::size_t i) {
         case BsdfKind::rough_dielectric:
         case BsdfKind::rough_plastic:
         case BsdfKind::ward: return std::min(m.alpha[2 * i], m.alpha[2 * i + 1]);
-        case BsdfKind::phong: return std::sqrt(2 / (m.exponent[i] + 2));  // [Walter2007] eq. (4.8): n = 2/alpha^2 - 2
+        case BsdfKind::phong: return std::sqrt(2 / (m.exponent[i] + 2));  // [Walter2007] section 5.2: n = 2 / alpha^2 - 2
         case BsdfKind::conductor:
         case BsdfKind::dielectric:
         case BsdfKind::thin_dielectric:

@@ -16,7 +16,7 @@ namespace loom {
 /// Solitary are mirrors, smooth glass, null and wholly transparent surfaces, and nearly specular ones, rough
 /// plastic below the limit included: its diffuse lobe would share, its narrow one would not.
 /// How the path went on from the vertex does not matter: one that ended at max_depth shares too.
-///                                                  PG section 6 leaves delta lobes open; METHODS: private edges
+/// differs: the paper does not say what becomes of delta lobes
 class SharingRule {
   public:
     /// The graph is borrowed. Costs one look at each material.
