@@ -5,6 +5,7 @@
 #include "formats/clusters.h"
 #include "formats/image.h"
 #include "formats/path_graph.h"
+#include "formats/radiance.h"
 
 namespace loom {
 namespace {
@@ -48,7 +49,7 @@ std::string section() {
 }  // namespace
 
 std::string formats_markdown() {
-    return std::string(preamble) + section<PathGraph>() + section<Clusters>() +
+    return std::string(preamble) + section<PathGraph>() + section<Clusters>() + section<Radiance>() +
            fmt::format(
                "\n## {} {}.{} (OpenEXR)\n\nfloat32, row 0 on top; the header says `samples` per pixel "
                "too.\n\n{}",

@@ -1,0 +1,90 @@
+#pragma once
+// radiance: the light that each vertex of a path graph reflects along its path, refined by its neighbours.
+
+#include <cstdint>
+#include <filesystem>
+#include <memory>
+#include <string>
+
+#include "formats/io/documenter.h"
+#include "formats/io/field.h"
+#include "formats/io/mapped_file.h"
+#include "formats/io/output_file.h"
+#include "formats/io/provenance.h"
+
+namespace loom {
+
+struct PathGraph;
+
+struct Radiance {
+    static constexpr FormatId format{"radiance", 1, 0};
+
+    std::string graph, clusters;       // content hashes, as in Provenance::inputs; clusters empty when none were used
+    std::uint64_t graph_vertices = 0;  // how many vertices that graph has
+
+    struct Settings {
+        std::string method = "fixed-point";  // or "west"
+        std::string reuse = "directions";    // or "points"
+        std::string clamp = "column";        // or "none", "cluster"
+        std::string start = "paths";         // or "zero"
+        std::int32_t iterations = 0;
+        float epsilon = 1e-3f;
+        std::uint8_t as_printed = 0;
+    } settings;
+
+    Column<float> L;         // reflected radiance, without emission
+    Column<float> direct;    // the part of L at first vertices that arrives directly; absent for "west"
+    Column<double> residual, image_change;  // by iteration
+    double clamped_share = 0;
+
+    Provenance provenance;
+    std::shared_ptr<const MappedFile> storage;
+
+    /// The invariants that go beyond types, lengths and finite floats; empty when all hold.
+    std::string problem() const;
+
+    template <class Self, class Visitor>
+    static void fields(Self& r, Visitor& v);
+};
+
+/// needs:   columns of one axis of one length
+void write_radiance(const Radiance& radiance, const std::filesystem::path& path, Sync sync = Sync::yes);
+/// Reads, maps and checks the whole file.
+/// throws:  InputError naming the file and the dataset
+Radiance read_radiance(const std::filesystem::path& path);
+
+/// Refuses the radiance of another graph than this one, known as graph_id.
+/// throws:  InputError naming both files and the command that mends it
+void require_radiance_of(const PathGraph& graph, const InputId& graph_id, const Radiance& radiance,
+                         const std::filesystem::path& radiance_path);
+
+template <class Self, class Visitor>
+void Radiance::fields(Self& r, Visitor& v) {
+    v.value("graph/hash", r.graph, "", "1", "content hash (XXH64, 16 hexadecimal digits) of the path graph");
+    v.value("graph/n_vertices", r.graph_vertices, "", "1", "vertices of the path graph");
+    v.value("clusters/hash", r.clusters, "", "1", "content hash of the clusters; empty when none were used");
+
+    auto& s = r.settings;
+    v.value("settings/method", s.method, "", "1",
+            "fixed-point: aggregation and propagation; west: one aggregation over nearest neighbours");
+    v.value("settings/reuse", s.reuse, "", "1",
+            "points: continuations of neighbours are reconnected; directions: only their direction is taken");
+    v.value("settings/clamp", s.clamp, "", "1", "none; column: once, per edge; cluster: per cluster and iteration");
+    v.value("settings/start", s.start, "", "1", "paths: from the radiance of the paths; zero: from darkness");
+    v.value("settings/iterations", s.iterations, "", "1", "Jacobi steps that were asked for");
+    v.value("settings/epsilon", s.epsilon, "", "1", "the clamp keeps 1 - epsilon");
+    v.value("settings/as_printed", s.as_printed, "", "1", "1: the paper's equations to the letter, biased");
+
+    v.field("vertices/L", r.L, 3, "vertex,rgb", "W m^-2 sr^-1",
+            "radiance that the vertex reflects towards wo; its own emission is not in it", Finite::counted);
+    v.optional("paths/direct", r.direct, 3, "path,rgb", "W m^-2 sr^-1",
+               "part of L at the first vertex that arrives straight from lights; 0 for paths without vertices",
+               Finite::counted);
+    v.field("iterations/residual", r.residual, 1, "iteration", "1", "sum |X' - X| / sum |X'| over vertices",
+            Finite::counted);
+    v.field("iterations/image_change", r.image_change, 1, "iteration", "1", "the same over first vertices",
+            Finite::counted);
+    v.value("clamped_share", r.clamped_share, "", "1", "energy that the clamp took, over what was there before");
+}
+
+}  // namespace loom

@@ -1,0 +1,74 @@
+#pragma once
+// The vertices of one cluster as columns of lanes, and the loops that evaluate all their BSDFs for one direction
+// or one point. The loops are compiled once per x86-64 level.
+
+#include <cstdint>
+#include <vector>
+
+#include "stages/core/scattering/bsdf.h"
+
+namespace loom {
+
+/// Largest cluster that fits; columns are padded to whole blocks of lanes.
+inline constexpr int max_lanes = 256, lane_block = 16;
+constexpr int padded_lanes(int n) { return (n + lane_block - 1) / lane_block * lane_block; }
+
+/// Rows are a block longer than they need be, so that the same lanes of different columns do not share a cache set.
+using LaneColumn = float[max_lanes + lane_block];
+
+struct ClusterColumns {
+    // A run of lanes has one material.
+    struct Run {
+        const BsdfModel* model;
+        int begin, end;
+    };
+
+    int n = 0;
+    std::vector<Run> runs;
+    // At the vertices; directions in world space but for wo.
+    alignas(64) LaneColumn px, py, pz;
+    LaneColumn sx, sy, sz, tx, ty, tz, nx, ny, nz;  // shading frame
+    LaneColumn wo_x, wo_y, wo_z;                    // local
+    LaneColumn diffuse_r, diffuse_g, diffuse_b, specular_r, specular_g, specular_b;
+    LaneColumn transmittance_r, transmittance_g, transmittance_b, alpha_u, alpha_v, opacity;
+    LaneColumn survival;  // probability that BSDF sampling goes on to trace its ray; 0 where it was not attempted
+    // Asked for: direction of light (local) and the factor between measures.
+    LaneColumn wi_x, wi_y, wi_z, geometry;
+    // Answered: f cos and density of BSDF sampling (survival folded in), both times the factor, and its sum.
+    LaneColumn f_r, f_g, f_b, pdf;
+    float pdf_sum = 0;
+};
+
+// Every function answers for all lanes; lanes from n up to the next whole block get 0.
+#define LOOM_CLUSTER_KERNELS                                                                                    \
+    /* Light from direction (x, y, z), world space: values in sr^-1. */                                         \
+    void evaluate_direction(ClusterColumns& c, float x, float y, float z);                                      \
+    /* Light from the point (x, y, z) of a surface with normal (nx, ny, nz), seen from its front: values per */ \
+    /* m^2 of that surface, f cos G and pdf G with G = cos_y / d^2. */                                          \
+    void evaluate_point(ClusterColumns& c, float x, float y, float z, float nx, float ny, float nz);            \
+    /* Light from the point (x, y, z), which has no surface: f cos / d^2, densities without meaning. */         \
+    void evaluate_delta_point(ClusterColumns& c, float x, float y, float z);                                    \
+    /* sum_e L_e c_e of one cluster: coefficient[e][rgb][lane] 16-bit fixed point, radiance[e][rgb] holds */    \
+    /* their scale; out[rgb][lane]. */                                                                          \
+    void apply_block(const std::uint16_t* coefficient, const float* radiance, int n_edges, int lanes, float* out);
+
+namespace v2 {
+LOOM_CLUSTER_KERNELS
+}
+namespace v3 {
+LOOM_CLUSTER_KERNELS
+}
+namespace v4 {
+LOOM_CLUSTER_KERNELS
+}
+
+/// The kernels of the highest level that this processor has.
+struct ClusterKernels {
+    decltype(&v2::evaluate_direction) direction;
+    decltype(&v2::evaluate_point) point;
+    decltype(&v2::evaluate_delta_point) delta_point;
+    decltype(&v2::apply_block) apply_block;
+};
+const ClusterKernels& cluster_kernels();
+
+}  // namespace loom

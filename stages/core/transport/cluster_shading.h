@@ -1,0 +1,53 @@
+#pragma once
+#include <span>
+
+#include "stages/core/transport/cluster_columns.h"
+#include "stages/core/transport/graph_reader.h"
+
+namespace loom {
+
+/// The vertices of one cluster, to be asked all at once what they reflect of light from somewhere, and how densely
+/// their own sampling would have found it. Reused from cluster to cluster.
+class ClusterShading {
+  public:
+    explicit ClusterShading(const GraphReader& reader) : reader_(reader), kernels_(cluster_kernels()) {}
+
+    /// Lanes are in the order of materials, then of `vertices`.
+    /// needs:   at most max_lanes vertices
+    void load(std::span<const std::uint32_t> vertices);
+
+    int size() const { return columns_.n; }
+    int padded() const { return padded_lanes(columns_.n); }
+    std::uint32_t vertex(int lane) const { return vertex_[lane]; }
+
+    /// Light from direction wi: f cos and densities in sr^-1.
+    void light_direction(const Vector3f& wi);
+    /// Light from a surface point with its normal turned to the cluster: f cos G and densities per m^2.
+    void light_point(const Point3f& y, const Normal3f& n);
+    /// Light from a point source: f cos / d^2.
+    void light_delta_point(const Point3f& y);
+
+    // Answers, by lane; 0 up to padded().
+    const float* f(int channel) const { return channel == 0 ? columns_.f_r : channel == 1 ? columns_.f_g : columns_.f_b; }
+    bool sees(int lane) const { return columns_.f_r[lane] + columns_.f_g[lane] + columns_.f_b[lane] > 0; }
+    /// Density of BSDF sampling with survival of roulette; 0 where it was not attempted.
+    float pdf_bsdf(int lane) const { return columns_.pdf[lane]; }
+    float pdf_bsdf_sum() const { return columns_.pdf_sum; }
+    /// Vertices that attempted next-event estimation and reflect this light. Those that do not reflect it would have
+    /// dropped such a sample before its shadow ray: for it they are no technique.
+    int n_next_event() const;
+    bool attempted_nee(int lane) const { return attempted_nee_[lane] != 0; }
+
+  private:
+    void shadow_bumps();
+
+    const GraphReader& reader_;
+    const ClusterKernels& kernels_;
+    ClusterColumns columns_;
+    std::vector<ShadingPoint> perturbed_;  // with bump or normal maps
+    std::vector<int> perturbed_lane_;
+    std::uint32_t vertex_[max_lanes];
+    std::uint8_t attempted_nee_[max_lanes + lane_block];
+};
+
+}  // namespace loom

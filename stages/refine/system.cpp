@@ -1,0 +1,211 @@
+#include "stages/refine/system.h"
+
+#include <algorithm>
+#include <cmath>
+#include <mutex>
+
+#include "stages/core/transport/parallel.h"
+
+namespace loom::refine {
+namespace {
+
+constexpr std::uint64_t clusters_per_chunk = 256;
+
+struct Lanes {
+    alignas(64) float r[max_lanes + lane_block], g[max_lanes + lane_block], b[max_lanes + lane_block];
+};
+
+/// Sums that a chunk hands back; chunks are added in order.
+struct ChunkResult {
+    std::vector<System::Private> privates;
+    std::uint64_t n_clamped = 0, n_columns = 0;
+    double sum = 0, taken = 0;
+    float largest = 0;
+};
+
+struct Builder {
+    const PathGraph& graph;
+    const GraphReader& reader;
+    const Clusters& clusters;
+    const SystemOptions& options;
+    std::span<const std::uint32_t> offsets;  // of light edges
+    System& system;
+
+    float survival(std::size_t j) const { return graph.vertices.q.empty() ? 1.0f : graph.vertices.q[j]; }
+
+    /// One column of a block: f_j cos_j / rho at all vertices of the cluster, in 16 bits of its largest value.
+    void add_column(const ClusterShading& shading, std::size_t slot, std::uint16_t* out, float inv_rho, float q, ChunkResult& result) {
+        const int lanes = shading.padded();
+        float scale[3], sum[3];
+        for (int channel = 0; channel < 3; ++channel) {
+            const float* f = shading.f(channel);
+            float largest = 0, total = 0;
+            for (int l = 0; l < lanes; ++l) {
+                largest = std::max(largest, f[l]);
+                total += f[l];
+            }
+            sum[channel] = total * inv_rho;
+            scale[channel] = largest * inv_rho * (1.0f / 65535.0f);
+            const float to_fixed = largest > 0 ? 65535.0f / largest : 0.0f;
+            for (int l = 0; l < lanes; ++l) out[channel * lanes + l] = std::uint16_t(f[l] * to_fixed + 0.5f);
+        }
+        const float most = std::max({sum[0], sum[1], sum[2]}), total = sum[0] + sum[1] + sum[2];
+        // An edge that survived roulette with q stands for 1 / q of its kind.
+        const float bound = (1 - options.epsilon) / q;
+        float factor = 1;
+        if (options.clamp == Clamp::column && most > bound) {
+            factor = bound / most;
+            ++result.n_clamped;
+            result.taken += double(total) * (1 - factor);
+        }
+        ++result.n_columns;
+        result.sum += total;
+        result.largest = std::max(result.largest, most * q);
+        system.edge_scale[slot] = {scale[0] * factor, scale[1] * factor, scale[2] * factor, 0};
+    }
+
+    /// What vertex j alone makes of samples that no neighbour can use.
+    void add_private(std::size_t j, std::uint32_t unknown, bool all, Spectrum& direct, ChunkResult& result) const {
+        const bool delta = is_delta(Lobe(graph.vertices.lobe[j]));
+        const bool continues = (graph.vertices.flags[j] & vertex_flag::continued) && (all || delta);
+        const std::uint32_t begin = offsets[j], end = offsets[j + 1];
+        if (!continues && !((all || delta) && begin < end)) return;
+        const ShadingPoint at = reader.vertex(j);
+        for (std::uint32_t k = begin; k < end; ++k)
+            if (all || LightTechnique(graph.light_edges.technique[k]) == LightTechnique::bsdf_hit)
+                direct += own_light(reader, at, j, k);
+        if (continues)
+            result.privates.push_back({unknown, std::uint32_t(j + 1), own_continuation(reader, at, j, continuation_direction(graph, j))});
+    }
+
+    void add_cluster(std::size_t c, ClusterShading& shading, Lanes& direct, ChunkResult& result) {
+        const std::uint32_t begin = system.first[c];
+        shading.load(clusters.member.values().subspan(begin, system.first[c + 1] - begin));
+        const int lanes = shading.padded();
+        for (int l = 0; l < lanes; ++l) direct.r[l] = direct.g[l] = direct.b[l] = 0;
+        for (int l = 0; l < shading.size(); ++l) {
+            system.vertex[begin + l] = shading.vertex(l);
+            system.unknown[shading.vertex(l)] = begin + l;
+            Spectrum own(0);
+            add_private(shading.vertex(l), begin + l, false, own, result);
+            direct.r[l] = own.r, direct.g[l] = own.g, direct.b[l] = own.b;
+        }
+        std::uint16_t* column = system.coefficients.data() + system.block[c];
+        int n_edges = 0;
+        for_each_indirect_edge(shading, graph, options.sharing, [&](int lane, std::uint32_t end, float inv_rho) {
+            const std::size_t slot = begin + n_edges;
+            const float q = survival(shading.vertex(lane));
+            add_column(shading, slot, column, inv_rho, q, result);
+            system.edge_end[slot] = end;
+            if (!system.edge_survival.empty()) system.edge_survival[slot] = q;
+            column += 3 * lanes;
+            ++n_edges;
+        });
+        system.n_edges[c] = std::uint16_t(n_edges);
+        for_each_light_edge(shading, graph, offsets, options.sharing, [&](int, std::uint32_t, const Spectrum& light, float inv_rho) {
+            const Spectrum w = light * inv_rho;
+            const float *r = shading.f(0), *g = shading.f(1), *b = shading.f(2);
+            for (int l = 0; l < lanes; ++l) {
+                direct.r[l] += r[l] * w.r;
+                direct.g[l] += g[l] * w.g;
+                direct.b[l] += b[l] * w.b;
+            }
+        });
+        for (int l = 0; l < shading.size(); ++l) system.B[begin + l] = {direct.r[l], direct.g[l], direct.b[l]};
+    }
+};
+
+}  // namespace
+
+System build_system(const PathGraph& graph, const Clusters& clusters, const SystemOptions& options) {
+    const GraphReader reader(graph);
+    const std::vector<std::uint32_t> offsets = light_edge_offsets(graph);
+    System s;
+    s.n_clusters = clusters.n_clusters();
+    s.n_unknowns = graph.n_vertices();
+    s.vertex = HugeArray<std::uint32_t>(s.n_unknowns);
+    s.unknown = HugeArray<std::uint32_t>(s.n_unknowns);
+    s.B = HugeArray<Light>(s.n_unknowns);
+    s.first.assign(clusters.first.begin(), clusters.first.end());
+    s.n_edges.resize(s.n_clusters);
+    s.block.resize(s.n_clusters + 1);
+    for (std::size_t c = 0; c < s.n_clusters; ++c) {
+        const int n = int(s.first[c + 1] - s.first[c]);
+        s.block[c + 1] = s.block[c] + std::uint64_t(padded_lanes(n)) * 3 * std::uint64_t(n);
+    }
+    const std::size_t n_members = s.first.back();
+    s.edge_end = HugeArray<std::uint32_t>(n_members);
+    s.edge_scale = HugeArray<Light>(n_members);
+    if (options.clamp == Clamp::cluster) s.edge_survival = HugeArray<float>(n_members);
+    s.coefficients = HugeArray<std::uint16_t>(s.block.back());
+
+    Builder builder{graph, reader, clusters, options, offsets, s};
+    std::vector<ChunkResult> results((s.n_clusters + clusters_per_chunk - 1) / clusters_per_chunk + 1);
+    parallel_chunks(s.n_clusters, clusters_per_chunk, options.threads, [&](std::uint64_t chunk, std::uint64_t begin, std::uint64_t end) {
+        const auto shading = std::make_unique<ClusterShading>(reader);
+        const auto direct = std::make_unique<Lanes>();
+        for (std::uint64_t c = begin; c < end; ++c) builder.add_cluster(c, *shading, *direct, results[chunk]);
+    });
+
+    // Solitary vertices: those that no cluster has.
+    std::uint32_t next = std::uint32_t(n_members);
+    if (n_members < s.n_unknowns) {
+        std::vector<bool> member(s.n_unknowns);
+        for (std::uint32_t j : clusters.member) member[j] = true;
+        for (std::size_t j = 0; j < s.n_unknowns; ++j)
+            if (!member[j]) {
+                s.vertex[next] = std::uint32_t(j);
+                s.unknown[j] = next++;
+            }
+        std::vector<ChunkResult> solitary((next - n_members) / 4096 + 1);
+        parallel_chunks(next - n_members, 4096, options.threads, [&](std::uint64_t chunk, std::uint64_t begin, std::uint64_t end) {
+            for (std::uint64_t i = n_members + begin; i < n_members + end; ++i) {
+                Spectrum direct(0);
+                builder.add_private(s.vertex[i], std::uint32_t(i), true, direct, solitary[chunk]);
+                s.B[i] = {direct.r, direct.g, direct.b};
+            }
+        });
+        results.insert(results.end(), std::make_move_iterator(solitary.begin()), std::make_move_iterator(solitary.end()));
+    }
+
+    double sum = 0, taken = 0;
+    for (const ChunkResult& r : results) {
+        s.privates.insert(s.privates.end(), r.privates.begin(), r.privates.end());
+        s.n_clamped += r.n_clamped;
+        s.n_columns += r.n_columns;
+        s.largest_column_sum = std::max(s.largest_column_sum, r.largest);
+        sum += r.sum;
+        taken += r.taken;
+    }
+    s.clamped_share = sum > 0 ? taken / sum : 0;
+    // Ends are vertices so far; the iteration wants unknowns.
+    for (System::Private& p : s.privates) p.end = s.unknown[p.end];
+    parallel_chunks(s.n_clusters, 4096, options.threads, [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
+        for (std::uint64_t c = begin; c < end; ++c)
+            for (std::uint32_t slot = s.first[c]; slot < s.first[c] + s.n_edges[c]; ++slot) s.edge_end[slot] = s.unknown[s.edge_end[slot]];
+    });
+    return s;
+}
+
+HugeArray<Light> path_radiance(const GraphReader& reader, int threads, Heuristic heuristic) {
+    const PathGraph& g = reader.graph();
+    HugeArray<Light> X(g.n_vertices());
+    parallel_chunks(g.n_paths(), 4096, threads, [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
+        const std::uint64_t first = g.paths.first_vertex[begin];
+        std::size_t edge = first_light_edge(g, g.paths.first_vertex[end]);
+        Spectrum L(0);
+        std::uint64_t j = g.paths.first_vertex[end];
+        while (j-- > first) {
+            const ShadingPoint at = reader.vertex(j);
+            if (g.vertices.flags[j] & vertex_flag::continued)
+                L = own_continuation(reader, at, j, continuation_direction(g, j)) * L;
+            else
+                L = Spectrum(0);
+            while (edge > 0 && g.light_edges.vertex[edge - 1] == j) L += own_light(reader, at, j, --edge, heuristic);
+            X[j] = {L.r, L.g, L.b};
+        }
+    });
+    return X;
+}
+
+}  // namespace loom::refine

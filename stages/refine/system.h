@@ -1,0 +1,72 @@
+#pragma once
+// The linear system of a path graph, X = M X + B: X is the radiance that each vertex reflects along its path, B what
+// it reflects of light that arrives directly, M what neighbouring vertices pass on from vertex to vertex.
+//                              PG section 4
+//
+// Clusters pool their samples: M is never built, but as one block of coefficients per cluster (a row for each vertex,
+// a column for each continuation), followed by the step along each continuation.
+
+#include "formats/clusters.h"
+#include "stages/core/transport/cluster_edges.h"
+#include "stages/core/transport/huge_array.h"
+
+namespace loom::refine {
+
+/// What keeps the iteration from growing.
+enum class Clamp {
+    none,
+    column,   // once: no edge gives more than (1 - epsilon) of the light that it brings; linear
+    cluster,  // every cluster and iteration: no cluster gives more than (1 - epsilon) of what it takes in, as the paper
+};
+
+struct SystemOptions {
+    SharingOptions sharing;
+    Clamp clamp = Clamp::column;
+    float epsilon = 1e-3f;
+    int threads = 0;
+};
+
+/// Four floats in one cache line's quarter: radiance is gathered at random.
+struct alignas(16) Light {
+    float r = 0, g = 0, b = 0, unused = 0;
+};
+
+/// Unknowns are numbered cluster by cluster (lane by lane), solitary vertices last.
+struct System {
+    static constexpr std::uint32_t nothing = 0xffffffffu;
+
+    std::size_t n_unknowns = 0, n_clusters = 0;
+    HugeArray<std::uint32_t> vertex;    // of an unknown
+    HugeArray<std::uint32_t> unknown;   // of a vertex
+    HugeArray<Light> B;              // by unknown
+
+    // Clusters. Cluster c has unknowns first[c] to first[c+1]; its edge i is in slot first[c] + i.
+    std::vector<std::uint32_t> first;
+    std::vector<std::uint16_t> n_edges;
+    std::vector<std::uint64_t> block;         // first coefficient
+    HugeArray<std::uint32_t> edge_end;        // by slot: unknown that the light comes from
+    HugeArray<Light> edge_scale;           // by slot: of a fixed-point coefficient
+    HugeArray<float> edge_survival;           // by slot; empty unless the clamp asks for it
+    HugeArray<std::uint16_t> coefficients;    // [edge][rgb][padded lane]
+
+    /// Continuations that only their own vertex uses: delta lobes, solitary vertices.
+    struct Private {
+        std::uint32_t unknown, end;
+        Spectrum weight;
+    };
+    std::vector<Private> privates;
+
+    /// Columns that the clamp scaled, and the share of the coefficients' sum that it took.
+    std::uint64_t n_clamped = 0, n_columns = 0;
+    double clamped_share = 0;
+    float largest_column_sum = 0;  // before the clamp, survival counted: the bound of the spectrum
+};
+
+/// Evaluates all clusters once: direct light and blocks.
+/// needs:   clusters of this graph, of at most max_lanes vertices
+System build_system(const PathGraph& graph, const Clusters& clusters, const SystemOptions& options);
+
+/// What each vertex reflects along its path by that path's own samples, by vertex: all that path tracing knows.
+HugeArray<Light> path_radiance(const GraphReader& reader, int threads, Heuristic heuristic = Heuristic::power);
+
+}  // namespace loom::refine
