@@ -7,10 +7,16 @@
 //   N.X/Y/Z                shading normal at the first hit       unit, world space
 //   Depth.Z                distance of the first hit             m
 //
+//   Emitted.R/G/B          part that is seen directly            W m^-2 sr^-1
+//   DirectOwn.R/G/B, DirectCluster.R/G/B, IndirectPath.R/G/B, IndirectCluster.R/G/B
+//                          the other parts, each estimated twice: by the pixel's own paths, without bias, and by the
+//                          clusters of their vertices; to be blended         W m^-2 sr^-1
+//
 // Only the layers that a stage has are there, R, G, B always. Channels are float32 in memory and when
 // written; row 0 is on top. The root attributes of all formats are text attributes of the header, `samples`
 // (per pixel) too.
 
+#include <array>
 #include <cstdint>
 #include <filesystem>
 #include <span>
@@ -23,6 +29,9 @@
 #include "formats/io/provenance.h"
 
 namespace loom {
+
+/// The layers that a blend is made of.
+inline constexpr std::array<const char*, 5> estimate_layers{"Emitted", "DirectOwn", "DirectCluster", "IndirectPath", "IndirectCluster"};
 
 struct Image {
     static constexpr FormatId format{"image", 1, 0};

@@ -1,87 +1,93 @@
 #include "stages/gather/gather.h"
 
+#include <fmt/format.h>
+
+#include <algorithm>
 #include <filesystem>
 
 #include "formats/io/cost.h"
 #include "formats/io/error.h"
 #include "stages/core/app/command.h"
 #include "stages/core/transport/film.h"
-#include "stages/core/transport/graph_reader.h"
+#include "stages/core/transport/own_samples.h"
 #include "stages/core/transport/parallel.h"
 
 namespace loom::gather {
 namespace {
 
-/// f cos / pdf of the BSDF sample that leads from vertex j (at) along wi, roulette folded in.
-Spectrum continuation_weight(const GraphReader& reader, const ShadingPoint& at, std::size_t j, const Vector3f& wi) {
-    const auto& v = reader.graph().vertices;
-    const Lobe lobe = Lobe(v.lobe[j]);
-    if (!is_delta(lobe)) return f_cos_pdf(at, wi).f_cos * (1 / v.pdf_w[j]);
-    Spectrum value = delta_value(at.bsdf, at.wo_local, lobe) * (1 / v.pdf_w[j]);
-    if (at.perturbed && lobe != Lobe::null) value *= bump_shadowing(at, wi, at.frame.to_local(wi).z);
-    return value;
+Spectrum rgb(const Column<float>& column, std::size_t i) {
+    return {column[3 * i], column[3 * i + 1], column[3 * i + 2]};
+}
+
+FirstHit first_hit(const PathGraph& g, std::size_t path, const ShadingPoint& at) {
+    const Point3f origin = g.paths.origin.empty()
+                               ? Point3f{float(g.sensor.origin[0]), float(g.sensor.origin[1]), float(g.sensor.origin[2])}
+                               : Point3f{g.paths.origin[3 * path], g.paths.origin[3 * path + 1], g.paths.origin[3 * path + 2]};
+    return {albedo(at.bsdf, at.wo_local), at.frame.n, length(at.p - origin)};
 }
 
 /// in: first light edge of the path; out: that of the next path
 Spectrum path_radiance(const GraphReader& reader, std::size_t path, std::size_t& edge, FirstHit& first) {
     const PathGraph& g = reader.graph();
     const auto& e = g.light_edges;
-    Spectrum L{g.paths.Le[3 * path], g.paths.Le[3 * path + 1], g.paths.Le[3 * path + 2]};
+    Spectrum L = rgb(g.paths.Le, path);
     Spectrum beta(1);
     const std::uint64_t begin = g.paths.first_vertex[path], end = g.paths.first_vertex[path + 1];
     for (std::uint64_t j = begin; j < end; ++j) {
         const ShadingPoint at = reader.vertex(j);
-        if (j == begin) {
-            const Point3f origin = g.paths.origin.empty()
-                                       ? Point3f{float(g.sensor.origin[0]), float(g.sensor.origin[1]), float(g.sensor.origin[2])}
-                                       : Point3f{g.paths.origin[3 * path], g.paths.origin[3 * path + 1], g.paths.origin[3 * path + 2]};
-            first = {albedo(at.bsdf, at.wo_local), at.frame.n, length(at.p - origin)};
-        }
-        for (; edge < e.vertex.size() && e.vertex[edge] == j; ++edge) {
-            const Vector3f wi = reader.light_direction(at.p, edge);
-            const Spectrum Li{e.Li[3 * edge], e.Li[3 * edge + 1], e.Li[3 * edge + 2]};
-            const float pdf_nee = e.pdf_nee_w[edge], pdf_bsdf = e.pdf_bsdf_w[edge];
-            if (LightTechnique(e.technique[edge]) == LightTechnique::next_event)
-                L += beta * f_cos_pdf(at, wi).f_cos * Li * (power_heuristic(pdf_nee, pdf_bsdf) / pdf_nee);
-            else
-                L += beta * continuation_weight(reader, at, j, wi) * Li * power_heuristic(pdf_bsdf, pdf_nee);
-        }
-        if (j + 1 < end) {
-            const auto& wo = g.vertices.wo;
-            beta *= continuation_weight(reader, at, j, {-wo[3 * j + 3], -wo[3 * j + 4], -wo[3 * j + 5]});
-        }
+        if (j == begin) first = first_hit(g, path, at);
+        for (; edge < e.vertex.size() && e.vertex[edge] == j; ++edge) L += beta * own_light(reader, at, j, edge);
+        if (j + 1 < end) beta *= own_continuation(reader, at, j, continuation_direction(g, j));
     }
     return L;
 }
 
-/// First light edge at or after vertex j.
-std::size_t first_edge(const PathGraph& g, std::uint64_t j) {
-    const auto vertices = g.light_edges.vertex.values();
-    return std::size_t(std::lower_bound(vertices.begin(), vertices.end(), j) - vertices.begin());
+/// What is known of the light along one path, in parts.
+struct Estimates {
+    Spectrum Le, direct_own, direct_cluster, indirect_path, indirect_own, indirect_cluster;
+};
+
+/// in: first light edge of the path; out: that of the next path
+/// paths:   also what the path alone says, which takes a walk along all of it
+Estimates estimates_of(const GraphReader& reader, const Radiance& radiance, bool paths, std::size_t path, std::size_t& edge,
+                       FirstHit& first) {
+    const PathGraph& g = reader.graph();
+    const auto& e = g.light_edges;
+    Estimates L;
+    L.Le = rgb(g.paths.Le, path);
+    const std::uint64_t begin = g.paths.first_vertex[path], end = g.paths.first_vertex[path + 1];
+    if (begin < end) {
+        const ShadingPoint at = reader.vertex(begin);
+        first = first_hit(g, path, at);
+        L.direct_cluster = rgb(radiance.direct, path);
+        L.indirect_cluster = rgb(radiance.L, begin) - L.direct_cluster;
+        for (; edge < e.vertex.size() && e.vertex[edge] == begin; ++edge) L.direct_own += own_light(reader, at, begin, edge);
+        if (begin + 1 < end) {
+            Spectrum beta = own_continuation(reader, at, begin, continuation_direction(g, begin));
+            L.indirect_own = beta * rgb(radiance.L, begin + 1);
+            for (std::uint64_t j = begin + 1; paths && j < end; ++j) {
+                const ShadingPoint here = reader.vertex(j);
+                for (; edge < e.vertex.size() && e.vertex[edge] == j; ++edge) L.indirect_path += beta * own_light(reader, here, j, edge);
+                if (j + 1 < end) beta *= own_continuation(reader, here, j, continuation_direction(g, j));
+            }
+        }
+    }
+    while (edge < e.vertex.size() && e.vertex[edge] < end) ++edge;
+    return L;
 }
 
-}  // namespace
-
-void declare(app::Command& command, Options& options) {
-    command.file("graph", options.graph, "path graph (.h5)");
-    command.output("-o,--output", options.output, "image with layers (.exr)");
-    command.output("--png", options.png, "also write a preview");
-    command.option("--exposure", options.exposure_ev, "of the preview", app::Range<double>{-40, 40, "EV"});
-    command.threads(options.threads);
-    command.example("loom-gather graph.h5 -o image.exr --png image.png");
-}
-
-Image path_traced_image(const PathGraph& graph, int threads) {
-    const GraphReader reader(graph);
+/// value(path, edge, first) for each path, pixel by pixel.
+template <class Value>
+Image image_of(const PathGraph& graph, int threads, Value value) {
     const std::uint64_t n_pixels = graph.n_pixels(), samples = graph.tracing.samples_per_pixel;
     Film film(graph.sensor.width, graph.sensor.height, samples);
     parallel_chunks(n_pixels, 1024, threads, [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
         std::vector<PixelSums> sums(end - begin);
         for (std::uint64_t s = 0; s < samples; ++s) {
-            std::size_t edge = first_edge(graph, graph.paths.first_vertex[s * n_pixels + begin]);
+            std::size_t edge = first_light_edge(graph, graph.paths.first_vertex[s * n_pixels + begin]);
             for (std::uint64_t pixel = begin; pixel < end; ++pixel) {
                 FirstHit first;
-                const Spectrum L = path_radiance(reader, s * n_pixels + pixel, edge, first);
+                const Spectrum L = value(s * n_pixels + pixel, edge, first);
                 sums[pixel - begin].add(L, first);
             }
         }
@@ -90,16 +96,74 @@ Image path_traced_image(const PathGraph& graph, int threads) {
     return std::move(film).finish({});
 }
 
+}  // namespace
+
+void declare(app::Command& command, Options& options) {
+    command.file("graph", options.graph, "path graph (.h5)");
+    command.file("radiance", options.radiance, "refined radiance of that graph (.h5); none: own paths only");
+    command.output("-o,--output", options.output, "image with layers (.exr)");
+    command.output("--png", options.png, "also write a preview");
+    command.option("--exposure", options.exposure_ev, "of the preview", app::Range<double>{-40, 40, "EV"});
+    command.choice("--direct", options.gather.direct, "direct light at first hits: of the whole cluster, or the path's own samples",
+                   {{"cluster", Source::cluster}, {"own", Source::own}});
+    command.choice("--indirect", options.gather.indirect, "indirect light at first hits",
+                   {{"cluster", Source::cluster}, {"own", Source::own}});
+    command.flag("--estimates", options.gather.estimates, "also write all estimates of direct and indirect light as layers, for loom-merge to blend");
+    command.threads(options.threads);
+    command.example("loom-gather graph.h5 -o image.exr --png image.png");
+}
+
+Image path_traced_image(const PathGraph& graph, int threads) {
+    const GraphReader reader(graph);
+    return image_of(graph, threads, [&](std::size_t path, std::size_t& edge, FirstHit& first) {
+        return path_radiance(reader, path, edge, first);
+    });
+}
+
+Image gathered_image(const PathGraph& graph, const Radiance& radiance, const GatherOptions& options, int threads) {
+    const GraphReader reader(graph);
+    const std::uint64_t n_pixels = graph.n_pixels();
+    std::vector<std::vector<float>> layers(options.estimates ? estimate_layers.size() : 0, std::vector<float>(3 * n_pixels));
+    const float inv_samples = 1.0f / float(graph.tracing.samples_per_pixel);
+    Image image = image_of(graph, threads, [&](std::size_t path, std::size_t& edge, FirstHit& first) {
+        const Estimates L = estimates_of(reader, radiance, options.estimates, path, edge, first);
+        if (options.estimates) {
+            const std::array values{L.Le, L.direct_own, L.direct_cluster, L.indirect_path, L.indirect_cluster};
+            for (std::size_t i = 0; i < values.size(); ++i)
+                for (int c = 0; c < 3; ++c) layers[i][3 * (path % n_pixels) + c] += values[i][c] * inv_samples;
+        }
+        return L.Le + (options.direct == Source::own ? L.direct_own : L.direct_cluster) +
+               (options.indirect == Source::own ? L.indirect_own : L.indirect_cluster);
+    });
+    image.samples = 1;
+    for (const char* channel : {"VarMean.R", "VarMean.G", "VarMean.B"}) std::ranges::fill(image.add(channel), 0.0f);
+    for (std::size_t i = 0; i < layers.size(); ++i) image.set_layer(estimate_layers[i], "RGB", layers[i]);
+    return image;
+}
+
 void run(const Options& options, app::Report& report) {
     if (options.output.empty()) throw InputError("--output: missing (an .exr file)");
     check_output_path(options.output);
     const PathGraph graph = read_path_graph(options.graph);
-    Image image = path_traced_image(graph, options.threads);
+    const InputId graph_id = identify(options.graph);
+    Image image;
+    if (options.radiance.empty()) {
+        image = path_traced_image(graph, options.threads);
+    } else {
+        const Radiance radiance = read_radiance(options.radiance);
+        require_radiance_of(graph, graph_id, radiance, options.radiance);
+        image = gathered_image(graph, radiance, options.gather, options.threads);
+    }
     image.provenance.stage = report.name();
     image.provenance.command = report.command();
     image.provenance.seed = graph.provenance.seed;
-    image.provenance.inputs = {identify(options.graph)};
-    image.provenance.plan = "on: own paths only; off: neighbours (no clusters given)";
+    image.provenance.inputs = {graph_id};
+    image.provenance.plan = "on: own paths only; off: neighbours (no radiance given)";
+    if (!options.radiance.empty()) {
+        const auto name = [](Source source) { return source == Source::own ? "own samples" : "cluster"; };
+        image.provenance.inputs.push_back(identify(options.radiance));
+        image.provenance.plan = fmt::format("on: direct light by {}, indirect by {}; off: nothing", name(options.gather.direct), name(options.gather.indirect));
+    }
     if (const std::size_t bad = count_nonfinite(image); bad > 0)
         report.warn("{} values of the image are not finite", bad);
     write_image(image, options.output);
@@ -113,7 +177,7 @@ void run(const Options& options, app::Report& report) {
     cost.samples = graph.n_paths();
     cost.peak_memory_bytes = usage.peak_memory_bytes;
     cost.bytes_written = std::filesystem::file_size(options.output);
-    cost.parents = {std::filesystem::path(options.graph).filename()};
+    for (const InputId& input : image.provenance.inputs) cost.parents.push_back(input.name);
     write_cost(cost, options.output);
     report.done("{} paths, {} vertices", graph.n_paths(), graph.n_vertices());
 }

@@ -3,6 +3,7 @@
 
 #include "formats/image.h"
 #include "formats/path_graph.h"
+#include "formats/radiance.h"
 
 namespace loom::app {
 class Command;
@@ -11,11 +12,24 @@ class Report;
 
 namespace loom::gather {
 
+/// Where the light that leaves a first hit comes from.
+enum class Source {
+    own,      // the path's own samples: next-event estimation and the BSDF sample
+    cluster,  // all samples of its cluster
+};
+
+struct GatherOptions {
+    Source direct = Source::cluster, indirect = Source::cluster;
+    bool estimates = false;  // all of them as layers, for loom-merge to blend
+};
+
 struct Options {
     std::string graph;      // path graph
+    std::string radiance;   // refined radiance of that graph; empty: own paths only
     std::string output;     // image with layers (.exr)
     std::string png;        // preview for the eye
     double exposure_ev = 0; // of the preview
+    GatherOptions gather;   // with radiance only
     int threads = 0;        // 0: all
 };
 
@@ -26,6 +40,14 @@ void declare(app::Command& command, Options& options);
 /// The BSDFs are evaluated again from what the vertices hold; the image equals that of `loom-trace -o x.exr` to
 /// rounding.
 Image path_traced_image(const PathGraph& graph, int threads);
+
+/// One pixel sample per path, from the refined radiance:
+///   own      Le + own direct light + f cos / pdf_w X(second vertex); samples of pixels stay independent given X
+///                                                                          PG section 5.2, K = 1
+///   cluster  Le + X(first vertex)
+/// and either for direct and indirect light by itself. The variance is that between graphs, so a graph counts as one
+/// sample of its image: samples of one graph are not independent.
+Image gathered_image(const PathGraph& graph, const Radiance& radiance, const GatherOptions& options, int threads);
 
 /// throws: InputError
 void run(const Options& options, app::Report& report);
