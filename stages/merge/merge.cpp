@@ -8,6 +8,7 @@
 #include "formats/io/cost.h"
 #include "formats/io/error.h"
 #include "stages/core/app/command.h"
+#include "stages/merge/blend.h"
 
 namespace loom::merge {
 namespace {
@@ -99,26 +100,44 @@ void declare(app::Command& command, Options& options) {
         .required();
     command.output("-o,--output", options.output, "the joined image").required();
     command.flag("--zip", options.zip, "compress the output");
-    command.example("loom-merge pass_0.exr pass_1.exr -o image.exr");
+    command.flag("--no-blend", options.no_blend, "do not blend the estimates of path graphs with those of their paths");
+    command.example("loom-merge pass-0.exr pass-1.exr -o image.exr");
 }
 
 void run(const Options& options, app::Report& report) {
-    std::vector<Image> parts;
     Provenance provenance;
     std::map<std::string, std::string> name_by_hash;
     for (const std::string& file : options.parts) {
-        parts.push_back(read_image(file));
         provenance.inputs.push_back(identify(file));
         // The same samples twice would halve the variance without halving the error.
         const auto [known, inserted] = name_by_hash.try_emplace(provenance.inputs.back().hash, file);
         if (!inserted) throw InputError(fmt::format("{}: holds the same samples as {}", file, known->second));
     }
-    if (parts.empty()) throw InputError("no image to merge");
-    Image merged = merge_images(parts, options.parts);
+    if (options.parts.empty()) throw InputError("no image to merge");
+    const Image first = read_image(options.parts[0]);
+    const bool estimates = has_estimates(first);
+    const bool blend = estimates && !options.no_blend && options.parts.size() >= min_blend_parts;
+    Image merged;
+    if (blend) {
+        merged = blend_images(options.parts.size(), [&](std::size_t i) {
+            Image part = read_image(options.parts[i]);
+            check_fit(first, part, options.parts[0], options.parts[i]);
+            return part;
+        });
+    } else {
+        std::vector<Image> parts;
+        for (const std::string& file : options.parts) parts.push_back(read_image(file));
+        merged = merge_images(parts, options.parts);
+    }
+    const std::string why = blend ? "on: blend with the paths' own estimates; off: nothing"
+                            : !estimates       ? ""
+                            : options.no_blend ? "off: blend with the paths' own estimates (--no-blend)"
+                                               : fmt::format("off: blend with the paths' own estimates (fewer than {} parts)", min_blend_parts);
+    if (!why.empty()) report.info("plan: {}", why);
     provenance.stage = report.name();
     provenance.command = report.command();
-    provenance.seed = parts[0].provenance.seed;
-    provenance.plan = parts[0].provenance.plan;
+    provenance.seed = first.provenance.seed;
+    provenance.plan = why.empty() ? first.provenance.plan : why;
     merged.provenance = std::move(provenance);
     write_image(merged, options.output, options.zip ? Compression::zip : Compression::none);
 
@@ -133,7 +152,7 @@ void run(const Options& options, app::Report& report) {
     write_cost(cost, options.output);
     const std::size_t n_bad = count_nonfinite(merged);
     if (n_bad > 0) report.warn("{}: {} numbers are NaN or infinite", options.output, n_bad);
-    report.done("{}: {} parts, {} samples per pixel", options.output, parts.size(), merged.samples);
+    report.done("{}: {} parts, {} samples per pixel", options.output, options.parts.size(), merged.samples);
 }
 
 }  // namespace loom::merge

@@ -1,0 +1,28 @@
+#pragma once
+// Never worse than path tracing: light that clusters share is nearly free of noise but may be blurred; light of the
+// path alone is noisy and exact in the mean. The blend takes of each what makes the least expected error.
+
+#include <functional>
+
+#include "formats/image.h"
+
+namespace loom::merge {
+
+/// Fewest parts that can say how noisy they are, half by half.
+inline constexpr std::size_t min_blend_parts = 4;
+
+/// Whether an image has the layers that a blend needs.
+bool has_estimates(const Image& image);
+
+/// Mean of the parts, its direct and its indirect light each blended pixel by pixel,
+///   x = B + t (A - B),   t = (b^2 - cov(B, A - B)) / (b^2 + var(A - B))   within [0, 1]
+/// A without bias, B of clusters, b^2 = mean(A - B)^2 - var(A - B) the squared bias of B less its standard
+/// error; all of luminance, over a window of 7 x 7 pixels. The weights of even parts are applied to odd ones and the other way round: a weight that
+/// knew the noise of what it weighs would favour dark samples.
+/// in:      part   reads part i; called twice for each, so that memory does not grow with their number
+/// needs:   at least min_blend_parts parts of one size with estimates
+/// out:     R, G, B with VarMean over parts; layers that all parts have, without the estimates; Blend.Direct and
+///          Blend.Indirect, the mean weight t
+Image blend_images(std::size_t n_parts, const std::function<Image(std::size_t)>& part);
+
+}  // namespace loom::merge
