@@ -162,6 +162,16 @@ struct Rgb {
 };
 using Spectrum = Rgb<float>;
 
+// Number by number: chosen as a whole, a structure would be taken through memory, and its loop not vectorised.
+template <class T>
+constexpr Rgb<T> select(bool mask, const Rgb<T>& a, const Rgb<T>& b) {
+    return {select(mask, a.r, b.r), select(mask, a.g, b.g), select(mask, a.b, b.b)};
+}
+template <class T, class K>
+constexpr Triple<T, K> select(bool mask, const Triple<T, K>& a, const Triple<T, K>& b) {
+    return {select(mask, a.x, b.x), select(mask, a.y, b.y), select(mask, a.z, b.z)};
+}
+
 template <class T>
 constexpr T max_channel(const Rgb<T>& v) {
     T m = select(v.r > v.g, v.r, v.g);
@@ -178,7 +188,7 @@ constexpr T luminance(const Rgb<T>& v) {
 }
 template <class T>
 bool is_black(const Rgb<T>& v) {
-    return v.r == T(0) && v.g == T(0) && v.b == T(0);
+    return (v.r == T(0)) & (v.g == T(0)) & (v.b == T(0));
 }
 template <class T>
 bool all_finite(const Rgb<T>& v) {

@@ -112,36 +112,75 @@ float one_minus_cos(const Cone& cone, float radius) {
     return sqr(radius / cone.distance) / (1 + cone.cos_max);
 }
 
-void sample_area_light(const Scene& scene, const Emitter& e, const Point3f& from, Point2f u, LightSample& s) {
-    const Shape& shape = scene.shapes[e.shape];
-    if (shape.kind == ShapeKind::sphere) {
-        if (const Cone cone = sphere_cone(shape, from); cone.valid) {
-            const float omc = one_minus_cos(cone, shape.radius);
-            const float cos_a = 1 - u.x * omc, sin_a = safe_sqrt(u.x * omc * (2 - u.x * omc));
-            const float phi = two_pi * u.y;
-            const Frame<float> frame{Normal3f(cone.axis)};
-            s.wi = frame.to_world({std::cos(phi) * sin_a, std::sin(phi) * sin_a, cos_a});
-            // Nearer intersection of the ray with the sphere.
-            const float half = cone.distance * cos_a;
-            const float t = half - safe_sqrt(sqr(shape.radius) - sqr(cone.distance * sin_a));
-            const Point3f on_ray = from + s.wi * t;
-            s.n = Normal3f(normalize(on_ray - shape.center));
-            s.y = shape.center + Vector3f(s.n) * shape.radius;
-            s.wi = normalize(s.y - from);  // as a reader of the stored point computes it
-            s.pdf_w = 1.0f / (two_pi * omc);
-            s.Li = e.radiance;
-            return;
-        }
-    }
+void sample_area_point(const Scene& scene, const Emitter& e, Point2f u, LightPoint& point) {
     Point2f uv;
-    sample_area(scene, e, u, s.y, s.n, uv);
-    const Vector3f d = s.y - from;
-    const float d2 = length2(d);
-    s.wi = d / std::sqrt(d2);
-    const float cos_light = -dot(s.n, s.wi);
-    if (!(cos_light > 0)) return;
-    s.pdf_w = d2 / (cos_light * float(e.area));
-    s.Li = e.texture < 0 ? e.radiance : e.radiance * scene.textures[e.texture].eval(uv);
+    sample_area(scene, e, u, point.y, point.n, uv);
+    point.area = float(e.area);
+    point.Li = e.texture < 0 ? e.radiance : e.radiance * scene.textures[e.texture].eval(uv);
+}
+
+void sample_sphere_light(const Scene& scene, const Emitter& e, const Point3f& from, Point2f u, LightSample& s) {
+    const Shape& shape = scene.shapes[e.shape];
+    const Cone cone = sphere_cone(shape, from);
+    if (!cone.valid) {
+        LightPoint point;
+        sample_area_point(scene, e, u, point);
+        point.emitter = s.emitter;
+        s = seen_from(point, from);
+        return;
+    }
+    const float omc = one_minus_cos(cone, shape.radius);
+    const float cos_a = 1 - u.x * omc, sin_a = safe_sqrt(u.x * omc * (2 - u.x * omc));
+    const float phi = two_pi * u.y;
+    const Frame<float> frame{Normal3f(cone.axis)};
+    s.wi = frame.to_world({std::cos(phi) * sin_a, std::sin(phi) * sin_a, cos_a});
+    // Nearer intersection of the ray with the sphere.
+    const float half = cone.distance * cos_a;
+    const float t = half - safe_sqrt(sqr(shape.radius) - sqr(cone.distance * sin_a));
+    const Point3f on_ray = from + s.wi * t;
+    s.n = Normal3f(normalize(on_ray - shape.center));
+    s.y = shape.center + Vector3f(s.n) * shape.radius;
+    s.wi = normalize(s.y - from);  // as a reader of the stored point computes it
+    s.pdf_w = 1.0f / (two_pi * omc);
+    s.Li = e.radiance;
+}
+
+/// The same for an emitter that is already chosen.
+bool sample_point_on(const Scene& scene, const Emitter& e, Point2f u, LightPoint& point) {
+    switch (e.kind) {
+        case EmitterKind::area:
+            if (scene.shapes[e.shape].kind == ShapeKind::sphere) return false;
+            sample_area_point(scene, e, u, point);
+            return true;
+        case EmitterKind::constant:
+            point.at_infinity = true;
+            point.y = Point3f(sample_uniform_sphere(u));
+            point.pdf_w = 1.0f / (2 * two_pi);
+            point.Li = e.radiance;
+            return true;
+        case EmitterKind::envmap: {
+            float density = 0;
+            const Point2f st = e.map->density.sample(u, density);
+            const Point2f uv{st.x + 0.5f / float(e.map->width), st.y};
+            const Vector3f local = sphere_direction(uv);
+            point.at_infinity = true;
+            point.y = Point3f(e.frame.to_world(local));
+            point.pdf_w = solid_angle_density(density, local);
+            point.Li = e.map->eval({uv.x - std::floor(uv.x), uv.y});
+            return true;
+        }
+        default:
+            return false;
+    }
+}
+
+/// Chooses an emitter by its weight. in, out: u, used up and uniform again
+std::size_t choose_emitter(const Scene& scene, float& u, float& pmf) {
+    pmf = 1;
+    if (scene.emitters.size() == 1) return 0;
+    const std::size_t index = scene.emitter_pmf.sample(u);
+    pmf = scene.emitter_pmf.pmf(index);
+    return index;
 }
 
 }  // namespace
@@ -174,57 +213,40 @@ void EnvironmentMap::prepare() {
     density = Distribution2(weights, width, rows);
 }
 
+bool sample_light_point(const Scene& scene, Point2f u, LightPoint& point) {
+    const std::size_t index = choose_emitter(scene, u.x, point.pmf);
+    point.emitter = std::uint16_t(index);
+    return sample_point_on(scene, scene.emitters[index], u, point);
+}
+
 LightSample sample_light(const Scene& scene, const Point3f& from, Point2f u) {
-    LightSample s;
-    if (scene.emitters.empty()) return s;
-    std::size_t index = 0;
-    float pmf = 1;
-    if (scene.emitters.size() > 1) {
-        index = scene.emitter_pmf.sample(u.x);
-        pmf = scene.emitter_pmf.pmf(index);
-    }
+    if (scene.emitters.empty()) return {};
+    LightPoint point;
+    const std::size_t index = choose_emitter(scene, u.x, point.pmf);
     const Emitter& e = scene.emitters[index];
+    point.emitter = std::uint16_t(index);
+    if (sample_point_on(scene, e, u, point)) return seen_from(point, from);
+    LightSample s;
     s.emitter = std::uint16_t(index);
-    switch (e.kind) {
-        case EmitterKind::area: sample_area_light(scene, e, from, u, s); break;
-        case EmitterKind::point:
-        case EmitterKind::spot: {
-            const Vector3f d = e.position - from;
-            const float d2 = length2(d);
-            s.delta = true;
-            s.y = e.position;
-            s.wi = d / std::sqrt(d2);
-            s.pdf_w = 1;
-            s.Li = e.radiance / d2;
-            if (e.kind == EmitterKind::spot) s.Li *= spot_falloff(scene, e, e.frame.to_local(-s.wi));
-            break;
-        }
-        case EmitterKind::directional:
-            s.delta = s.at_infinity = true;
-            s.wi = -Vector3f(e.frame.n);
-            s.pdf_w = 1;
-            s.Li = e.radiance;
-            break;
-        case EmitterKind::constant:
-            s.at_infinity = true;
-            s.wi = sample_uniform_sphere(u);
-            s.pdf_w = 1.0f / (2 * two_pi);
-            s.Li = e.radiance;
-            break;
-        case EmitterKind::envmap: {
-            float density = 0;
-            Point2f st = e.map->density.sample(u, density);
-            const Point2f uv{st.x + 0.5f / float(e.map->width), st.y};
-            const Vector3f local = sphere_direction(uv);
-            s.at_infinity = true;
-            s.wi = e.frame.to_world(local);
-            s.pdf_w = solid_angle_density(density, local);
-            s.Li = e.map->eval({uv.x - std::floor(uv.x), uv.y});
-            break;
-        }
+    if (e.kind == EmitterKind::area) {
+        sample_sphere_light(scene, e, from, u, s);
+    } else if (e.kind == EmitterKind::directional) {
+        s.delta = s.at_infinity = true;
+        s.wi = -Vector3f(e.frame.n);
+        s.pdf_w = 1;
+        s.Li = e.radiance;
+        s.y = Point3f(s.wi);
+    } else {
+        const Vector3f d = e.position - from;
+        const float d2 = length2(d);
+        s.delta = true;
+        s.y = e.position;
+        s.wi = d / std::sqrt(d2);
+        s.pdf_w = 1;
+        s.Li = e.radiance / d2;
+        if (e.kind == EmitterKind::spot) s.Li *= spot_falloff(scene, e, e.frame.to_local(-s.wi));
     }
-    s.pdf_w *= pmf;
-    if (s.at_infinity) s.y = Point3f(s.wi);
+    s.pdf_w *= point.pmf;
     if (is_black(s.Li)) s.pdf_w = 0;
     return s;
 }

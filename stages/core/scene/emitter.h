@@ -59,6 +59,40 @@ struct LightSample {
     std::uint16_t emitter = 0;
 };
 
+/// A point on an emitter, or a direction towards one, chosen without a look at what it will light.
+struct LightPoint {
+    Spectrum Li;         // that it sends to the side of n
+    Point3f y;           // or the direction towards it, when at_infinity
+    Normal3f n;          // unit, of the side that shines; meaningless when at_infinity
+    float area = 1;      // y is uniform over it, m^2
+    float pdf_w = 0;     // of a direction, sr^-1; meaningless for a point
+    float pmf = 1;       // of its emitter
+    bool at_infinity = false;
+    std::uint16_t emitter = 0;
+};
+
+/// Chooses an emitter by its weight and a point on it, as sample_light does from any point.
+/// out: false: which point, or what arrives from it, depends on what it lights (spheres, delta lights)
+bool sample_light_point(const Scene& scene, Point2f u, LightPoint& point);
+
+/// The light point as a surface point sees it.
+inline LightSample seen_from(const LightPoint& point, const Point3f& from) {
+    const Vector3f d = point.y - from;
+    const float d2 = length2(d);
+    const Vector3f towards = d / std::sqrt(d2);
+    const float cos_light = -dot(point.n, towards);
+    const float by_area = select(cos_light > 0, d2 / (cos_light * point.area), 0.0f);
+    LightSample s;
+    s.wi = select(point.at_infinity, Vector3f(point.y), towards);
+    s.Li = point.Li;
+    s.pdf_w = select(is_black(point.Li), 0.0f, select(point.at_infinity, point.pdf_w, by_area) * point.pmf);
+    s.y = point.y;
+    s.n = point.n;
+    s.at_infinity = point.at_infinity;
+    s.emitter = point.emitter;
+    return s;
+}
+
 /// Chooses an emitter by its weight and a point on it. pdf_w = 0 when nothing arrives.
 LightSample sample_light(const Scene& scene, const Point3f& from, Point2f u);
 

@@ -1,7 +1,6 @@
 #include "stages/core/scene/scene.h"
 
 #include "formats/io/half.h"
-#include "formats/io/octahedral.h"
 #include "stages/core/scene/embree.h"
 
 namespace loom {
@@ -54,12 +53,6 @@ Normal3f perturbed_normal(const Scene& scene, const Material& m, const Framef& b
 
 }  // namespace
 
-Vector3f octahedral_round(const Vector3f& v) {
-    const auto code = octahedral_from_unit(v.x, v.y, v.z);
-    const auto unit = unit_from_octahedral(code[0], code[1]);
-    return {unit[0], unit[1], unit[2]};
-}
-
 Hit Scene::intersect(const Ray& ray) const { return rays->intersect(ray); }
 bool Scene::occluded(const Ray& ray) const { return rays->occluded(ray); }
 
@@ -76,25 +69,13 @@ SurfacePoint Scene::surface(const Ray& ray, const Hit& hit) const {
     const bool wants_tangent = features.anisotropic || features.perturbed_normals;
 
     if (shape.kind == ShapeKind::mesh) {
-        const Mesh& mesh = shape.mesh;
-        const TriangleRecord& triangle = shape.triangles[hit.primitive];
-        const std::uint32_t* i = &mesh.indices[3 * std::size_t(hit.primitive)];
-        at.p = triangle.p0 + (triangle.e1 * hit.u + triangle.e2 * hit.v);
-        at.ng = at.ns_smooth = triangle.ng;
-        const float w = 1 - hit.u - hit.v;
-        if (!mesh.normals.empty()) {
-            const Vector3f n = Vector3f(mesh.normals[i[0]]) * w + Vector3f(mesh.normals[i[1]]) * hit.u +
-                               Vector3f(mesh.normals[i[2]]) * hit.v;
-            const float len2 = length2(n);
-            if (len2 > 0) at.ns_smooth = Normal3f(octahedral_round(n * ((shape.flip_normals ? -1 : 1) / std::sqrt(len2))));
-        }
-        if (wants_uv) {
-            at.uv = {hit.u, hit.v};
-            if (!mesh.uvs.empty())
-                at.uv = {mesh.uvs[i[0]].x * w + mesh.uvs[i[1]].x * hit.u + mesh.uvs[i[2]].x * hit.v,
-                         mesh.uvs[i[0]].y * w + mesh.uvs[i[1]].y * hit.u + mesh.uvs[i[2]].y * hit.v};
-        }
-        if (wants_tangent) partials = triangle_partials(mesh, i, at.ng);
+        const TrianglePoint point = triangle_point(shape, hit, wants_uv);
+        at.p = point.p;
+        at.uv = point.uv;
+        at.ng = at.ns_smooth = point.ng;
+        if (length2(point.n) > 0) at.ns_smooth = smooth_normal(point.n, shape.flip_normals ? -1.0f : 1.0f);
+        if (wants_tangent)
+            partials = triangle_partials(shape.mesh, &shape.mesh.indices[3 * std::size_t(hit.primitive)], at.ng);
     } else if (shape.kind == ShapeKind::sphere) {
         const Vector3f outward = normalize(ray.o + ray.d * hit.t - shape.center);
         at.p = shape.center + outward * shape.radius;
@@ -135,11 +116,15 @@ SurfacePoint Scene::surface(const Ray& ray, const Hit& hit) const {
     return at;
 }
 
+Spectrum Scene::diffuse(const Material& m, Point2f uv) const {
+    return m.diffuse >= 0 ? half_round(textures[m.diffuse].eval(uv)) : m.model.diffuse;
+}
+
 Bsdf<float> Scene::bsdf(const SurfacePoint& at) const {
     const Material& m = materials[at.material];
     Bsdf<float> b(m.model);
     if (!m.textured()) return b;
-    if (m.diffuse >= 0) b.diffuse = half_round(textures[m.diffuse].eval(at.uv));
+    b.diffuse = diffuse(m, at.uv);
     if (m.specular >= 0) b.specular = half_round(textures[m.specular].eval(at.uv));
     if (m.transmittance >= 0) b.transmittance = half_round(textures[m.transmittance].eval(at.uv));
     if (m.alpha_u >= 0) b.alpha_u = half_round(std::max(textures[m.alpha_u].eval_float(at.uv), 1e-4f));

@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include "formats/io/octahedral.h"
 #include "stages/core/math/frame.h"
 #include "stages/core/math/vector.h"
 #include "stages/core/scattering/bsdf.h"
@@ -130,17 +131,57 @@ struct Scene {
     /// light through them is found by sampling the BSDF.
     bool occluded(const Ray& ray) const;
     SurfacePoint surface(const Ray& ray, const Hit& hit) const;
+    /// Of the diffuse lobe, as bsdf() says.
+    Spectrum diffuse(const Material& material, Point2f uv) const;
     /// The BSDF with its textures evaluated at a point, parameters rounded as the path graph stores them.
     Bsdf<float> bsdf(const SurfacePoint& at) const;
 };
 
 /// Unit vector after a round trip through the octahedral code that the path graph stores.
-Vector3f octahedral_round(const Vector3f& v);
+inline Vector3f octahedral_round(const Vector3f& v) {
+    const auto code = octahedral_from_unit(v.x, v.y, v.z);
+    const auto unit = unit_from_octahedral(code[0], code[1]);
+    return {unit[0], unit[1], unit[2]};
+}
+
+/// Where a ray has met a triangle.
+struct TrianglePoint {
+    Point3f p;
+    Normal3f ng;
+    Vector3f n;  // interpolated from the vertices, not of unit length; (0, 0, 0): none, shade with ng
+    Point2f uv;
+};
+
+inline TrianglePoint triangle_point(const Shape& shape, const Hit& hit, bool wants_uv) {
+    const Mesh& mesh = shape.mesh;
+    const TriangleRecord& triangle = shape.triangles[hit.primitive];
+    const std::uint32_t* i = &mesh.indices[3 * std::size_t(hit.primitive)];
+    TrianglePoint at;
+    at.p = triangle.p0 + (triangle.e1 * hit.u + triangle.e2 * hit.v);
+    at.ng = triangle.ng;
+    const float w = 1 - hit.u - hit.v;
+    if (!mesh.normals.empty())
+        at.n = Vector3f(mesh.normals[i[0]]) * w + Vector3f(mesh.normals[i[1]]) * hit.u +
+               Vector3f(mesh.normals[i[2]]) * hit.v;
+    if (wants_uv) {
+        at.uv = {hit.u, hit.v};
+        if (!mesh.uvs.empty())
+            at.uv = {mesh.uvs[i[0]].x * w + mesh.uvs[i[1]].x * hit.u + mesh.uvs[i[2]].x * hit.v,
+                     mesh.uvs[i[0]].y * w + mesh.uvs[i[1]].y * hit.u + mesh.uvs[i[2]].y * hit.v};
+    }
+    return at;
+}
+
+/// Shading normal from the interpolated one, n: unit, turned when `side` is -1, rounded as the path graph stores it.
+inline Normal3f smooth_normal(const Vector3f& n, float side) {
+    return Normal3f(octahedral_round(n * (side / std::sqrt(length2(n)))));
+}
 
 /// Origin of a ray that leaves p into direction d, moved off the surface.
 inline Point3f offset_origin(const Point3f& p, const Normal3f& ng, const Vector3f& d) {
     constexpr float ray_epsilon = 0x1p-24f * 1500.0f;
-    const float magnitude = (1.0f + std::max({std::abs(p.x), std::abs(p.y), std::abs(p.z)})) * ray_epsilon;
+    const float largest = std::max(std::max(std::abs(p.x), std::abs(p.y)), std::abs(p.z));
+    const float magnitude = (1.0f + largest) * ray_epsilon;
     return p + Vector3f(ng) * (dot(ng, d) >= 0 ? magnitude : -magnitude);
 }
 
@@ -148,9 +189,11 @@ inline Ray spawn_ray(const Point3f& p, const Normal3f& ng, const Vector3f& d) {
     return {offset_origin(p, ng, d), d, 0, INFINITY};
 }
 
+/// A shadow ray ends short of its light by this part of its length.
+inline constexpr float shadow_epsilon = 0x1p-24f * 15000.0f;
+
 /// The open segment from p (on a surface with normal ng) to q.
 inline Ray spawn_segment(const Point3f& p, const Normal3f& ng, const Point3f& q) {
-    constexpr float shadow_epsilon = 0x1p-24f * 15000.0f;
     const Point3f o = offset_origin(p, ng, q - p);
     const Vector3f d = q - o;
     const float distance = length(d);

@@ -121,6 +121,12 @@ Step arrive(const Scene& scene, const PathOptions& options, int depth, const Hit
         if constexpr (recording) last().ending = Ending::escaped;
         return Step::ends;
     }
+    const bool last_vertex = options.max_depth >= 0 && depth >= options.max_depth;
+    if constexpr (!recording)
+        if (last_vertex && depth > 1 && scene.shapes[hit.shape].emitter < 0) {
+            ++path.result.n_vertices;  // where it lies, nobody asks
+            return Step::ends;
+        }
     const SurfacePoint at = scene.surface(path.ray, hit);
     if (const int emitter = scene.shapes[at.shape].emitter; emitter >= 0) {
         const Spectrum Le = emitted(scene, at, wo);
@@ -160,7 +166,7 @@ Step arrive(const Scene& scene, const PathOptions& options, int depth, const Hit
         vertex.material = std::uint16_t(at.material);
         vertex.eta = path.media.index();
     }
-    if (options.max_depth >= 0 && depth >= options.max_depth) {
+    if (last_vertex) {
         if constexpr (recording) last().ending = Ending::max_depth;
         return Step::ends;
     }

@@ -3,6 +3,7 @@
 #include <vector>
 
 #include "stages/core/scene/embree.h"
+#include "stages/core/transport/matte_block.h"
 #include "stages/core/transport/path_step.h"
 
 namespace loom {
@@ -36,15 +37,19 @@ struct PathBatch::Impl {
     std::unique_ptr<bool[]> blocked{new bool[capacity]};
     // Columns of random numbers, in the order of `active`.
     std::vector<std::uint32_t> key_lo, key_hi, index;
-    std::vector<float> light_x, light_y, direction_x, direction_y;
+    std::vector<float> light_x, light_y, direction_x, direction_y, roulette_x, unused;
+    std::vector<Step> steps;
+    MatteBlock matte;
 
-    Impl(const Scene& s, const PathOptions& o) : scene(s), options(o) {
+    Impl(const Scene& s, const PathOptions& o) : scene(s), options(o), matte(s, o) {
         paths.reserve(capacity);
         shadows.resize(capacity);
         hits.resize(capacity);
         rays.resize(capacity);
         for (auto* column : {&key_lo, &key_hi, &index}) column->resize(capacity);
-        for (auto* column : {&light_x, &light_y, &direction_x, &direction_y}) column->resize(capacity);
+        for (auto* column : {&light_x, &light_y, &direction_x, &direction_y, &roulette_x, &unused})
+            column->resize(capacity);
+        steps.resize(capacity);
     }
 
     template <bool recording>
@@ -73,17 +78,40 @@ struct PathBatch::Impl {
                            light_x.data(), light_y.data());
             sampler_pairs(options.sampler, key_lo.data(), key_hi.data(), index.data(), dimension(depth, Place::direction),
                            n, direction_x.data(), direction_y.data());
-            std::size_t going = 0;
-            waiting.clear();
+            if (matte.roulette(depth) != Roulette::off)
+                sampler_pairs(options.sampler, key_lo.data(), key_hi.data(), index.data(), dimension(depth, Place::roulette),
+                              n, roulette_x.data(), unused.data());
+            // Matte surfaces by column, a block at a time; all else vertex by vertex.
+            const bool by_column = options.max_depth < 0 || depth < options.max_depth;
+            const auto shade = [&] {
+                matte.shade(depth);
+                for (std::size_t m = 0; m < matte.size(); ++m) {
+                    const std::uint32_t k = matte.ray(m), i = active[k];
+                    steps[k] = matte.finish<recording>(m, depth, hits[k], paths[i], shadows[i],
+                                                       recording ? records + i : nullptr);
+                }
+                matte.clear();
+            };
             for (std::size_t k = 0; k < n; ++k) {
                 const std::uint32_t i = active[k];
                 PathState& path = paths[i];
                 ++path.result.n_rays;
-                const Step step = arrive<recording>(scene, options, depth, hits[k], {light_x[k], light_y[k]},
-                                                    {direction_x[k], direction_y[k]}, path, shadows[i],
-                                                    recording ? records + i : nullptr);
+                const Point2f u_light{light_x[k], light_y[k]}, u_direction{direction_x[k], direction_y[k]};
+                if (by_column && matte.add(std::uint32_t(k), hits[k], path, u_light, u_direction, roulette_x[k])) {
+                    if (matte.full()) shade();
+                } else {
+                    steps[k] = arrive<recording>(scene, options, depth, hits[k], u_light, u_direction, path, shadows[i],
+                                                 recording ? records + i : nullptr);
+                }
+            }
+            shade();
+            std::size_t going = 0;
+            waiting.clear();
+            for (std::size_t k = 0; k < n; ++k) {
+                const std::uint32_t i = active[k];
+                const Step step = steps[k];
                 if (has(step, Step::asks_shadow)) {
-                    rays[waiting.size()] = &shadows[i].ray;  // rays[0..k] have been traced
+                    rays[waiting.size()] = &shadows[i].ray;
                     waiting.push_back(i);
                 }
                 if (has(step, Step::goes_on)) active[going++] = i;
