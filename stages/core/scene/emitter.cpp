@@ -15,8 +15,8 @@ Point2f sphere_uv(const Vector3f& d) {
 }
 
 Vector3f sphere_direction(Point2f uv) {
-    const float phi = uv.x * two_pi, theta = uv.y * pi<float>, sin_theta = std::sin(theta);
-    return {std::sin(phi) * sin_theta, std::cos(theta), -std::cos(phi) * sin_theta};
+    const SinCos phi = sin_cos_turn(uv.x - std::floor(uv.x)), theta = sin_cos_turn(0.5f * uv.y);
+    return {phi.sin * theta.sin, theta.cos, -phi.cos * theta.sin};
 }
 
 /// The cells of EnvironmentMap::density start half a column later than the map.

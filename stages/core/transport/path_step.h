@@ -15,26 +15,28 @@ inline constexpr std::uint32_t film_pair = 0;
 enum class Place : std::uint32_t { light = 1, direction = 2, lobe = 3, roulette = 4 };
 constexpr std::uint32_t dimension(int depth, Place place) { return std::uint32_t(depth - 1) * 4 + std::uint32_t(place); }
 
-/// A path under way: the ray that is about to arrive and all that led to it.
-struct PathState {
-    Sampler sampler;
+/// A path under way: the ray that is about to arrive and all that led to it. What every step touches lies in the
+/// first cache lines, what only dielectrics touch in the last.
+struct alignas(64) PathState {
     Ray ray;
     Spectrum beta{1};     // of the ray: includes the last BSDF sample and roulette
     float eta_scale = 1;  // product of squared relative indices: undoes radiance scaling for roulette
     float pdf_w = 0;      // of the ray's direction, roulette folded in; for a delta lobe its pmf
     Point3f from;         // vertex that it left
     Lobe lobe = Lobe::none;
-    MediumStack media;
     PathResult result;
+    Sampler sampler;
+    MediumStack media;
 
-    PathState(const Scene& scene, const PathOptions& options, PathId id)
-        : sampler(options.sampler, options.seed, id.pixel, id.sample),
-          ray(scene.sensor.sample_ray(std::uint32_t(id.pixel % scene.sensor.width),
-                                      std::uint32_t(id.pixel / scene.sensor.width), sampler.pair(film_pair))) {}
+    /// in: u_film  sampler.pair(film_pair)
+    PathState(const Scene& scene, const Sampler& numbers, PathId id, Point2f u_film)
+        : ray(scene.sensor.sample_ray(std::uint32_t(id.pixel % scene.sensor.width),
+                                      std::uint32_t(id.pixel / scene.sensor.width), u_film)),
+          sampler(numbers) {}
 };
 
 /// The visibility that next-event estimation waits for, and what it is worth.
-struct ShadowRequest {
+struct alignas(64) ShadowRequest {
     Ray ray;
     Spectrum contribution;
     LightEdgeRecord edge;  // filled when recording

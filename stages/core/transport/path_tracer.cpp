@@ -9,7 +9,8 @@
 namespace loom {
 
 PathResult trace_path(const Scene& scene, const PathOptions& options, PathId id, PathRecord& record) {
-    PathState path(scene, options, id);
+    const Sampler sampler(options.sampler, options.seed, id.pixel, id.sample);
+    PathState path(scene, sampler, id, sampler.pair(film_pair));
     record.clear();
     record.origin = path.ray.o;
     for (int depth = 1;; ++depth) {
@@ -29,6 +30,7 @@ PathResult trace_path(const Scene& scene, const PathOptions& options, PathId id,
 struct PathBatch::Impl {
     const Scene& scene;
     PathOptions options;
+    std::vector<Sampler> samplers;
     std::vector<PathState> paths;
     std::vector<ShadowRequest> shadows;
     std::vector<Hit> hits;
@@ -42,6 +44,7 @@ struct PathBatch::Impl {
     MatteBlock matte;
 
     Impl(const Scene& s, const PathOptions& o) : scene(s), options(o), matte(s, o) {
+        samplers.reserve(capacity);
         paths.reserve(capacity);
         shadows.resize(capacity);
         hits.resize(capacity);
@@ -55,9 +58,18 @@ struct PathBatch::Impl {
     template <bool recording>
     void trace(std::span<const PathId> ids, std::span<PathResult> results, PathRecord* records) {
         paths.clear();
+        samplers.clear();
         active.clear();
         for (std::size_t i = 0; i < ids.size(); ++i) {
-            paths.emplace_back(scene, options, ids[i]);
+            samplers.emplace_back(options.sampler, options.seed, ids[i].pixel, ids[i].sample);
+            key_lo[i] = samplers[i].key_lo();
+            key_hi[i] = samplers[i].key_hi();
+            index[i] = samplers[i].index();
+        }
+        sampler_pairs(options.sampler, key_lo.data(), key_hi.data(), index.data(), film_pair, ids.size(),
+                      light_x.data(), light_y.data());
+        for (std::size_t i = 0; i < ids.size(); ++i) {
+            paths.emplace_back(scene, samplers[i], ids[i], Point2f{light_x[i], light_y[i]});
             active.push_back(std::uint32_t(i));
             if constexpr (recording) {
                 records[i].clear();
@@ -66,13 +78,7 @@ struct PathBatch::Impl {
         }
         for (int depth = 1; !active.empty(); ++depth) {
             const std::size_t n = active.size();
-            for (std::size_t k = 0; k < n; ++k) {
-                const PathState& path = paths[active[k]];
-                rays[k] = &path.ray;
-                key_lo[k] = path.sampler.key_lo();
-                key_hi[k] = path.sampler.key_hi();
-                index[k] = path.sampler.index();
-            }
+            for (std::size_t k = 0; k < n; ++k) rays[k] = &paths[active[k]].ray;
             scene.rays->intersect(rays.data(), n, hits.data(), depth == 1);
             sampler_pairs(options.sampler, key_lo.data(), key_hi.data(), index.data(), dimension(depth, Place::light), n,
                            light_x.data(), light_y.data());
@@ -114,7 +120,13 @@ struct PathBatch::Impl {
                     rays[waiting.size()] = &shadows[i].ray;
                     waiting.push_back(i);
                 }
-                if (has(step, Step::goes_on)) active[going++] = i;
+                if (has(step, Step::goes_on)) {
+                    active[going] = i;
+                    key_lo[going] = key_lo[k];
+                    key_hi[going] = key_hi[k];
+                    index[going] = index[k];
+                    ++going;
+                }
             }
             scene.rays->occluded(rays.data(), waiting.size(), blocked.get());
             for (std::size_t k = 0; k < waiting.size(); ++k) {
