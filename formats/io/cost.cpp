@@ -23,6 +23,7 @@ void members(Self& cost, Visitor&& visit) {
     visit("peak_memory_bytes", cost.peak_memory_bytes);
     visit("bytes_written", cost.bytes_written);
     visit("parents", cost.parents);
+    visit("sources", cost.sources);
 }
 
 struct Writer {
@@ -71,6 +72,12 @@ struct Reader {
 };
 
 }  // namespace
+
+std::string parent_of(const std::filesystem::path& output, const std::filesystem::path& input) {
+    namespace fs = std::filesystem;
+    const fs::path folder = fs::absolute(output).lexically_normal().parent_path();
+    return fs::absolute(input).lexically_normal().lexically_relative(folder).generic_string();
+}
 
 std::filesystem::path cost_path(const std::filesystem::path& output) {
     std::filesystem::path path = output;

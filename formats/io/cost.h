@@ -7,16 +7,21 @@
 namespace loom {
 
 /// What making one output took. It lies beside the output, never in it: equal inputs give equal bytes, but
-/// never equal seconds. Costs are added up along the chain of parents.
+/// never equal seconds. Costs are added up along the chain of parents, which outlives the parents themselves:
+/// an intermediate may go once it has been used, its cost stays.
 struct Cost {
     std::string stage;
     double wall_s = 0, cpu_s = 0;
     std::uint64_t rays = 0;     // closest-hit and shadow rays
     std::uint64_t samples = 0;  // paths, or whatever the stage counts its work in
     std::uint64_t peak_memory_bytes = 0, bytes_written = 0;
-    std::vector<std::string> parents;  // names of the inputs' files
+    std::vector<std::string> parents;  // inputs that stages made: the way to each from the output's folder
+    std::vector<std::string> sources;  // names of inputs that no stage made (scenes): they cost nothing
     bool operator==(const Cost&) const = default;
 };
+
+/// "out/pt/pass-0.exr" as a parent of "out/image.exr" -> "pt/pass-0.exr"
+std::string parent_of(const std::filesystem::path& output, const std::filesystem::path& input);
 
 /// "x.h5" -> "x.h5.cost.json"
 std::filesystem::path cost_path(const std::filesystem::path& output);

@@ -169,15 +169,11 @@ void run(const Options& options, app::Report& report) {
     write_image(image, options.output);
     if (!options.png.empty()) write_png(image, options.png, options.exposure_ev);
 
-    const app::Usage usage = report.usage();
-    Cost cost;
-    cost.stage = report.name();
-    cost.wall_s = usage.wall_s;
-    cost.cpu_s = usage.cpu_s;
+    Cost cost = report.cost();
     cost.samples = graph.n_paths();
-    cost.peak_memory_bytes = usage.peak_memory_bytes;
     cost.bytes_written = std::filesystem::file_size(options.output);
-    for (const InputId& input : image.provenance.inputs) cost.parents.push_back(input.name);
+    cost.parents = {parent_of(options.output, options.graph)};
+    if (!options.radiance.empty()) cost.parents.push_back(parent_of(options.output, options.radiance));
     write_cost(cost, options.output);
     report.done("{} paths, {} vertices", graph.n_paths(), graph.n_vertices());
 }

@@ -141,14 +141,9 @@ void run(const Options& options, app::Report& report) {
     merged.provenance = std::move(provenance);
     write_image(merged, options.output, options.zip ? Compression::zip : Compression::none);
 
-    const app::Usage usage = report.usage();
-    Cost cost;
-    cost.stage = report.name();
-    cost.wall_s = usage.wall_s;
-    cost.cpu_s = usage.cpu_s;
-    cost.peak_memory_bytes = usage.peak_memory_bytes;
+    Cost cost = report.cost();
     cost.bytes_written = std::filesystem::file_size(options.output);
-    for (const auto& input : merged.provenance.inputs) cost.parents.push_back(input.name);
+    for (const std::string& part : options.parts) cost.parents.push_back(parent_of(options.output, part));
     write_cost(cost, options.output);
     const std::size_t n_bad = count_nonfinite(merged);
     if (n_bad > 0) report.warn("{}: {} numbers are NaN or infinite", options.output, n_bad);

@@ -271,17 +271,12 @@ void run(const Options& options, app::Report& report) {
     }
     if (!options.depfile.empty()) write_depfile(options, *scene);
 
-    const app::Usage usage = report.usage();
     const std::uint64_t samples = scene->sensor.n_pixels() * options.spp;
-    Cost cost;
-    cost.stage = report.name();
-    cost.wall_s = usage.wall_s;
-    cost.cpu_s = usage.cpu_s;
+    Cost cost = report.cost();
     cost.rays = counts.rays;
     cost.samples = samples;
-    cost.peak_memory_bytes = usage.peak_memory_bytes;
     cost.bytes_written = std::filesystem::file_size(options.output);
-    cost.parents = {std::filesystem::path(options.scene).filename()};
+    cost.sources = {std::filesystem::path(options.scene).filename()};
     write_cost(cost, options.output);
     report.done("{} paths, {} vertices, {} rays, {} samples not finite", samples, counts.vertices, counts.rays,
                 counts.nonfinite);

@@ -21,7 +21,8 @@ Cost some_cost() {
             921600,
             123456789,
             5,
-            {"a \"b\"\\\n\x01.xml", "c.h5"}};
+            {"a \"b\"\\\n\x01.exr", "../c.h5"},
+            {"scene.xml"}};
 }
 
 TEST(Cost, ReadsBack) {
@@ -29,6 +30,15 @@ TEST(Cost, ReadsBack) {
     write_cost(some_cost(), folder / "x.h5");
     EXPECT_TRUE(std::filesystem::exists(folder / "x.h5.cost.json"));
     EXPECT_EQ(read_cost(folder / "x.h5"), some_cost());
+}
+
+// A base name alone would lose parents that lie in another folder, as the passes of a picture do.
+TEST(Cost, ParentsAreFoundFromTheFolderOfTheOutput) {
+    EXPECT_EQ(parent_of("out/image.exr", "out/pt/pass-0.exr"), "pt/pass-0.exr");
+    EXPECT_EQ(parent_of("out/image.exr", "out/graph.h5"), "graph.h5");
+    EXPECT_EQ(parent_of("image.exr", "./graph.h5"), "graph.h5");
+    EXPECT_EQ(parent_of("out/x/../image.exr", "old/image.exr"), "../old/image.exr");
+    EXPECT_EQ(parent_of("/a/b/image.exr", "/a/c/graph.h5"), "../c/graph.h5");
 }
 
 TEST(Cost, NoParents) {
