@@ -79,6 +79,9 @@ std::vector<std::pair<std::string, std::string>> exr_attributes(const std::files
 /// Number of values that are NaN or infinite.
 std::size_t count_nonfinite(const Image& image);
 
+/// What a display shows of a linear value, clamped to [0, 1].                [IEC 61966-2-1]
+double srgb_from_linear(double linear);
+
 /// Writes an 8-bit sRGB preview of R, G, B times 2^exposure_ev. NaN shows as black.
 /// out:     number of pixels that held a NaN or an infinity
 std::size_t write_png(const Image& image, const std::filesystem::path& path, double exposure_ev = 0);

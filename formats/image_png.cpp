@@ -8,16 +8,10 @@
 #include "formats/image.h"
 
 namespace loom {
-namespace {
-
-/// Linear to sRGB, 8 bits.                                    [IEC 61966-2-1]
-std::uint8_t srgb_byte(double linear) {
+double srgb_from_linear(double linear) {
     const double x = std::clamp(linear, 0.0, 1.0);
-    const double encoded = x <= 0.0031308 ? 12.92 * x : 1.055 * std::pow(x, 1.0 / 2.4) - 0.055;
-    return static_cast<std::uint8_t>(std::lround(255.0 * encoded));
+    return x <= 0.0031308 ? 12.92 * x : 1.055 * std::pow(x, 1.0 / 2.4) - 0.055;
 }
-
-}  // namespace
 
 std::size_t write_png(const Image& image, const std::filesystem::path& path, double exposure_ev) {
     const std::vector<float> rgb = image.interleaved("");
@@ -28,7 +22,9 @@ std::size_t write_png(const Image& image, const std::filesystem::path& path, dou
         bool finite = true;
         for (std::size_t c = 0; c < 3; ++c) {
             finite = finite && std::isfinite(rgb[i + c]);
-            bytes[i + c] = std::isnan(rgb[i + c]) ? 0 : srgb_byte(gain * rgb[i + c]);
+            bytes[i + c] = std::isnan(rgb[i + c])
+                               ? 0
+                               : static_cast<std::uint8_t>(std::lround(255.0 * srgb_from_linear(gain * rgb[i + c])));
         }
         n_bad += finite ? 0 : 1;
     }

@@ -36,6 +36,13 @@ std::string base_name(std::string_view path) {
     return std::filesystem::path(path).filename().string();
 }
 
+Labelled split_label(const std::string& text) {
+    const std::size_t at = text.find('=');
+    std::error_code ignored;
+    if (at == std::string::npos || std::filesystem::exists(text, ignored)) return {"", text};
+    return {text.substr(0, at), text.substr(at + 1)};
+}
+
 std::string shell_word(std::string_view word) {
     const auto plain = [](char c) {
         return (c >= '0' && c <= '9') || (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') ||
@@ -138,6 +145,14 @@ Command::Option Command::files(const std::string& names, std::vector<std::string
     return option;
 }
 
+Command::Option Command::labelled_files(const std::string& names, std::vector<std::string>& field,
+                                        const std::string& help) {
+    const Option option = files(names, field, help);
+    declared_.back().kind = Kind::labelled_input;
+    option.option_->type_name("[LABEL=]FILE");
+    return option;
+}
+
 Command::Option Command::output(const std::string& names, std::string& field, const std::string& help) {
     const Option option = this->option(names, field, help);
     declared_.back().kind = Kind::place;
@@ -165,7 +180,10 @@ std::string Command::text(bool for_output) const {
             if (option.is_flag) continue;
             if (!for_output)
                 text += " " + shell_word(value);
-            else
+            else if (option.kind == Kind::labelled_input) {
+                const auto [label, file] = split_label(value);
+                text += " " + shell_word(label.empty() ? base_name(file) : label + "=" + base_name(file));
+            } else
                 text +=
                     " " + shell_word(option.kind == Kind::input ? base_name(value) : without_place(value));
         }

@@ -67,6 +67,9 @@ class Command {
     /// An input that must be there; `files` takes one or more. The command's text has base names only.
     Option file(const std::string& names, std::string& field, const std::string& help);
     Option files(const std::string& names, std::vector<std::string>& field, const std::string& help);
+    /// One or more inputs that may carry a label, LABEL=FILE (see split_label). Whether they are there is the body's
+    /// to check.
+    Option labelled_files(const std::string& names, std::vector<std::string>& field, const std::string& help);
     /// A file to write; its folder must be there. Not in the command's text.
     Option output(const std::string& names, std::string& field, const std::string& help);
     /// --threads; 0 is all. Not in the command's text.
@@ -91,7 +94,7 @@ class Command {
     Report report;
 
   private:
-    enum class Kind { value, input, place };  // place: where or how fast, never what
+    enum class Kind { value, input, labelled_input, place };  // place: where or how fast, never what
     struct Declared {
         Kind kind;
         std::string flag;                               // empty for a positional

@@ -57,6 +57,12 @@ std::string number_text(T value) {
 /// `name` without its folders: what a file that should not depend on its place says of another.
 std::string base_name(std::string_view path);
 
+struct Labelled {
+    std::string label, file;  // the label is empty when there is none
+};
+/// "pt=out/image.exr" -> pt, out/image.exr. A file that has this whole text for its name has no label.
+Labelled split_label(const std::string& text);
+
 /// The word as a shell would need it: in single quotes when it holds anything but plain characters.
 std::string shell_word(std::string_view word);
 

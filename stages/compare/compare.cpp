@@ -1,0 +1,359 @@
+#include "stages/compare/compare.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+#include <filesystem>
+#include <limits>
+#include <map>
+#include <optional>
+
+#include "formats/image.h"
+#include "formats/io/error.h"
+#include "stages/compare/difference.h"
+#include "stages/core/app/command.h"
+
+namespace loom::compare {
+namespace {
+
+namespace fs = std::filesystem;
+constexpr double unknown = std::numeric_limits<double>::quiet_NaN();
+
+/// A picture to compare: RGB and the variance of its pixels, empty where unknown.
+struct Picture {
+    std::size_t width = 0, height = 0;
+    std::uint64_t samples = 0;
+    std::vector<float> rgb, var_mean;
+};
+
+Picture read_picture(const std::string& file) {
+    const Image image = read_image(file);
+    Picture picture{image.width, image.height, image.samples, image.interleaved(""), {}};
+    if (image.n_pixels() == 0) throw InputError(fmt::format("{}: has no pixels", file));
+    // One sample has no variance of its own, whatever the layer says.
+    if (!image.find("VarMean.R").empty() && image.samples != 1) picture.var_mean = image.interleaved("VarMean");
+    return picture;
+}
+
+void check_fit(const Picture& picture, const std::string& file, const Picture& other, const std::string& name) {
+    if (picture.width != other.width || picture.height != other.height) {
+        throw InputError(fmt::format("{}: is {} x {}, but {} is {} x {}", file, picture.width, picture.height, name,
+                                     other.width, other.height));
+    }
+}
+
+Picture read_reference(const Options& options, const std::string& file) {
+    Picture reference = read_picture(file);
+    if (!options.reference_variance.empty()) {
+        const Picture variance = read_picture(options.reference_variance);
+        check_fit(variance, options.reference_variance, reference, file);
+        reference.var_mean = variance.rgb;
+    }
+    if (const std::uint64_t bad = count_nonfinite(reference.rgb); bad > 0)
+        throw InputError(fmt::format("{}: {} numbers are NaN or infinite; no reference", file, bad));
+    return reference;
+}
+
+struct Input {
+    std::string label, file;
+};
+
+std::vector<Input> inputs_of(const Options& options) {
+    std::vector<Input> inputs;
+    for (const std::string& text : options.inputs) {
+        const auto [label, file] = app::split_label(text);
+        inputs.push_back({label.empty() ? file : label, file});
+        if (inputs.back().label.find_first_of("\t\n") != std::string::npos)
+            throw InputError(fmt::format("'{}': a label must not hold tabs or line ends", text));
+    }
+    return inputs;
+}
+
+/// A limit on a metric.
+struct Limit {
+    const Column* column;
+    double value;
+    bool is_upper;
+    std::string text;
+};
+
+void parse_limits(const std::vector<std::string>& texts, bool is_upper, std::vector<Limit>& limits) {
+    for (const std::string& text : texts) {
+        const std::size_t at = text.find('=');
+        const auto value = at == std::string::npos ? std::nullopt : app::parse_number<double>(text.substr(at + 1));
+        const auto known = std::find_if(columns().begin(), columns().end(),
+                                        [&](const Column& c) { return text.substr(0, at) == c.name; });
+        if (!value || known == columns().end()) {
+            std::string names;
+            for (const Column& column : columns()) names += (names.empty() ? "" : ", ") + std::string(column.name);
+            throw InputError(fmt::format("'{}': must be METRIC=NUMBER, METRIC one of {}", text, names));
+        }
+        limits.push_back({&*known, *value, is_upper, text});
+    }
+}
+
+Measured measure(const Picture& picture, const Picture& reference, const Options& options) {
+    const std::span<const float> x = picture.rgb, r = reference.rgb;
+    const std::size_t w = picture.width, h = picture.height;
+    const std::vector<float> shown = displayed(x, options.exposure_ev), shown_r = displayed(r, options.exposure_ev);
+    const Correlation correlation = error_correlation(x, r, w, h, 3);
+    Measured m{};
+    m.samples = picture.samples;
+    m.nonfinite = double(count_nonfinite(x));
+    m.mse = mean_squared(x, r);
+    m.relmse = mean_squared_relative(x, r);
+    m.relmse_trimmed = trimmed_mean_squared_relative(x, r, 3);
+    m.mape = mean_absolute_relative(x, r);
+    m.psnr = psnr_db(shown, shown_r);
+    m.ssim = ssim(luma(shown), luma(shown_r), w, h);
+    m.corr_right = correlation.right;
+    m.corr_down = correlation.down;
+    m.corr_near = correlation.near;
+    m.cpu_s = m.wall_s = m.rays = m.peak_memory_bytes = unknown;
+    return m;
+}
+
+void add_tile_errors(std::vector<double>& sums, const Picture& picture, const Picture& reference, double weight) {
+    std::vector<float> squares(picture.rgb.size());
+    for (std::size_t i = 0; i < squares.size(); ++i) {
+        const double r = double(reference.rgb[i]), d = double(picture.rgb[i]) - r;
+        squares[i] = float(d * d / (r * r + relative_floor));
+    }
+    const Regions regions = regions_of(squares, picture.width, picture.height);
+    sums.resize(n_tiles * n_tiles);
+    for (std::size_t t = 0; t < sums.size(); ++t)
+        for (std::size_t c = 0; c < 3; ++c) sums[t] += weight * regions.sum[c][1 + t];
+}
+
+/// A group and its pictures, while they are needed.
+struct Loaded {
+    Group group;
+    std::vector<std::vector<float>> rgb;
+    Picture first;  // its rgb is in `rgb`
+};
+
+void finish(Loaded& loaded, const Picture& reference) {
+    Group& group = loaded.group;
+    const std::span<const float> var_mean = loaded.first.var_mean;
+    const Decomposition parts = decompose(loaded.rgb, var_mean, reference.rgb, reference.var_mean);
+    group.significance =
+        test_means({loaded.rgb, var_mean}, reference.rgb, reference.var_mean, reference.width, reference.height);
+    for (Measured& m : group.replicates) {
+        m.bias2 = parts.bias2;
+        m.variance = parts.variance;
+        m.reference_noise = reference.var_mean.empty() ? unknown : parts.reference;
+        m.relmse_net = m.relmse - m.reference_noise;
+        m.p_image = group.significance.p_image;
+        m.p_tiles = group.significance.p_tiles;
+    }
+}
+
+void add_cost(Measured& m) {
+    const Cost total = total_of(chain_cost(m.file)).cost;
+    m.cpu_s = total.cpu_s;
+    m.wall_s = total.wall_s;
+    m.rays = double(total.rays);
+    m.peak_memory_bytes = double(total.peak_memory_bytes);
+}
+
+void write_difference(const Options& options, const Loaded& loaded, const Picture& reference,
+                      const Provenance& provenance, app::Report& report) {
+    std::vector<float> mean(reference.rgb.size());
+    for (std::size_t i = 0; i < mean.size(); ++i) {
+        double sum = 0;
+        for (const auto& picture : loaded.rgb) sum += double(picture[i]);
+        mean[i] = float(sum / double(loaded.rgb.size()));
+    }
+    Image image = difference_image(mean, reference.rgb, reference.width, reference.height, loaded.group.significance);
+    image.provenance = provenance;
+    write_image(image, options.difference);
+    fs::path png = options.difference;
+    write_png(false_colours(image, "Relative", options.reach), png.replace_extension(".png"));
+    png.replace_extension();
+    png += "-tiles.png";
+    write_png(false_colours(image, "Tile", options.reach), png);
+    report.info("{}: difference of {}, false colours beside it", options.difference, loaded.group.method());
+}
+
+int judge(const std::vector<Limit>& limits, const Comparison& comparison, app::Report& report) {
+    int code = app::exit_done;
+    for (const Limit& limit : limits) {
+        for (const Group& group : comparison.groups) {
+            const double value = group.estimate(limit.column->value).mean;
+            // A value that is unknown has not passed.
+            if (limit.is_upper ? value <= limit.value : value >= limit.value) continue;
+            report.error("{}: {} is {:.6g}, the {} limit is {:.6g}", group.method(), limit.column->name, value,
+                         limit.is_upper ? "upper" : "lower", limit.value);
+            code = app::exit_no;
+        }
+    }
+    return code;
+}
+
+/// Samples per pixel as the header says, if there is one.
+std::uint64_t samples_of(const std::string& file) {
+    if (fs::path(file).extension() != ".exr" || !fs::exists(file)) return 0;
+    for (const auto& [name, value] : exr_attributes(file))
+        if (name == "samples") return app::parse_number<std::uint64_t>(value).value_or(0);
+    return 0;
+}
+
+void report_costs(const Options& options, app::Report& report) {
+    std::vector<InputCost> costs;
+    std::map<std::pair<std::string, std::uint64_t>, std::uint64_t> replicates;
+    for (const Input& input : inputs_of(options)) {
+        InputCost cost{options.scene, input.label, input.file, samples_of(input.file), 0, chain_cost(input.file)};
+        cost.replicate = replicates[{cost.method, cost.samples}]++;
+        costs.push_back(std::move(cost));
+    }
+    report.answer(options.json ? json_of(costs) : options.tsv ? tsv_of(costs) : text_of(costs));
+}
+
+}  // namespace
+
+std::span<const Column> columns() {
+    static constexpr Column all[] = {
+        {"nonfinite", &Measured::nonfinite, false},
+        {"mse", &Measured::mse, false},
+        {"relmse", &Measured::relmse, false},
+        {"relmse_trimmed", &Measured::relmse_trimmed, false},
+        {"relmse_net", &Measured::relmse_net, false},
+        {"mape", &Measured::mape, false},
+        {"psnr", &Measured::psnr, false},
+        {"ssim", &Measured::ssim, false},
+        {"corr_right", &Measured::corr_right, false},
+        {"corr_down", &Measured::corr_down, false},
+        {"corr_near", &Measured::corr_near, false},
+        {"bias2", &Measured::bias2, true},
+        {"variance", &Measured::variance, true},
+        {"reference_noise", &Measured::reference_noise, true},
+        {"p_image", &Measured::p_image, true},
+        {"p_tiles", &Measured::p_tiles, true},
+        {"cpu_s", &Measured::cpu_s, false},
+        {"wall_s", &Measured::wall_s, false},
+        {"rays", &Measured::rays, false},
+        {"peak_memory_bytes", &Measured::peak_memory_bytes, false},
+    };
+    return all;
+}
+
+Estimate Group::estimate(double Measured::*value) const {
+    std::vector<double> values;
+    for (const Measured& m : replicates) values.push_back(m.*value);
+    Estimate estimate = estimate_of(values);
+    // The running mean of equal values may round; that of one infinite value would be NaN.
+    if (values.size() == 1) return {values[0], unknown, 0};
+    if (!std::isfinite(estimate.mean)) estimate = {values[0], unknown, 0};
+    return estimate;
+}
+
+Gain gain_of(const Group& first, const Group& group) {
+    std::vector<double> a, b;
+    for (const Measured& m : first.replicates) a.push_back(m.relmse);
+    for (const Measured& m : group.replicates) b.push_back(m.relmse);
+    Gain gain;
+    gain.error = a.size() > 1 && b.size() > 1 ? ratio_of(a, b) : ratio_of_tiles(first.tile_errors, group.tile_errors);
+    gain.equal_cpu =
+        gain.error.value * first.estimate(&Measured::cpu_s).mean / group.estimate(&Measured::cpu_s).mean;
+    return gain;
+}
+
+void declare(app::Command& command, Options& options) {
+    command
+        .labelled_files("inputs", options.inputs,
+                        "images (EXR); those with the same label and samples per pixel are replicates of one method")
+        .required();
+    command.file("-r,--reference", options.reference,
+                 "image (EXR) to compare with; may be left out for two inputs: the second is it then");
+    command.file("--reference-variance", options.reference_variance,
+                 "EXR with the variance of the reference's pixels as RGB (else its VarMean layer)");
+    command.option("--scene", options.scene, "what the tables call the picture");
+    command.option("--exposure", options.exposure_ev, "of what psnr and ssim look at",
+                   app::Range<double>{-40, 40, "EV"});
+    command.flag("--cost", options.cost,
+                 "add up what the inputs cost with all their parents; without --reference: by stage, and nothing else");
+    command.flag("--json", options.json, "print JSON instead of text");
+    command.flag("--tsv", options.tsv, "print a table for loom-chart, a row per input");
+    command.output("--difference", options.difference,
+                   "write the difference of a single method as EXR, and as PNG beside it");
+    command.option("--reach", options.reach, "of the false colours in the PNG; 0: the 99th percentile",
+                   app::Range<double>{0, 1e30});
+    command.option("--fail-above", options.fail_above, "METRIC=VALUE: exit 1 when any method is above");
+    command.option("--fail-below", options.fail_below, "METRIC=VALUE: exit 1 when any method is below");
+    command.example("loom-compare pt=a.exr pt=b.exr graph=c.exr graph=d.exr --reference reference.exr --cost");
+}
+
+int run(const Options& options, app::Report& report) {
+    if (options.json && options.tsv) throw InputError("--json and --tsv: one of them");
+    std::vector<Limit> limits;
+    parse_limits(options.fail_above, true, limits);
+    parse_limits(options.fail_below, false, limits);
+    std::vector<Input> inputs = inputs_of(options);
+    if (options.cost && options.reference.empty()) {
+        if (!limits.empty() || !options.difference.empty())
+            throw InputError("--cost without --reference only adds up costs");
+        report_costs(options, report);
+        return app::exit_done;
+    }
+    std::string reference_file = options.reference;
+    if (reference_file.empty()) {
+        if (inputs.size() != 2)
+            throw InputError("--reference: missing (it may be left out for two inputs only)");
+        reference_file = inputs[1].file;
+        inputs.pop_back();
+    }
+    if (!options.difference.empty() && fs::path(options.difference).extension() != ".exr")
+        throw InputError(fmt::format("{}: the difference must end in .exr", options.difference));
+
+    const Picture reference = read_reference(options, reference_file);
+    Provenance provenance;
+    provenance.stage = report.name();
+    provenance.command = report.command();
+    Comparison comparison{options.scene, reference_file, reference.width, reference.height, {}};
+    std::map<std::string, std::string> name_by_hash;
+    std::vector<Loaded> loaded;
+    std::map<std::pair<std::string, std::uint64_t>, std::size_t> group_by_key;
+    for (const Input& input : inputs) {
+        provenance.inputs.push_back(identify(input.file));
+        Picture picture = read_picture(input.file);
+        check_fit(picture, input.file, reference, reference_file);
+        const auto [at, is_new] = group_by_key.try_emplace({input.label, picture.samples}, loaded.size());
+        if (is_new) loaded.emplace_back();
+        Loaded& into = loaded[at->second];
+        // The same noise twice is no replicate. Two methods may well give the same bytes.
+        const std::string key = provenance.inputs.back().hash + std::to_string(at->second);
+        const auto [known, first_time] = name_by_hash.try_emplace(key, input.file);
+        if (!first_time)
+            throw InputError(fmt::format("{}: holds the same samples as {}", input.file, known->second));
+
+        Measured m = measure(picture, reference, options);
+        m.method = input.label;
+        m.file = input.file;
+        m.replicate = into.group.replicates.size();
+        if (options.cost) add_cost(m);
+        if (m.nonfinite > 0) report.warn("{}: {} numbers are NaN or infinite", input.file, m.nonfinite);
+        into.group.replicates.push_back(std::move(m));
+        add_tile_errors(into.group.tile_errors, picture, reference, 1);
+        into.rgb.push_back(std::move(picture.rgb));
+        if (is_new) into.first = std::move(picture);
+    }
+    if (!options.difference.empty() && loaded.size() != 1)
+        throw InputError(fmt::format("--difference: {} methods are compared, one is needed", loaded.size()));
+    for (Loaded& one : loaded) {
+        for (double& error : one.group.tile_errors) error /= double(one.rgb.size());
+        finish(one, reference);
+        const double noise = one.group.replicates[0].reference_noise, relmse = one.group.estimate(&Measured::relmse).mean;
+        if (noise > 0.1 * relmse) {
+            report.warn("{}: {:.0f} % of the relMSE is the reference's own noise; see relmse_net", one.group.method(),
+                        100 * noise / relmse);
+        }
+    }
+    provenance.inputs.push_back(identify(reference_file));
+    if (!options.difference.empty()) write_difference(options, loaded[0], reference, provenance, report);
+    for (Loaded& one : loaded) comparison.groups.push_back(std::move(one.group));
+    report.answer(options.json ? json_of(comparison) : options.tsv ? tsv_of(comparison) : text_of(comparison));
+    return judge(limits, comparison, report);
+}
+
+}  // namespace loom::compare

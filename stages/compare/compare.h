@@ -1,0 +1,98 @@
+#pragma once
+// loom-compare: errors of images against a reference, whether they are more than noise, and what they cost.
+
+#include <span>
+#include <string>
+#include <vector>
+
+#include "stages/compare/chain.h"
+#include "stages/compare/metrics.h"
+#include "stages/compare/significance.h"
+
+namespace loom::app {
+class Command;
+class Report;
+}  // namespace loom::app
+
+namespace loom::compare {
+
+struct Options {
+    std::vector<std::string> inputs;    // [LABEL=]FILE; equal label and samples: replicates of each other
+    std::string reference;              // empty: the second of two inputs
+    std::string reference_variance;     // RGB: variance of the reference's pixels; empty: its VarMean layer
+    std::string scene;                  // name of the picture in the tables
+    double exposure_ev = 0;             // of what psnr and ssim look at
+    bool cost = false;                  // add up the costs along the chain of parents
+    bool json = false, tsv = false;     // instead of text
+    std::string difference;             // difference image (.exr), false colours beside it (.png)
+    double reach = 0;                   // of the false colours; 0: the 99th percentile
+    std::vector<std::string> fail_above, fail_below;  // METRIC=VALUE
+};
+
+/// One input beside the reference; NaN where unknown. What is of a group of replicates is the same in each of them.
+struct Measured {
+    std::string method, file;
+    std::uint64_t samples = 0;  // per pixel; 0: the file does not say
+    std::uint64_t replicate = 0;
+    double nonfinite, mse, relmse, relmse_trimmed, relmse_net, mape, psnr, ssim;
+    double corr_right, corr_down, corr_near;
+    double bias2, variance, reference_noise, p_image, p_tiles;  // of the group
+    double cpu_s, wall_s, rays, peak_memory_bytes;              // with --cost
+};
+
+/// A number of Measured by name: what tables, --fail-above and loom-chart call it.
+struct Column {
+    const char* name;
+    double Measured::*value;
+    bool of_group;  // the same in all replicates
+};
+std::span<const Column> columns();
+
+/// Replicates: inputs with the same label and samples per pixel.
+struct Group {
+    std::vector<Measured> replicates;
+    Significance significance;
+    std::vector<double> tile_errors;  // sum of the squared relative errors by tile, mean over the replicates
+
+    std::string method() const { return replicates[0].method; }
+    std::uint64_t samples() const { return replicates[0].samples; }
+    /// Mean over the replicates, and the standard error from their spread (NaN for one).
+    Estimate estimate(double Measured::*value) const;
+};
+
+/// How many times smaller the relMSE of a group is than that of the first one.
+struct Gain {
+    Ratio error;           // relMSE of the first over that of the group
+    double equal_cpu = 0;  // the same at equal CPU time, if relMSE falls as 1/time; NaN without costs
+};
+Gain gain_of(const Group& first, const Group& group);
+
+struct Comparison {
+    std::string scene, reference;
+    std::size_t width = 0, height = 0;
+    std::vector<Group> groups;  // in the order of their first input
+};
+
+/// What the tables look like.
+std::string text_of(const Comparison& comparison);
+std::string json_of(const Comparison& comparison);
+std::string tsv_of(const Comparison& comparison);
+
+/// Costs of one input by stage.
+struct InputCost {
+    std::string scene, method, file;
+    std::uint64_t samples = 0, replicate = 0;
+    std::vector<StageCost> stages;
+};
+std::string text_of(std::span<const InputCost> costs);
+std::string json_of(std::span<const InputCost> costs);
+std::string tsv_of(std::span<const InputCost> costs);
+
+/// Binds the options to the command line; `options` must outlive `command`.
+void declare(app::Command& command, Options& options);
+
+/// out:     exit code: 1 when a limit of fail_above or fail_below is broken or cannot be judged, else 0
+/// throws:  InputError when an input is no image, does not fit the reference, or comes twice; when costs are missing
+int run(const Options& options, app::Report& report);
+
+}  // namespace loom::compare
