@@ -12,7 +12,7 @@ JOBS ?= $(shell nproc)
 # Debian packages: what the build needs, then what only `make peers` needs.
 PACKAGES := g++ cmake ninja-build ccache pkg-config \
 	libembree-dev libopenexr-dev libopenimageio-dev libhdf5-dev libflann-dev libpugixml-dev libcli11-dev \
-	libtbb-dev libfmt-dev libspdlog-dev zlib1g-dev libpng-dev libgtest-dev
+	libtbb-dev libfmt-dev libspdlog-dev zlib1g-dev libpng-dev libgtest-dev gnuplot-nox
 PEER_PACKAGES := python3-venv
 
 STAGES := $(patsubst stages/%/main.cpp,loom-%,$(wildcard stages/*/main.cpp))

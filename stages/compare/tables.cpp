@@ -52,11 +52,17 @@ std::string gain_line(const Comparison& comparison, const Group& group) {
     const auto name = [](const Group& g) {
         return g.samples() == 0 ? g.method() : fmt::format("{} at {} spp", g.method(), g.samples());
     };
-    std::string line = fmt::format("{} is {:.3g} times better than {}", name(group), gain.error.value, name(first));
-    if (!std::isnan(gain.error.low))
-        line += fmt::format(" ({:.3g} to {:.3g}, 95 %)", gain.error.low, gain.error.high);
-    if (!std::isnan(gain.equal_cpu))
-        line += fmt::format("; {:.3g} times at equal CPU time, if relMSE falls as 1/time", gain.equal_cpu);
+    const auto [ratio, low, high] = gain.error;
+    const bool better = !(ratio < 1);
+    std::string line = fmt::format("{} is {:.3g} times {} than {}", name(group), better ? ratio : 1 / ratio,
+                                   better ? "better" : "worse", name(first));
+    if (!std::isnan(low))
+        line += fmt::format(" ({:.3g} to {:.3g}, 95 %)", better ? low : 1 / high, better ? high : 1 / low);
+    if (!std::isnan(gain.equal_cpu)) {
+        line += fmt::format("; {:.3g} times {} at equal CPU time, if relMSE falls as 1/time",
+                            gain.equal_cpu < 1 ? 1 / gain.equal_cpu : gain.equal_cpu,
+                            gain.equal_cpu < 1 ? "worse" : "better");
+    }
     return line + "\n";
 }
 

@@ -1,0 +1,222 @@
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <limits>
+#include <numeric>
+
+#include "formats/io/error.h"
+#include "stages/chart/chart.h"
+
+namespace loom::chart {
+namespace {
+
+/// Told apart by people with any colour vision too.
+constexpr std::array<const char*, 7> colours{"#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#555555"};
+constexpr std::array<int, 7> markers{7, 5, 9, 11, 13, 15, 4};
+
+/// A text as gnuplot quotes it.
+std::string quoted(const std::string& text) {
+    std::string out = "'";
+    for (char c : text) {
+        if (c == '\'') out += '\'';
+        out += c;
+    }
+    return out + "'";
+}
+
+std::string words_for(const std::string& column) {
+    static const std::map<std::string, std::string> words{{"cpu_s", "CPU time (s)"},
+                                                          {"wall_s", "wall time (s)"},
+                                                          {"samples", "samples per pixel"},
+                                                          {"relmse", "relMSE"},
+                                                          {"relmse_trimmed", "relMSE, 0.1 % trimmed"},
+                                                          {"relmse_net", "relMSE less the reference's noise"},
+                                                          {"mse", "MSE"},
+                                                          {"mape", "MAPE"}};
+    const auto at = words.find(column);
+    return at == words.end() ? column : at->second;
+}
+
+/// Ends of a log axis around values, and what stands at it: 1, 2, 5 of each decade, or decades where many.
+struct LogAxis {
+    double low = std::numeric_limits<double>::infinity(), high = 0;
+    void add(double value) {
+        low = std::min(low, value);
+        high = std::max(high, value);
+    }
+    std::string commands(const std::string& name) const {
+        const double from = low / 1.4, to = high * 1.4;
+        const bool many = std::log10(to / from) > 3;
+        std::string ticks;
+        for (int decade = int(std::floor(std::log10(from))); decade <= int(std::ceil(std::log10(to))); ++decade) {
+            for (int step : {1, 2, 5}) {
+                if (many && step > 1) continue;
+                const double value = double(step) * std::pow(10.0, decade);
+                if (value >= from && value <= to) ticks += fmt::format("{}{:.6g}", ticks.empty() ? "" : ", ", value);
+            }
+        }
+        return fmt::format("set {0}range [{1:.6g}:{2:.6g}]\nset {0}tics ({3})\n", name, from, to, ticks);
+    }
+};
+
+/// Both pictures from one set of commands.
+std::string script(const std::string& stem, int width, int height, const std::string& body) {
+    return fmt::format(
+        "# gnuplot {0}.gp\n"
+        "set datafile separator '\\t'\n"
+        "set encoding utf8\n"
+        "set style line 100 lc rgb '#d8d8d8' lw 1\n"
+        "set style line 101 lc rgb '#555555' lw 1\n"
+        "set border 3 ls 101\n"
+        "set tics nomirror\n"
+        "set grid xtics ytics back ls 100\n"
+        "set key top right samplen 2 spacing 1.3\n"
+        "do for [picture in 'svg png'] {{\n"
+        "if (picture eq 'svg') {{\n"
+        "set terminal svg size {1},{2} noenhanced font 'DejaVu Sans,14' background '#ffffff'\n"
+        "}} else {{\n"
+        "set terminal pngcairo size {3},{4} noenhanced font 'DejaVu Sans,14' fontscale 1.5 linewidth 1.5 pointscale 1.5 "
+        "background '#ffffff'\n"
+        "}}\n"
+        "set output {5}.picture\n"
+        "{6}"
+        "unset output\n"
+        "}}\n",
+        stem, width, height, 3 * width / 2, 3 * height / 2, quoted(stem + "."), body);
+}
+
+std::string match_table(const std::vector<Match>& matches, const std::string& equal, const std::string& what) {
+    std::string text = fmt::format("scene\tfirst\tmethod\tequal_{0}\t{1}_first\t{1}_method\ttimes_better\tlow\thigh\n", equal, what);
+    for (const Match& m : matches) {
+        text += fmt::format("{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\n", m.scene, m.first, m.method, m.level, m.value_first,
+                            m.value_method, m.ratio, m.low, m.high);
+    }
+    return text;
+}
+
+std::string slope_text(const Estimate& slope) {
+    if (std::isnan(slope.mean)) return "";
+    return std::isnan(slope.se) ? fmt::format(", slope {:.2f}", slope.mean)
+                                : fmt::format(", slope {:.2f} ± {:.2f}", slope.mean, slope.se);
+}
+
+}  // namespace
+
+Files curve_files(const std::string& stem, const std::vector<Curve>& curves, const Options& options) {
+    const std::string data_name = stem + ".tsv";
+    std::string data = fmt::format("scene\t{}\t{}\t{}\tse\tlow\thigh\tpareto\treplicates\tslope\tslope_se\n", options.by,
+                                   options.x, options.y);
+    std::vector<std::string> scenes, methods;
+    for (const Curve& curve : curves) {
+        for (auto [list, name] : {std::pair{&scenes, &curve.scene}, std::pair{&methods, &curve.method}})
+            if (std::find(list->begin(), list->end(), *name) == list->end()) list->push_back(*name);
+    }
+    const int columns = int(std::min<std::size_t>(scenes.size(), 3));
+    const int lines = (int(scenes.size()) + columns - 1) / columns;
+    std::string body;
+    if (scenes.size() > 1) {
+        body += fmt::format("set multiplot layout {},{}{}\n", lines, columns,
+                            options.title.empty() ? "" : " title " + quoted(options.title));
+    }
+    body += fmt::format("set logscale xy\nset xlabel {}\nset ylabel {}\nset style fill transparent solid 0.2 noborder\n",
+                        quoted(words_for(options.x)), quoted(words_for(options.y)));
+    std::size_t row = 1;  // of the data; 0 is its head
+    for (const std::string& scene : scenes) {
+        LogAxis x, y;
+        std::string bands, drawn, front;
+        for (const Curve& curve : curves) {
+            if (curve.scene != scene) continue;
+            const std::size_t last = row + curve.points.size() - 1;
+            const std::string every = fmt::format("{} every ::{}::{}", quoted(data_name), row, last);
+            const std::size_t style =
+                std::size_t(std::find(methods.begin(), methods.end(), curve.method) - methods.begin());
+            const char* colour = colours[style % colours.size()];
+            bool has_band = false;
+            for (const Point& p : curve.points) {
+                x.add(p.cost);
+                y.add(p.low), y.add(p.high);
+                has_band = has_band || p.errors.size() > 1;
+                data += fmt::format("{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\n", scene, curve.method, p.cost, p.error,
+                                    p.se, p.low, p.high, int(p.on_front), p.errors.size(), curve.slope.mean,
+                                    curve.slope.se);
+            }
+            if (has_band)
+                bands += fmt::format("{} using 3:6:7 with filledcurves lc rgb '{}' notitle, ", every, colour);
+            drawn += fmt::format("{} using 3:4 with linespoints lw 2 pt {} ps 1 lc rgb '{}' title {}, ", every,
+                                 markers[style % markers.size()], colour, quoted(curve.method + slope_text(curve.slope)));
+            // One ring in the key is enough.
+            front += fmt::format("{} using 3:($8 == 1 ? $4 : NaN) with points pt 6 ps 2 lw 1.5 lc rgb '#222222' {}, ",
+                                 every, front.empty() ? "title 'Pareto front'" : "notitle");
+            row = last + 1;
+        }
+        const std::string title = scenes.size() > 1 || options.title.empty() ? scene : options.title;
+        body += title.empty() ? "unset title\n" : fmt::format("set title {}\n", quoted(title));
+        std::string plotted = bands + drawn + front;
+        plotted.resize(plotted.size() - 2);
+        body += x.commands("x") + y.commands("y") + fmt::format("plot {}\n", plotted);
+    }
+    if (scenes.size() > 1) body += "unset multiplot\n";
+    return {{stem + ".gp", script(stem, columns == 1 ? 800 : 560 * columns, columns == 1 ? 540 : 420 * lines, body)},
+            {data_name, data},
+            {stem + ".equal-cost.tsv", match_table(equal_cost(curves), options.x, options.y)},
+            {stem + ".equal-error.tsv", match_table(equal_error(curves), options.y, options.x)}};
+}
+
+Files stage_files(const std::string& stem, const Table& table, const Options& options) {
+    struct Bar {
+        std::string scene, method, samples;
+        std::map<std::string, double> time_of;  // by stage, summed over the replicates
+        std::vector<std::string> replicates;
+    };
+    const std::size_t time = table.column(options.x), stage = table.column("stage"), by = table.column(options.by),
+                      scene = table.column("scene"), samples = table.column("samples"), file = table.column("file");
+    std::vector<Bar> bars;
+    std::vector<std::string> stages;
+    for (std::size_t i = 0; i < table.rows.size(); ++i) {
+        const auto& cells = table.rows[i];
+        auto bar = std::find_if(bars.begin(), bars.end(), [&](const Bar& b) {
+            return b.scene == cells[scene] && b.method == cells[by] && b.samples == cells[samples];
+        });
+        if (bar == bars.end()) bar = bars.insert(bars.end(), {cells[scene], cells[by], cells[samples], {}, {}});
+        if (std::find(bar->replicates.begin(), bar->replicates.end(), cells[file]) == bar->replicates.end())
+            bar->replicates.push_back(cells[file]);
+        if (std::find(stages.begin(), stages.end(), cells[stage]) == stages.end()) stages.push_back(cells[stage]);
+        bar->time_of[cells[stage]] += table.number(i, time);
+    }
+    std::string data = fmt::format("scene\t{}\tsamples\tstage\tbar\tbegin_s\tend_s\n", options.by), ticks, plotted;
+    const bool many_scenes = std::any_of(bars.begin(), bars.end(), [&](const Bar& b) { return b.scene != bars[0].scene; });
+    std::vector<double> begin(bars.size());
+    std::size_t row = 1;
+    for (std::size_t s = 0; s < stages.size(); ++s) {
+        for (std::size_t k = 0; k < bars.size(); ++k) {
+            const Bar& bar = bars[k];
+            const auto found = bar.time_of.find(stages[s]);
+            // An unknown number of samples counts as one.
+            const double per = double(bar.replicates.size()) * std::max(1.0, std::stod(bar.samples));
+            const double end = begin[k] + (found == bar.time_of.end() ? 0 : found->second / per);
+            data += fmt::format("{}\t{}\t{}\t{}\t{}\t{}\t{}\n", bar.scene, bar.method, bar.samples, stages[s], k,
+                                begin[k], end);
+            begin[k] = end;
+        }
+        plotted += fmt::format("{}{} every ::{}::{} using (($6 + $7) / 2):5:6:7:($5 - 0.36):($5 + 0.36) with boxxyerror "
+                               "fs solid 0.85 lc rgb '{}' title {}",
+                               s == 0 ? "" : ", ", quoted(stem + ".tsv"), row, row + bars.size() - 1,
+                               colours[s % colours.size()], quoted(stages[s]));
+        row += bars.size();
+    }
+    for (std::size_t k = 0; k < bars.size(); ++k) {
+        const std::string name = (many_scenes ? bars[k].scene + ", " : "") + bars[k].method +
+                                 (bars[k].samples == "0" ? "" : ", " + bars[k].samples + " spp");
+        ticks += fmt::format("{}{} {}", k == 0 ? "" : ", ", quoted(name), k);
+    }
+    const std::string body = fmt::format(
+        "{}set xlabel {}\nset xrange [0:*]\nset yrange [{}:-0.7]\nset ytics ({}) scale 0\nset grid noytics\n"
+        "set key outside top center horizontal\nplot {}\n",
+        options.title.empty() ? "" : "set title " + quoted(options.title) + "\n",
+        quoted(words_for(options.x) + " per sample per pixel"), double(bars.size()) - 0.3, ticks, plotted);
+    return {{stem + ".gp", script(stem, 800, 140 + 40 * int(bars.size()), body)}, {stem + ".tsv", data}};
+}
+
+}  // namespace loom::chart

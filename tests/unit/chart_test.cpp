@@ -1,0 +1,145 @@
+// Curves whose slope, front and crossings are known.
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+
+#include "formats/io/error.h"
+#include "stages/chart/chart.h"
+#include "stages/core/stats/student.h"
+
+namespace loom::chart {
+namespace {
+
+std::string error_of(const std::function<void()>& body) {
+    try {
+        body();
+    } catch (const InputError& error) {
+        return error.what();
+    }
+    return "nothing was thrown";
+}
+
+/// error = a / cost at costs 1, 4, 16; `spread`: replicates at (1 - spread), 1 and (1 + spread) of it.
+void add_method(Table& table, const std::string& method, double a, double cost_scale, double spread) {
+    for (double samples : {1.0, 4.0, 16.0}) {
+        for (double factor : {1 - spread, 1.0, 1 + spread}) {
+            const double cost = cost_scale * samples;
+            table.rows.push_back({"box", method, std::to_string(int(samples)), std::to_string(cost),
+                                  std::to_string(factor * a / cost)});
+            if (spread == 0) break;
+        }
+    }
+}
+
+Table two_methods(double spread) {
+    Table table{"t.tsv", {"scene", "method", "samples", "cpu_s", "relmse"}, {}};
+    add_method(table, "pt", 8, 1, spread);
+    add_method(table, "graph", 2, 2, spread);
+    return table;
+}
+
+TEST(Chart, SlopesOfPowerLaws) {
+    for (double spread : {0.0, 0.1}) {
+        const auto curves = curves_of(two_methods(spread), "cpu_s", "relmse", "method");
+        ASSERT_EQ(curves.size(), 2u);
+        EXPECT_EQ(curves[0].method, "pt");
+        ASSERT_EQ(curves[0].points.size(), 3u);
+        EXPECT_EQ(curves[0].points[0].errors.size(), spread == 0 ? 1u : 3u);
+        EXPECT_NEAR(curves[0].slope.mean, -1, 1e-5);
+        EXPECT_NEAR(curves[0].slope.se, 0, 1e-5);
+        EXPECT_NEAR(curves[0].points[1].low, 2 * (1 - spread), 1e-5);
+        EXPECT_NEAR(curves[0].points[1].high, 2 * (1 + spread), 1e-5);
+    }
+    EXPECT_TRUE(std::isnan(fit_slope({Point{}}).mean));
+}
+
+// Replicates of slopes -1 and -1/2 (by hand): mean slope of the logs of the means apart, error of the slope 1/4.
+TEST(Chart, ErrorOfTheSlopeIsFromReplicates) {
+    Table table{"t.tsv", {"method", "samples", "cpu_s", "relmse"}, {}};
+    table.rows = {{"pt", "1", "1", "1"}, {"pt", "1", "1", "1"}, {"pt", "16", "16", "0.0625"}, {"pt", "16", "16", "0.25"}};
+    const auto curves = curves_of(table, "cpu_s", "relmse", "method");
+    EXPECT_NEAR(curves[0].slope.mean, std::log(0.15625) / std::log(16), 1e-12);
+    EXPECT_NEAR(curves[0].slope.se, 0.25, 1e-12);
+    EXPECT_EQ(curves[0].slope.dof, 1);
+}
+
+// graph has a quarter of pt's error at equal cost, and a quarter of its cost at equal error.
+TEST(Chart, EqualCostAndEqualError) {
+    const auto curves = curves_of(two_methods(0), "cpu_s", "relmse", "method");
+    const auto by_cost = equal_cost(curves), by_error = equal_error(curves);
+    // Costs 1, 4, 16 and 2, 8, 32: both reach 2, 4, 8, 16. Errors 8, 2, 0.5 and 1, 0.25, 0.0625: 0.5 and 1.
+    ASSERT_EQ(by_cost.size(), 4u);
+    ASSERT_EQ(by_error.size(), 2u);
+    for (const auto* matches : {&by_cost, &by_error}) {
+        for (const Match& m : *matches) {
+            EXPECT_EQ(m.first, "pt");
+            EXPECT_EQ(m.method, "graph");
+            EXPECT_NEAR(m.ratio, 4, 1e-4);
+            EXPECT_NEAR(m.value_first / m.value_method, 4, 1e-4);
+            EXPECT_TRUE(std::isnan(m.low));
+        }
+    }
+    EXPECT_NEAR(by_cost[0].level, 2, 1e-12);
+    EXPECT_NEAR(by_cost[0].value_first, 4, 1e-4);
+    EXPECT_NEAR(by_error[0].level, 0.5, 1e-12);
+    EXPECT_NEAR(by_error[0].value_first, 16, 1e-3);
+}
+
+// At cost 4 pt is measured and graph half way between two points: se 0.1/sqrt(3) and that over sqrt(2).
+TEST(Chart, IntervalsOfRatios) {
+    const auto matches = equal_cost(curves_of(two_methods(0.1), "cpu_s", "relmse", "method"));
+    const double se = 0.1 / std::sqrt(3.0), va = se * se, vb = va / 2;
+    const double dof = (va + vb) * (va + vb) / (va * va / 2 + vb * vb / 2);
+    const double reach = student_critical(0.05, dof) * std::sqrt(va + vb);
+    EXPECT_NEAR(matches[1].level, 4, 1e-12);
+    EXPECT_NEAR(matches[1].low, 4 * std::exp(-reach), 1e-4);
+    EXPECT_NEAR(matches[1].high, 4 * std::exp(reach), 1e-4);
+}
+
+TEST(Chart, ParetoFront) {
+    const auto curves = curves_of(two_methods(0), "cpu_s", "relmse", "method");
+    // Of pt only the cheapest: (4, 2) and (16, 0.5) have graph's (2, 1) and (8, 0.25) below and left of them.
+    EXPECT_TRUE(curves[0].points[0].on_front);
+    EXPECT_FALSE(curves[0].points[1].on_front);
+    EXPECT_FALSE(curves[0].points[2].on_front);
+    for (const Point& point : curves[1].points) EXPECT_TRUE(point.on_front);
+}
+
+TEST(Chart, BadTablesSayWhatIsWrong) {
+    Table table = two_methods(0);
+    EXPECT_EQ(error_of([&] { curves_of(table, "cpu", "relmse", "method"); }),
+              "t.tsv: has no column cpu; there are scene, method, samples, cpu_s, relmse");
+    table.rows[1][4] = "-0.5";
+    EXPECT_EQ(error_of([&] { curves_of(table, "cpu_s", "relmse", "method"); }),
+              "t.tsv: row 2, relmse: -0.5 has no place on a log axis");
+    table.rows[1][4] = "much";
+    EXPECT_EQ(error_of([&] { curves_of(table, "cpu_s", "relmse", "method"); }),
+              "t.tsv: row 2, relmse: 'much' is not a number");
+}
+
+// Two stages, two replicates: bars of mean seconds per sample, one after the other.
+TEST(Chart, StageBars) {
+    const Table table{"s.tsv",
+                      {"scene", "method", "samples", "replicate", "file", "stage", "cpu_s"},
+                      {{"", "graph", "4", "0", "a", "loom-trace", "4"},
+                       {"", "graph", "4", "0", "a", "loom-gather", "8"},
+                       {"", "graph", "4", "1", "b", "loom-trace", "12"},
+                       {"", "graph", "4", "1", "b", "loom-gather", "0"}}};
+    const Files files = stage_files("bars", table, {});
+    EXPECT_EQ(files.at("bars.tsv"),
+              "scene\tmethod\tsamples\tstage\tbar\tbegin_s\tend_s\n"
+              "\tgraph\t4\tloom-trace\t0\t0\t2\n"
+              "\tgraph\t4\tloom-gather\t0\t2\t3\n");
+}
+
+// A name with a quote must not end gnuplot's string, let alone start a command.
+TEST(Chart, NamesAreQuoted) {
+    Table table = two_methods(0);
+    for (auto& row : table.rows) row[1] = "it's `x`";
+    const Files files = curve_files("c", curves_of(table, "samples", "relmse", "method"), {});
+    EXPECT_NE(files.at("c.gp").find("title 'it''s `x`"), std::string::npos);
+}
+
+}  // namespace
+}  // namespace loom::chart
