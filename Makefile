@@ -2,7 +2,7 @@
 
 .DEFAULT_GOAL := demo
 .DELETE_ON_ERROR:
-.PHONY: demo image test test-full asan bench peers tools build stages clean help
+.PHONY: demo image chart test test-full asan bench peers tools build stages clean help
 SHELL := /bin/sh
 
 BUILD ?= build
@@ -49,6 +49,9 @@ demo: stages ## (default) install, build, trace a small scene, show where the re
 image: stages ## render SCENE; with -s the only line on stdout is the path of the EXR
 	@$(MAKE) --no-print-directory -f pipelines/still.mk image
 
+chart: stages ## error against cost of METHODS on SCENE; the last lines are the paths of the charts
+	@$(MAKE) --no-print-directory -f pipelines/chart.mk chart
+
 test: build ## install, build and run all tests
 	cd $(BUILD) && ctest --output-on-failure --no-tests=error
 
@@ -88,6 +91,8 @@ help: ## list targets and variables
 	@echo 'Variables of demo, image and peers:'
 	@sed -n 's/^\([A-Z]*\) ?= *\(.*[^ ]\)  *## \(.*\)/\1=\2\t\3/p; s/^# *\([A-Z]*\)=  *## \(.*\)/\1=\t\2/p' \
 		pipelines/still.mk | awk -F'\t' '{printf "  %-28s %s\n", $$1, $$2}'
+	@echo 'Variables of chart, beside SCENE, DEFINES, SEED, THREADS, TRACE, LAUNCH and OUT (out/NAME/chart):'
+	@sed -n 's/^# *\([A-Z_]*\)=  *## \(.*\)/\1=\t\2/p' pipelines/chart.mk | awk -F'\t' '{printf "  %-28s %s\n", $$1, $$2}'
 	@echo 'Variables of the build:'
 	@printf '  %-28s %s\n' 'BUILD=$(BUILD)' 'build folder' 'JOBS=$(JOBS)' 'compilations at a time' \
 		'PEERS_PYTHON=$(PEERS_PYTHON)' 'an interpreter that has mitsuba, for peers'

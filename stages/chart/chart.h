@@ -20,9 +20,9 @@ struct Options {
     std::vector<std::string> tables;  // TSV
     std::string output;               // .svg; PNG, data and commands beside it
     Kind kind = Kind::curves;
-    std::string x = "cpu_s";          // cost; of stages the only one
-    std::string y = "relmse";         // error
-    std::string by = "method";        // what tells curves apart
+    std::string x = "cpu_s";    // cost; of stages the only one
+    std::string y = "relmse";   // error
+    std::string by = "method";  // what tells curves apart
     std::string title;
 };
 

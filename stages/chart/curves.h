@@ -41,9 +41,9 @@ Estimate fit_slope(const std::vector<Point>& points);
 /// the method is better.
 struct Match {
     std::string scene, first, method;
-    double level = 0;                           // the cost, or the error, that is equal
-    double value_first = 0, value_method = 0;   // errors at that cost, or costs at that error
-    double ratio = 0, low = 0, high = 0;        // with a 95 % interval; NaN where no standard errors are known
+    double level = 0;                          // the cost, or the error, that is equal
+    double value_first = 0, value_method = 0;  // errors at that cost, or costs at that error
+    double ratio = 0, low = 0, high = 0;       // with a 95 % interval; NaN where no standard errors are known
 };
 
 /// At every measured cost (error) that lies within both curves; between two points a straight line in log-log.

@@ -13,7 +13,8 @@ namespace loom::chart {
 namespace {
 
 /// Told apart by people with any colour vision too.
-constexpr std::array<const char*, 7> colours{"#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#555555"};
+constexpr std::array<const char*, 7> colours{"#0072b2", "#d55e00", "#009e73", "#cc79a7",
+                                             "#e69f00", "#56b4e9", "#555555"};
 constexpr std::array<int, 7> markers{7, 5, 9, 11, 13, 15, 4};
 
 /// A text as gnuplot quotes it.
@@ -77,7 +78,8 @@ std::string script(const std::string& stem, int width, int height, const std::st
         "if (picture eq 'svg') {{\n"
         "set terminal svg size {1},{2} noenhanced font 'DejaVu Sans,14' background '#ffffff'\n"
         "}} else {{\n"
-        "set terminal pngcairo size {3},{4} noenhanced font 'DejaVu Sans,14' fontscale 1.5 linewidth 1.5 pointscale 1.5 "
+        "set terminal pngcairo size {3},{4} noenhanced font 'DejaVu Sans,14' fontscale 1.5 linewidth 1.5 pointscale "
+        "1.5 "
         "background '#ffffff'\n"
         "}}\n"
         "set output {5}.picture\n"
@@ -88,7 +90,8 @@ std::string script(const std::string& stem, int width, int height, const std::st
 }
 
 std::string match_table(const std::vector<Match>& matches, const std::string& equal, const std::string& what) {
-    std::string text = fmt::format("scene\tfirst\tmethod\tequal_{0}\t{1}_first\t{1}_method\ttimes_better\tlow\thigh\n", equal, what);
+    std::string text =
+        fmt::format("scene\tfirst\tmethod\tequal_{0}\t{1}_first\t{1}_method\ttimes_better\tlow\thigh\n", equal, what);
     for (const Match& m : matches) {
         text += fmt::format("{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\n", m.scene, m.first, m.method, m.level, m.value_first,
                             m.value_method, m.ratio, m.low, m.high);
@@ -106,8 +109,8 @@ std::string slope_text(const Estimate& slope) {
 
 Files curve_files(const std::string& stem, const std::vector<Curve>& curves, const Options& options) {
     const std::string data_name = stem + ".tsv";
-    std::string data = fmt::format("scene\t{}\t{}\t{}\tse\tlow\thigh\tpareto\treplicates\tslope\tslope_se\n", options.by,
-                                   options.x, options.y);
+    std::string data = fmt::format("scene\t{}\t{}\t{}\tse\tlow\thigh\tpareto\treplicates\tslope\tslope_se\n",
+                                   options.by, options.x, options.y);
     std::vector<std::string> scenes, methods;
     for (const Curve& curve : curves) {
         for (auto [list, name] : {std::pair{&scenes, &curve.scene}, std::pair{&methods, &curve.method}})
@@ -120,8 +123,9 @@ Files curve_files(const std::string& stem, const std::vector<Curve>& curves, con
         body += fmt::format("set multiplot layout {},{}{}\n", lines, columns,
                             options.title.empty() ? "" : " title " + quoted(options.title));
     }
-    body += fmt::format("set logscale xy\nset xlabel {}\nset ylabel {}\nset style fill transparent solid 0.2 noborder\n",
-                        quoted(words_for(options.x)), quoted(words_for(options.y)));
+    body +=
+        fmt::format("set logscale xy\nset xlabel {}\nset ylabel {}\nset style fill transparent solid 0.2 noborder\n",
+                    quoted(words_for(options.x)), quoted(words_for(options.y)));
     std::size_t row = 1;  // of the data; 0 is its head
     for (const std::string& scene : scenes) {
         LogAxis x, y;
@@ -138,14 +142,14 @@ Files curve_files(const std::string& stem, const std::vector<Curve>& curves, con
                 x.add(p.cost);
                 y.add(p.low), y.add(p.high);
                 has_band = has_band || p.errors.size() > 1;
-                data += fmt::format("{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\n", scene, curve.method, p.cost, p.error,
-                                    p.se, p.low, p.high, int(p.on_front), p.errors.size(), curve.slope.mean,
+                data += fmt::format("{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\n", scene, curve.method, p.cost,
+                                    p.error, p.se, p.low, p.high, int(p.on_front), p.errors.size(), curve.slope.mean,
                                     curve.slope.se);
             }
-            if (has_band)
-                bands += fmt::format("{} using 3:6:7 with filledcurves lc rgb '{}' notitle, ", every, colour);
-            drawn += fmt::format("{} using 3:4 with linespoints lw 2 pt {} ps 1 lc rgb '{}' title {}, ", every,
-                                 markers[style % markers.size()], colour, quoted(curve.method + slope_text(curve.slope)));
+            if (has_band) bands += fmt::format("{} using 3:6:7 with filledcurves lc rgb '{}' notitle, ", every, colour);
+            drawn +=
+                fmt::format("{} using 3:4 with linespoints lw 2 pt {} ps 1 lc rgb '{}' title {}, ", every,
+                            markers[style % markers.size()], colour, quoted(curve.method + slope_text(curve.slope)));
             // One ring in the key is enough.
             front += fmt::format("{} using 3:($8 == 1 ? $4 : NaN) with points pt 6 ps 2 lw 1.5 lc rgb '#222222' {}, ",
                                  every, front.empty() ? "title 'Pareto front'" : "notitle");
@@ -182,29 +186,38 @@ Files stage_files(const std::string& stem, const Table& table, const Options& op
         if (bar == bars.end()) bar = bars.insert(bars.end(), {cells[scene], cells[by], cells[samples], {}, {}});
         if (std::find(bar->replicates.begin(), bar->replicates.end(), cells[file]) == bar->replicates.end())
             bar->replicates.push_back(cells[file]);
-        if (std::find(stages.begin(), stages.end(), cells[stage]) == stages.end()) stages.push_back(cells[stage]);
+        // In the order of the chain: a stage that only some methods have stands behind the one before it.
+        if (std::find(stages.begin(), stages.end(), cells[stage]) == stages.end()) {
+            const bool begins = i == 0 || table.rows[i - 1][file] != cells[file];
+            const auto before =
+                begins ? stages.end() : std::find(stages.begin(), stages.end(), table.rows[i - 1][stage]);
+            stages.insert(before == stages.end() ? before : before + 1, cells[stage]);
+        }
         bar->time_of[cells[stage]] += table.number(i, time);
     }
     std::string data = fmt::format("scene\t{}\tsamples\tstage\tbar\tbegin_s\tend_s\n", options.by), ticks, plotted;
-    const bool many_scenes = std::any_of(bars.begin(), bars.end(), [&](const Bar& b) { return b.scene != bars[0].scene; });
+    const bool many_scenes =
+        std::any_of(bars.begin(), bars.end(), [&](const Bar& b) { return b.scene != bars[0].scene; });
     std::vector<double> begin(bars.size());
     std::size_t row = 1;
     for (std::size_t s = 0; s < stages.size(); ++s) {
+        const std::size_t first = row;
         for (std::size_t k = 0; k < bars.size(); ++k) {
             const Bar& bar = bars[k];
             const auto found = bar.time_of.find(stages[s]);
+            if (found == bar.time_of.end()) continue;
             // An unknown number of samples counts as one.
             const double per = double(bar.replicates.size()) * std::max(1.0, std::stod(bar.samples));
-            const double end = begin[k] + (found == bar.time_of.end() ? 0 : found->second / per);
+            const double end = begin[k] + found->second / per;
             data += fmt::format("{}\t{}\t{}\t{}\t{}\t{}\t{}\n", bar.scene, bar.method, bar.samples, stages[s], k,
                                 begin[k], end);
             begin[k] = end;
+            ++row;
         }
-        plotted += fmt::format("{}{} every ::{}::{} using (($6 + $7) / 2):5:6:7:($5 - 0.36):($5 + 0.36) with boxxyerror "
-                               "fs solid 0.85 lc rgb '{}' title {}",
-                               s == 0 ? "" : ", ", quoted(stem + ".tsv"), row, row + bars.size() - 1,
-                               colours[s % colours.size()], quoted(stages[s]));
-        row += bars.size();
+        plotted += fmt::format(
+            "{}{} every ::{}::{} using (($6 + $7) / 2):5:6:7:($5 - 0.36):($5 + 0.36) with boxxyerror "
+            "fs solid 0.85 lc rgb '{}' title {}",
+            s == 0 ? "" : ", ", quoted(stem + ".tsv"), first, row - 1, colours[s % colours.size()], quoted(stages[s]));
     }
     for (std::size_t k = 0; k < bars.size(); ++k) {
         const std::string name = (many_scenes ? bars[k].scene + ", " : "") + bars[k].method +

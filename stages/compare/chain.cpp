@@ -48,10 +48,9 @@ class Walk {
                                          remedy(file)));
         }
         const Cost cost = read_cost(file);
-        for (const std::string& parent : cost.parents)
-            visit((file.parent_path() / parent).lexically_normal(), file);
-        auto stage = std::find_if(stages.begin(), stages.end(),
-                                  [&](const StageCost& s) { return s.cost.stage == cost.stage; });
+        for (const std::string& parent : cost.parents) visit((file.parent_path() / parent).lexically_normal(), file);
+        auto stage =
+            std::find_if(stages.begin(), stages.end(), [&](const StageCost& s) { return s.cost.stage == cost.stage; });
         if (stage == stages.end()) {
             stage = stages.emplace(stages.end());
             stage->cost.stage = cost.stage;

@@ -254,8 +254,7 @@ Gain gain_of(const Group& first, const Group& group) {
     for (const Measured& m : group.replicates) b.push_back(m.relmse);
     Gain gain;
     gain.error = a.size() > 1 && b.size() > 1 ? ratio_of(a, b) : ratio_of_tiles(first.tile_errors, group.tile_errors);
-    gain.equal_cpu =
-        gain.error.value * first.estimate(&Measured::cpu_s).mean / group.estimate(&Measured::cpu_s).mean;
+    gain.equal_cpu = gain.error.value * first.estimate(&Measured::cpu_s).mean / group.estimate(&Measured::cpu_s).mean;
     return gain;
 }
 
@@ -298,8 +297,7 @@ int run(const Options& options, app::Report& report) {
     }
     std::string reference_file = options.reference;
     if (reference_file.empty()) {
-        if (inputs.size() != 2)
-            throw InputError("--reference: missing (it may be left out for two inputs only)");
+        if (inputs.size() != 2) throw InputError("--reference: missing (it may be left out for two inputs only)");
         reference_file = inputs[1].file;
         inputs.pop_back();
     }
@@ -324,8 +322,7 @@ int run(const Options& options, app::Report& report) {
         // The same noise twice is no replicate. Two methods may well give the same bytes.
         const std::string key = provenance.inputs.back().hash + std::to_string(at->second);
         const auto [known, first_time] = name_by_hash.try_emplace(key, input.file);
-        if (!first_time)
-            throw InputError(fmt::format("{}: holds the same samples as {}", input.file, known->second));
+        if (!first_time) throw InputError(fmt::format("{}: holds the same samples as {}", input.file, known->second));
 
         Measured m = measure(picture, reference, options);
         m.method = input.label;
@@ -343,7 +340,8 @@ int run(const Options& options, app::Report& report) {
     for (Loaded& one : loaded) {
         for (double& error : one.group.tile_errors) error /= double(one.rgb.size());
         finish(one, reference);
-        const double noise = one.group.replicates[0].reference_noise, relmse = one.group.estimate(&Measured::relmse).mean;
+        const double noise = one.group.replicates[0].reference_noise,
+                     relmse = one.group.estimate(&Measured::relmse).mean;
         if (noise > 0.1 * relmse) {
             report.warn("{}: {:.0f} % of the relMSE is the reference's own noise; see relmse_net", one.group.method(),
                         100 * noise / relmse);

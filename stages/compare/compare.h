@@ -17,15 +17,15 @@ class Report;
 namespace loom::compare {
 
 struct Options {
-    std::vector<std::string> inputs;    // [LABEL=]FILE; equal label and samples: replicates of each other
-    std::string reference;              // empty: the second of two inputs
-    std::string reference_variance;     // RGB: variance of the reference's pixels; empty: its VarMean layer
-    std::string scene;                  // name of the picture in the tables
-    double exposure_ev = 0;             // of what psnr and ssim look at
-    bool cost = false;                  // add up the costs along the chain of parents
-    bool json = false, tsv = false;     // instead of text
-    std::string difference;             // difference image (.exr), false colours beside it (.png)
-    double reach = 0;                   // of the false colours; 0: the 99th percentile
+    std::vector<std::string> inputs;  // [LABEL=]FILE; equal label and samples: replicates of each other
+    std::string reference;            // empty: the second of two inputs
+    std::string reference_variance;   // RGB: variance of the reference's pixels; empty: its VarMean layer
+    std::string scene;                // name of the picture in the tables
+    double exposure_ev = 0;           // of what psnr and ssim look at
+    bool cost = false;                // add up the costs along the chain of parents
+    bool json = false, tsv = false;   // instead of text
+    std::string difference;           // difference image (.exr), false colours beside it (.png)
+    double reach = 0;                 // of the false colours; 0: the 99th percentile
     std::vector<std::string> fail_above, fail_below;  // METRIC=VALUE
 };
 

@@ -31,7 +31,8 @@ double mean_of(std::span<const float> x, std::span<const float> r, Error&& error
 class Blur {
   public:
     Blur(std::size_t width, std::size_t height) : width_(width), height_(height) {
-        for (int k = -radius; k <= radius; ++k) weights_[std::size_t(k + radius)] = std::exp(-k * k / (2 * sigma * sigma));
+        for (int k = -radius; k <= radius; ++k)
+            weights_[std::size_t(k + radius)] = std::exp(-k * k / (2 * sigma * sigma));
     }
     std::vector<double> operator()(const std::vector<double>& image) const {
         std::vector<double> across(image.size()), out(image.size());
@@ -126,14 +127,14 @@ double ssim(std::span<const float> x, std::span<const float> r, std::size_t widt
     double sum = 0;
     for (std::size_t i = 0; i < x.size(); ++i) {
         const double var_a = aa[i] - a[i] * a[i], var_b = bb[i] - b[i] * b[i], covariance = ab[i] - a[i] * b[i];
-        sum += (2 * a[i] * b[i] + c1) * (2 * covariance + c2) /
-               ((a[i] * a[i] + b[i] * b[i] + c1) * (var_a + var_b + c2));
+        sum +=
+            (2 * a[i] * b[i] + c1) * (2 * covariance + c2) / ((a[i] * a[i] + b[i] * b[i] + c1) * (var_a + var_b + c2));
     }
     return sum / double(x.size());
 }
 
-Correlation error_correlation(std::span<const float> x, std::span<const float> r, std::size_t width,
-                              std::size_t height, std::size_t n_channels) {
+Correlation error_correlation(std::span<const float> x, std::span<const float> r, std::size_t width, std::size_t height,
+                              std::size_t n_channels) {
     const std::size_t n = width * height;
     std::vector<std::vector<double>> e(n_channels, std::vector<double>(n));
     double variance = 0;
@@ -161,8 +162,8 @@ Correlation error_correlation(std::span<const float> x, std::span<const float> r
     return correlation;
 }
 
-Decomposition decompose(std::span<const std::vector<float>> x, std::span<const float> var_x,
-                        std::span<const float> r, std::span<const float> var_r) {
+Decomposition decompose(std::span<const std::vector<float>> x, std::span<const float> var_x, std::span<const float> r,
+                        std::span<const float> var_r) {
     const bool spread = x.size() > 1;
     Decomposition sum;
     for (std::size_t i = 0; i < r.size(); ++i) {

@@ -47,8 +47,8 @@ struct Correlation {
     double down = 0;   // (0, 1)
     double near = 0;   // mean of rho(k, 0) and rho(0, k) over k = 2 … 8
 };
-Correlation error_correlation(std::span<const float> x, std::span<const float> r, std::size_t width,
-                              std::size_t height, std::size_t n_channels);
+Correlation error_correlation(std::span<const float> x, std::span<const float> r, std::size_t width, std::size_t height,
+                              std::size_t n_channels);
 
 /// Bias and variance apart, on the scale of relMSE (each value over r^2 + 0.01).
 ///   several replicates x_1 … x_R:  variance = <s^2>,      bias2 = <(m - r)^2 - s^2/R - var_r>
@@ -61,7 +61,7 @@ struct Decomposition {
 /// in:      x      R arrays
 /// in:      var_x  of x[0], used for R = 1; empty: unknown, and bias2 and variance are then NaN
 /// in:      var_r  empty: unknown, taken for 0
-Decomposition decompose(std::span<const std::vector<float>> x, std::span<const float> var_x,
-                        std::span<const float> r, std::span<const float> var_r);
+Decomposition decompose(std::span<const std::vector<float>> x, std::span<const float> var_x, std::span<const float> r,
+                        std::span<const float> var_r);
 
 }  // namespace loom::compare

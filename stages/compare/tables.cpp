@@ -88,11 +88,11 @@ std::string text_of(const Comparison& comparison) {
     for (const Group& group : comparison.groups) {
         const auto mean = [&](double Measured::*value) { return group.estimate(value).mean; };
         const std::string spp = samples_text(group.samples());
-        errors.push_back({group.method(), spp, fmt::format("{}", group.replicates.size()),
-                          with_error(group.estimate(&Measured::relmse)),
-                          with_error(group.estimate(&Measured::relmse_trimmed)),
-                          with_error(group.estimate(&Measured::mse)), fmt::format("{:.2f}", 100 * mean(&Measured::mape)),
-                          fmt::format("{:.2f}", mean(&Measured::psnr)), fmt::format("{:.4f}", mean(&Measured::ssim))});
+        errors.push_back(
+            {group.method(), spp, fmt::format("{}", group.replicates.size()),
+             with_error(group.estimate(&Measured::relmse)), with_error(group.estimate(&Measured::relmse_trimmed)),
+             with_error(group.estimate(&Measured::mse)), fmt::format("{:.2f}", 100 * mean(&Measured::mape)),
+             fmt::format("{:.2f}", mean(&Measured::psnr)), fmt::format("{:.4f}", mean(&Measured::ssim))});
         const auto number = [&](double Measured::*value) {
             const double x = mean(value);
             return std::isnan(x) ? std::string("-") : fmt::format("{:.3g}", x);
@@ -106,7 +106,8 @@ std::string text_of(const Comparison& comparison) {
                          with_error(group.estimate(&Measured::wall_s)), fmt::format("{:.4g}", mean(&Measured::rays)),
                          peak_text(mean(&Measured::peak_memory_bytes))});
     }
-    std::string text = fmt::format("reference {}, {} x {}\n\n", comparison.reference, comparison.width, comparison.height);
+    std::string text =
+        fmt::format("reference {}, {} x {}\n\n", comparison.reference, comparison.width, comparison.height);
     text += fmt::format("{}\n{}", aligned(errors), aligned(parts));
     if (has_cost) text += fmt::format("\n{}", aligned(costs));
     if (comparison.groups.size() > 1) text += "\n";
@@ -229,13 +230,15 @@ std::string json_of(std::span<const InputCost> costs) {
 }
 
 std::string tsv_of(std::span<const InputCost> costs) {
-    std::string text = "scene\tmethod\tsamples\treplicate\tfile\tstage\tfiles\twall_s\tcpu_s\trays\twork\tpeak_memory_bytes\tbytes_written\n";
+    std::string text =
+        "scene\tmethod\tsamples\treplicate\tfile\tstage\tfiles\twall_s\tcpu_s\trays\twork\tpeak_memory_bytes\tbytes_"
+        "written\n";
     for (const InputCost& input : costs) {
         for (const StageCost& s : input.stages) {
-            text += fmt::format("{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\n", input.scene, input.method,
-                                input.samples, input.replicate, input.file, s.cost.stage, s.n_files, s.cost.wall_s,
-                                s.cost.cpu_s, s.cost.rays, s.cost.samples, s.cost.peak_memory_bytes,
-                                s.cost.bytes_written);
+            text +=
+                fmt::format("{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\n", input.scene, input.method,
+                            input.samples, input.replicate, input.file, s.cost.stage, s.n_files, s.cost.wall_s,
+                            s.cost.cpu_s, s.cost.rays, s.cost.samples, s.cost.peak_memory_bytes, s.cost.bytes_written);
         }
     }
     return text;

@@ -60,8 +60,8 @@ TEST(Chain, AMissingCostIsNamed) {
     const ScratchFolder folder;
     write_cost(cost("loom-merge", 1, {"a.exr"}), folder / "image.exr");
     EXPECT_EQ(input_error_of([&] { chain_cost(folder / "image.exr"); }),
-              (folder / "a.exr.cost.json").native() + ": no such file (a parent of " +
-                  (folder / "image.exr").native() + "); make " + (folder / "a.exr").native() + " again");
+              (folder / "a.exr.cost.json").native() + ": no such file (a parent of " + (folder / "image.exr").native() +
+                  "); make " + (folder / "a.exr").native() + " again");
 }
 
 TEST(Chain, ALoopIsRefused) {

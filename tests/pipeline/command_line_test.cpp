@@ -22,7 +22,7 @@ class CommandLine : public PipelineTest {
 };
 
 TEST_F(CommandLine, help_and_version) {
-    for (const char* name : {"trace", "cluster", "gather", "merge", "inspect"}) {
+    for (const char* name : {"trace", "cluster", "refine", "gather", "merge", "inspect", "compare", "chart"}) {
         const Outcome help = sh(stage(name) + " --help");
         EXPECT_EQ(help.code, 0) << name;
         EXPECT_NE(help.out.find("--quiet"), std::string::npos) << name;
@@ -36,9 +36,15 @@ TEST_F(CommandLine, wrong_command_lines_are_2) {
     const std::string o = " -o " + in("x.h5"), image = " -o " + in("x.exr");
     expect_failure(2, stage("trace"));
     expect_failure(2, stage("cluster"));
+    expect_failure(2, stage("refine"));
     expect_failure(2, stage("gather"));
     expect_failure(2, stage("merge"));
     expect_failure(2, stage("inspect"));
+    expect_failure(2, stage("compare"));
+    expect_failure(2, stage("chart"));
+    expect_failure(2, stage("compare") + " missing.exr other.exr");
+    expect_failure(2, stage("compare") + " --cost missing.exr");
+    expect_failure(2, stage("chart") + " missing.tsv -o " + in("x.svg"));
     expect_failure(2, stage("trace") + " missing.xml" + o);
     expect_failure(2, stage("cluster") + " missing.h5" + o);
     expect_failure(2, stage("gather") + " missing.h5" + image);

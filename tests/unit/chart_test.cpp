@@ -1,11 +1,12 @@
 // Curves whose slope, front and crossings are known.
 
+#include "stages/chart/chart.h"
+
 #include <gtest/gtest.h>
 
 #include <cmath>
 
 #include "formats/io/error.h"
-#include "stages/chart/chart.h"
 #include "stages/core/stats/student.h"
 
 namespace loom::chart {
@@ -25,8 +26,8 @@ void add_method(Table& table, const std::string& method, double a, double cost_s
     for (double samples : {1.0, 4.0, 16.0}) {
         for (double factor : {1 - spread, 1.0, 1 + spread}) {
             const double cost = cost_scale * samples;
-            table.rows.push_back({"box", method, std::to_string(int(samples)), std::to_string(cost),
-                                  std::to_string(factor * a / cost)});
+            table.rows.push_back(
+                {"box", method, std::to_string(int(samples)), std::to_string(cost), std::to_string(factor * a / cost)});
             if (spread == 0) break;
         }
     }
@@ -57,7 +58,8 @@ TEST(Chart, SlopesOfPowerLaws) {
 // Replicates of slopes -1 and -1/2 (by hand): mean slope of the logs of the means apart, error of the slope 1/4.
 TEST(Chart, ErrorOfTheSlopeIsFromReplicates) {
     Table table{"t.tsv", {"method", "samples", "cpu_s", "relmse"}, {}};
-    table.rows = {{"pt", "1", "1", "1"}, {"pt", "1", "1", "1"}, {"pt", "16", "16", "0.0625"}, {"pt", "16", "16", "0.25"}};
+    table.rows = {
+        {"pt", "1", "1", "1"}, {"pt", "1", "1", "1"}, {"pt", "16", "16", "0.0625"}, {"pt", "16", "16", "0.25"}};
     const auto curves = curves_of(table, "cpu_s", "relmse", "method");
     EXPECT_NEAR(curves[0].slope.mean, std::log(0.15625) / std::log(16), 1e-12);
     EXPECT_NEAR(curves[0].slope.se, 0.25, 1e-12);
@@ -118,19 +120,23 @@ TEST(Chart, BadTablesSayWhatIsWrong) {
               "t.tsv: row 2, relmse: 'much' is not a number");
 }
 
-// Two stages, two replicates: bars of mean seconds per sample, one after the other.
+// Bars of mean seconds per sample, one after the other, stages in the order of the chain of both methods.
 TEST(Chart, StageBars) {
     const Table table{"s.tsv",
                       {"scene", "method", "samples", "replicate", "file", "stage", "cpu_s"},
-                      {{"", "graph", "4", "0", "a", "loom-trace", "4"},
+                      {{"", "pt", "4", "0", "c", "loom-trace", "4"},
+                       {"", "pt", "4", "0", "c", "loom-merge", "1"},
+                       {"", "graph", "4", "0", "a", "loom-trace", "4"},
                        {"", "graph", "4", "0", "a", "loom-gather", "8"},
                        {"", "graph", "4", "1", "b", "loom-trace", "12"},
                        {"", "graph", "4", "1", "b", "loom-gather", "0"}}};
     const Files files = stage_files("bars", table, {});
     EXPECT_EQ(files.at("bars.tsv"),
               "scene\tmethod\tsamples\tstage\tbar\tbegin_s\tend_s\n"
-              "\tgraph\t4\tloom-trace\t0\t0\t2\n"
-              "\tgraph\t4\tloom-gather\t0\t2\t3\n");
+              "\tpt\t4\tloom-trace\t0\t0\t1\n"
+              "\tgraph\t4\tloom-trace\t1\t0\t2\n"
+              "\tgraph\t4\tloom-gather\t1\t2\t3\n"
+              "\tpt\t4\tloom-merge\t0\t1\t1.25\n");
 }
 
 // A name with a quote must not end gnuplot's string, let alone start a command.

@@ -31,9 +31,9 @@ TEST(Metrics, PointwiseByHand) {
 TEST(Metrics, TrimmingDropsWholePixels) {
     Values x(6000), r(6000);
     for (std::size_t i = 0; i < x.size(); ++i) x[i] = 0.1f;
-    x[0] = x[1] = x[2] = 5;     // (5, 5, 5): largest sum
-    x[30] = 7;                  // (7, 0.1, 0.1): next
-    x[60] = 3, x[61] = 3;       // stays
+    x[0] = x[1] = x[2] = 5;  // (5, 5, 5): largest sum
+    x[30] = 7;               // (7, 0.1, 0.1): next
+    x[60] = 3, x[61] = 3;    // stays
     const double base = double(0.1f) * double(0.1f) / 0.01;
     EXPECT_NEAR(trimmed_mean_squared_relative(x, r, 3), (1997 * 3 * base + base + 2 * 900) / (1998 * 3), 1e-9);
     EXPECT_NEAR(trimmed_mean_squared_relative(std::span(x).first(999 * 3), std::span(r).first(999 * 3), 3),

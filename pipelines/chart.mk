@@ -1,0 +1,123 @@
+# Error against cost of methods on one scene: OUT/error-cost.svg and .png, OUT/stages.svg and .png.
+#
+#   a reference, path traced once with many samples (or REFERENCE=file)
+#   REPLICATES pictures of each method at each number of samples, by still.mk, each with its own seed
+#   loom-compare: errors.tsv, stages.tsv;   loom-chart: the charts, tables beside them
+#
+# Runs are timed one at a time, methods in turn (A B A B ...), so that a slow spell of the machine meets all of
+# them; the first run of a session is preceded by one of each method that does not count. What is made stays:
+# a killed session goes on, more METHODS, SPPS or REPLICATES add pictures to those there are.
+
+.DELETE_ON_ERROR:
+.NOTPARALLEL:
+.PHONY: chart FORCE
+.DEFAULT_GOAL := chart
+
+SCENE ?= scenes/cornell-box.xml
+# METHODS=  ## what to compare, each a METHOD of make image (pt graph); the first is what others are compared with
+# SPPS=  ## samples per pixel of the points of a curve (1 4 16)
+# REPLICATES=  ## pictures of each point, with their own seeds (3)
+# PASS=  ## most samples per pixel of a pass of methods with a graph (4)
+# REFERENCE=  ## image to compare with, else one is path traced
+# REFERENCE_SPP=  ## samples per pixel of that, a multiple of 64 (1024)
+# COST=  ## column that is the cost: cpu_s, wall_s or rays (cpu_s)
+# ERROR=  ## column that is the error: relmse, relmse_trimmed, relmse_net, mse, mape (relmse)
+BUILD ?= build
+METHODS := $(or $(strip $(METHODS)),pt graph)
+SPPS := $(or $(strip $(SPPS)),1 4 16)
+REPLICATES := $(or $(strip $(REPLICATES)),3)
+PASS := $(or $(strip $(PASS)),4)
+REFERENCE_SPP := $(or $(strip $(REFERENCE_SPP)),1024)
+COST := $(or $(strip $(COST)),cpu_s)
+ERROR := $(or $(strip $(ERROR)),relmse)
+
+empty :=
+space := $(empty) $(empty)
+quote = '$(subst ','\'',$(1))'
+ifneq ($(shell printf '%s\n' $(SPPS) $(REPLICATES) $(PASS) $(REFERENCE_SPP) | grep -cvxE '[1-9][0-9]{0,8}'),0)
+$(error SPPS=$(SPPS) REPLICATES=$(REPLICATES) PASS=$(PASS) REFERENCE_SPP=$(REFERENCE_SPP): must be whole numbers from 1)
+endif
+ifeq ($(shell test -f $(call quote,$(SCENE)) && echo there),)
+$(error SCENE=$(SCENE): no such file)
+endif
+name := $(shell realpath -s $(call quote,$(SCENE)) | sed -E \
+	's/[.]xml$$//; s,.*/([^/]+)/scene_?([^/]*)$$,\1-\2,; s,-$$,,; s,.*/,,' | tr -c 'A-Za-z0-9._+\n-' _)
+OUT := $(or $(strip $(OUT)),out/$(name)/chart)
+ifneq ($(words $(OUT)),1)
+$(error OUT=$(OUT): make cannot handle blanks in the names of what it makes)
+endif
+
+compare := $(BUILD)/bin/loom-compare
+chart := $(BUILD)/bin/loom-chart
+reference := $(if $(strip $(REFERENCE)),$(call quote,$(REFERENCE)),$(OUT)/reference/image.exr)
+reference_file := $(if $(strip $(REFERENCE)),$(subst $(space),\$(space),$(REFERENCE)),$(reference))
+reference_pass := $(shell [ $(REFERENCE_SPP) -lt 64 ] && echo $(REFERENCE_SPP) || echo 64)
+reference_passes := $(shell echo $$(($(REFERENCE_SPP) / $(reference_pass))))
+ifneq ($(shell echo $$(($(REFERENCE_SPP) % $(reference_pass)))),0)
+$(error REFERENCE_SPP=$(REFERENCE_SPP): must be below 64 or a multiple of it)
+endif
+
+# Names of runs, method-samples-replicate, in the order in which they are made: methods turn fastest.
+runs := $(foreach r,$(shell seq 0 $$(($(REPLICATES) - 1))),$(foreach s,$(SPPS),$(foreach m,$(METHODS),$(m)-$(s)-$(r))))
+images := $(runs:%=$(OUT)/%/image.exr)
+part = $(word $(1),$(subst -, ,$(2)))
+
+# $(call seed,NAME): own and lasting, whatever else is made beside it.
+seed = $(shell printf '%s' '$(1) $(SEED)' | cksum | cut -d' ' -f1)
+
+# $(call still,METHOD,SAMPLES,SEED,FOLDER): samples in passes of at most PASS, but for path tracing in one.
+pass_spp = $(shell [ '$(1)' = pt ] || [ $(2) -lt $(PASS) ] && echo $(2) || echo $(PASS))
+passes = $(shell echo $$(($(2) / $(call pass_spp,$(1),$(2)))))
+still = $(MAKE) -s --no-print-directory -f pipelines/still.mk -j1 METHOD=$(1) SPP=$(call pass_spp,$(1),$(2)) \
+	PASSES=$(call passes,$(1),$(2)) SEED=$(3) OUT=$(4) KEEP=
+$(foreach s,$(SPPS),$(if $(shell [ $(s) -lt $(PASS) ] || [ $$(($(s) % $(PASS))) = 0 ] || echo no),$(error \
+	SPPS: $(s) is no multiple of PASS=$(PASS))))
+
+chart: $(OUT)/error-cost.svg $(OUT)/stages.svg
+	@rm -rf $(OUT)/.warm-up*
+	@echo $(OUT)/error-cost.png
+	@echo $(OUT)/stages.png
+
+# still.mk knows whether there is something to do; a picture that it leaves alone keeps its time stamp.
+# Graphs are large: they go once the picture is there, and their costs stay.
+session := $(shell echo $$PPID)
+$(images): $(OUT)/%/image.exr: FORCE
+	@$(call still,$(call part,1,$*),$(call part,2,$*),$(call seed,$*),$(@D)) -q $@ || { \
+		$(MAKE) -s --no-print-directory -f pipelines/chart.mk OUT=$(OUT) $(OUT)/.warm-up-$(session) && \
+		$(call still,$(call part,1,$*),$(call part,2,$*),$(call seed,$*),$(@D)) image >/dev/null; }
+	@rm -f $(@D)/*/*.h5
+
+$(OUT)/.warm-up-%:
+	@$(foreach m,$(METHODS),$(call still,$(m),$(firstword $(SPPS)),0,$@.partial/$(m)) image >/dev/null &&) rm -rf $@.partial
+	@touch $@
+
+ifeq ($(strip $(REFERENCE)),)
+$(OUT)/reference/image.exr: FORCE
+	@$(MAKE) -s --no-print-directory -f pipelines/still.mk METHOD=pt SPP=$(reference_pass) PASSES=$(reference_passes) \
+		SEED=$(call seed,reference) OUT=$(@D) KEEP= image >/dev/null
+endif
+
+define parameter
+$(1): $(if $(and $(findstring x$(file <$(1))x,x$(2)x),$(findstring x$(2)x,x$(file <$(1))x)),,FORCE)
+	@mkdir -p $$(@D) && printf '%s\n' $(call quote,$(2)) >$$@
+endef
+$(eval $(call parameter,$(OUT)/compare.parameters,$(runs) $(REFERENCE)))
+$(eval $(call parameter,$(OUT)/chart.parameters,$(COST) $(ERROR)))
+
+labelled = $(foreach r,$(runs),$(call part,1,$(r))=$(OUT)/$(r)/image.exr)
+$(OUT)/errors.tsv: $(images) $(reference_file) $(OUT)/compare.parameters $(compare)
+	$(compare) $(labelled) --reference $(reference) --scene $(name) --cost --tsv >$@
+
+$(OUT)/stages.tsv: $(images) $(OUT)/compare.parameters $(compare)
+	$(compare) $(labelled) --scene $(name) --cost --tsv >$@
+
+$(OUT)/error-cost.svg: $(OUT)/errors.tsv $(OUT)/chart.parameters $(chart)
+	$(chart) $< -o $@ --x $(COST) --y $(ERROR) >$(OUT)/error-cost.txt
+	@cat $(OUT)/error-cost.txt
+
+$(OUT)/stages.svg: $(OUT)/stages.tsv $(chart)
+	$(chart) $< --kind stages -o $@
+
+# Run alone on a tree that is not built yet.
+$(compare) $(chart) &:
+	$(MAKE) --no-print-directory -f Makefile stages

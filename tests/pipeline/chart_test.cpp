@@ -1,0 +1,140 @@
+// Errors, costs and charts as a user makes them.
+
+#include <sstream>
+
+#include "tests/pipeline/process.h"
+
+namespace loom::pipeline {
+namespace {
+
+const std::string box = "scenes/cornell-box.xml -D resx=16 -D resy=16 ";
+
+class Compare : public PipelineTest {
+  protected:
+    void SetUp() override {
+        PipelineTest::SetUp();
+        for (int seed : {1, 2, 3}) {
+            ASSERT_EQ(sh(stage("trace") + " " + box + "--spp 4 --seed " + std::to_string(seed) + " -o " +
+                         in("pt" + std::to_string(seed) + ".exr"))
+                          .code,
+                      0);
+        }
+    }
+    std::string in(const std::string& name) const { return (folder / name).string(); }
+};
+
+TEST_F(Compare, LimitsDecideTheExitCode) {
+    const std::string run = stage("compare") + " " + in("pt1.exr") + " " + in("pt2.exr");
+    EXPECT_EQ(sh(run).code, 0);
+    EXPECT_EQ(sh(run + " --fail-above relmse=100 --fail-below psnr=1").code, 0);
+    EXPECT_EQ(sh(run + " --fail-above relmse=1e-9").code, 1);
+    EXPECT_EQ(sh(run + " --fail-below psnr=90").code, 1);
+    EXPECT_EQ(sh(run + " --fail-above cpu_s=100").code, 1);  // unknown without --cost: not passed
+    const Outcome wrong = sh(run + " --fail-above rmse=1");
+    EXPECT_EQ(wrong.code, 2);
+    EXPECT_NE(wrong.err.find("relmse_trimmed"), std::string::npos) << wrong.err;
+    // An image against itself: no error, and no limit of 0 broken.
+    EXPECT_EQ(sh(stage("compare") + " " + in("pt1.exr") + " " + in("pt1.exr") + " --fail-above mse=0").code, 0);
+}
+
+TEST_F(Compare, ReplicatesAndTheirFiles) {
+    const std::string replicates = " pt=" + in("pt1.exr") + " pt=" + in("pt2.exr");
+    const Outcome tsv = sh(stage("compare") + replicates + " -r " + in("pt3.exr") + " --cost --tsv --scene box");
+    EXPECT_EQ(tsv.code, 0) << tsv.err;
+    std::istringstream lines(tsv.out);
+    std::string head, first, second, rest;
+    std::getline(lines, head), std::getline(lines, first), std::getline(lines, second);
+    EXPECT_EQ(head.find("scene\tmethod\tsamples\treplicate\tfile\tnonfinite\tmse\trelmse\t"), 0u) << head;
+    EXPECT_EQ(first.find("box\tpt\t4\t0\t"), 0u) << first;
+    EXPECT_EQ(second.find("box\tpt\t4\t1\t"), 0u) << second;
+    EXPECT_EQ(std::count(first.begin(), first.end(), '\t'), std::count(head.begin(), head.end(), '\t'));
+    EXPECT_FALSE(std::getline(lines, rest));
+
+    // The same noise twice is no replicate; sizes must agree.
+    EXPECT_EQ(sh(stage("compare") + " pt=" + in("pt1.exr") + " pt=" + in("pt1.exr") + " -r " + in("pt3.exr")).code, 2);
+    ASSERT_EQ(sh(stage("trace") + " scenes/cornell-box.xml -D resx=8 -D resy=16 --spp 1 -o " + in("s.exr")).code, 0);
+    EXPECT_EQ(sh(stage("compare") + " " + in("s.exr") + " " + in("pt3.exr")).code, 2);
+
+    ASSERT_EQ(sh(stage("compare") + replicates + " -r " + in("pt3.exr") + " --difference " + in("d.exr")).code, 0);
+    for (const char* name : {"d.exr", "d.png", "d-tiles.png"}) EXPECT_TRUE(fs::exists(folder / name)) << name;
+}
+
+// The graphs of all passes but the last are gone; their costs are not.
+TEST_F(Compare, CostsOutliveTheFiles) {
+    ASSERT_EQ(
+        sh(still("x", "SCENE=scenes/cornell-box.xml DEFINES='resx=16 resy=16' METHOD=graph SPP=1 PASSES=2") + " image")
+            .code,
+        0);
+    ASSERT_FALSE(fs::exists(folder / "x/graph/pass-0.h5"));
+    const std::string run = stage("compare") + " --cost --tsv x=" + in("x/image.exr");
+    const Outcome costs = sh(run);
+    EXPECT_EQ(costs.code, 0) << costs.err;
+    EXPECT_NE(costs.out.find("\tloom-trace\t2\t"), std::string::npos) << costs.out;
+    EXPECT_NE(costs.out.find("\tloom-gather\t2\t"), std::string::npos) << costs.out;
+    EXPECT_NE(costs.out.find("\tloom-merge\t1\t"), std::string::npos) << costs.out;
+
+    fs::remove(folder / "x/graph/pass-0.h5.cost.json");
+    const Outcome missing = sh(run);
+    EXPECT_EQ(missing.code, 2);
+    EXPECT_EQ(missing.out, "");
+    EXPECT_NE(missing.err.find("make " + in("x/graph/pass-0.h5") + " again"), std::string::npos) << missing.err;
+}
+
+class Chart : public PipelineTest {
+  protected:
+    std::string chart(const std::string& variables) const {
+        return "make -s -f pipelines/chart.mk BUILD='" + fs::path(LOOM_BIN_DIR).parent_path().string() +
+               "' OUT=" + (folder / "c").string() +
+               " SCENE=scenes/cornell-box.xml DEFINES='resx=16 resy=16' REFERENCE_SPP=16 REPLICATES=2 " + variables;
+    }
+};
+
+TEST_F(Chart, FromSceneToChartAndOn) {
+    const Outcome made = sh(chart("SPPS='1 4'"));
+    ASSERT_EQ(made.code, 0) << made.err;
+    EXPECT_NE(made.out.find((folder / "c/error-cost.png").string() + "\n"), std::string::npos) << made.out;
+    for (const char* name : {"error-cost.svg", "error-cost.png", "error-cost.tsv", "error-cost.gp", "stages.svg",
+                             "error-cost.equal-cost.tsv", "error-cost.equal-error.tsv", "stages.png", "errors.tsv"})
+        EXPECT_TRUE(fs::exists(folder / "c" / name)) << name;
+    const auto rows = [&] {
+        const std::string text = bytes_of(folder / "c/errors.tsv");
+        return std::count(text.begin(), text.end(), '\n') - 1;
+    };
+    EXPECT_EQ(rows(), 8);
+
+    // The same table again: the same bytes.
+    const std::string again = "mkdir " + (folder / "again").string() + " && " + stage("chart") + " " +
+                              (folder / "c/errors.tsv").string() + " -o " + (folder / "again/error-cost.svg").string();
+    ASSERT_EQ(sh(again).code, 0);
+    for (const char* name : {"error-cost.svg", "error-cost.png", "error-cost.tsv", "error-cost.gp"})
+        EXPECT_TRUE(bytes_of(folder / "c" / name) == bytes_of(folder / "again" / name)) << name;
+    // The command file alone makes the pictures again.
+    ASSERT_EQ(sh("cd " + (folder / "again").string() + " && rm error-cost.svg && gnuplot error-cost.gp").code, 0);
+    EXPECT_TRUE(bytes_of(folder / "c/error-cost.svg") == bytes_of(folder / "again/error-cost.svg"));
+
+    // A second make does nothing; another number of samples keeps the pictures that are there.
+    const auto old_table = fs::last_write_time(folder / "c/errors.tsv");
+    const auto old_image = fs::last_write_time(folder / "c/pt-1-0/image.exr");
+    ASSERT_EQ(sh(chart("SPPS='1 4'")).code, 0);
+    EXPECT_EQ(fs::last_write_time(folder / "c/errors.tsv"), old_table);
+    ASSERT_EQ(sh(chart("SPPS='1 2 4'")).code, 0);
+    EXPECT_EQ(rows(), 12);
+    EXPECT_EQ(fs::last_write_time(folder / "c/pt-1-0/image.exr"), old_image);
+}
+
+TEST_F(Chart, WrongVariablesAreRefused) {
+    for (const char* wrong : {"METHODS='pt none'", "SPPS='1 x'", "SPPS=6", "REPLICATES=0", "REFERENCE=missing.exr"})
+        EXPECT_EQ(sh(chart("SPPS=1 " + std::string(wrong))).code, 2) << wrong;
+}
+
+TEST_F(Chart, MissingGnuplotIsNamed) {
+    std::ofstream(folder / "t.tsv") << "method\tcpu_s\trelmse\npt\t1\t1\npt\t2\t0.5\n";
+    const std::string run = stage("chart") + " " + (folder / "t.tsv").string() + " -o " + (folder / "t.svg").string();
+    const Outcome without = sh("PATH=/nowhere " + run);
+    EXPECT_EQ(without.code, 2);
+    EXPECT_NE(without.err.find("gnuplot-nox"), std::string::npos) << without.err;
+    EXPECT_EQ(files(), std::vector<std::string>{"t.tsv"});
+}
+
+}  // namespace
+}  // namespace loom::pipeline
