@@ -44,7 +44,7 @@ compile = unset MAKEFLAGS MFLAGS; \
 	fi && cmake --build $(1) --parallel $(JOBS) $(if $(3),--target $(3)) >&2
 
 demo: stages ## (default) install, build, trace a small scene, show where the results lie; takes SCENE= too
-	@$(MAKE) --no-print-directory -f pipelines/still.mk PASSES=$(or $(PASSES),4) demo
+	@$(MAKE) --no-print-directory -f pipelines/still.mk demo
 
 image: stages ## render SCENE; with -s the only line on stdout is the path of the EXR
 	@$(MAKE) --no-print-directory -f pipelines/still.mk image

@@ -1,7 +1,10 @@
 # One picture of one scene: OUT/image.exr, and a PNG beside it.
 #
-#   METHOD=graph   per pass: trace a path graph, gather it into an image;  then merge the passes
-#   METHOD=pt      per pass: trace an image;                               then merge the passes
+#   METHOD=pathgraph   per pass: trace a path graph, cluster its vertices, let them share their light (refine),
+#                      gather an image;  then merge the passes, blended with what their paths say alone
+#   METHOD=west        the same with the single filter of West et al. instead of clusters and iteration
+#   METHOD=graph       per pass: trace a path graph, gather what its own paths say;  then merge the passes
+#   METHOD=pt          per pass: trace an image;                                     then merge the passes
 #
 # Pass i takes samples [i SPP, (i+1) SPP) of every pixel, so passes can be added later, made on other
 # machines or made again alone. Parameters are prerequisites: a change of one remakes what depends on it.
@@ -11,9 +14,16 @@
 .DEFAULT_GOAL := image
 
 SCENE ?= scenes/cornell-box.xml  ## scene file, Mitsuba XML
-METHOD ?= graph  ## graph, or pt: path tracing without a graph
-PASSES ?= 1  ## passes to merge (the demo: 4)
-# SPP=  ## samples per pixel of each pass (4; METHOD=pt: 16)
+METHOD ?= pathgraph  ## pathgraph, west, graph, or pt: path tracing without a graph
+# PASSES=  ## passes to merge (pathgraph, west: 4, with fewer no blend; else 1)
+# SPP=  ## samples per pixel of each pass (pathgraph, west: 1; graph: 4; pt: 16)
+K ?= 16  ## vertices of a cluster
+ITERATIONS ?= 6  ## steps of the refinement
+# CLUSTER=  ## further options of loom-cluster: CLUSTER="--method centres"
+# REFINE=  ## further options of loom-refine: REFINE="--reuse points"
+# GATHER=  ## further options of loom-gather: GATHER="--direct own --indirect own"
+# MERGE=  ## further options of loom-merge: MERGE=--no-blend
+# DENOISE=  ## 1: also denoise the image, into OUT/clean.exr
 # SEED=  ## seed of the random numbers
 # THREADS=  ## threads of a stage (all); no result depends on it
 # DEFINES=  ## values of the scene's parameters: DEFINES="resx=320 resy=180"
@@ -25,18 +35,22 @@ PASSES ?= 1  ## passes to merge (the demo: 4)
 BUILD ?= build
 SCENE := $(strip $(SCENE))
 METHOD := $(strip $(METHOD))
-SPP := $(or $(strip $(SPP)),$(if $(filter pt,$(METHOD)),16,4))
-PASSES := $(strip $(PASSES))
+refined := $(filter pathgraph west,$(METHOD))
+SPP := $(or $(strip $(SPP)),$(if $(refined),1,$(if $(filter pt,$(METHOD)),16,4)))
+PASSES := $(or $(strip $(PASSES)),$(if $(refined),4,1))
+K := $(strip $(K))
+ITERATIONS := $(strip $(ITERATIONS))
 
 empty :=
 space := $(empty) $(empty)
 quote = '$(subst ','\'',$(1))'
 
-ifeq ($(filter pt graph,$(METHOD)),)
-$(error METHOD=$(METHOD): must be graph or pt)
+ifeq ($(filter pathgraph west graph pt,$(METHOD)),)
+$(error METHOD=$(METHOD): must be pathgraph, west, graph or pt)
 endif
-ifneq ($(shell printf '%s\n' $(call quote,$(SPP)) $(call quote,$(PASSES)) | grep -cxE '[1-9][0-9]{0,8}'),2)
-$(error SPP=$(SPP) PASSES=$(PASSES): must be whole numbers from 1)
+ifneq ($(shell printf '%s\n' $(call quote,$(SPP)) $(call quote,$(PASSES)) $(call quote,$(K)) $(call quote,$(ITERATIONS)) \
+		| grep -cxE '[1-9][0-9]{0,8}'),4)
+$(error SPP=$(SPP) PASSES=$(PASSES) K=$(K) ITERATIONS=$(ITERATIONS): must be whole numbers from 1)
 endif
 ifeq ($(shell test -f $(call quote,$(SCENE)) && echo there),)
 $(error SCENE=$(SCENE): no such file)
@@ -50,6 +64,9 @@ $(error OUT=$(OUT): make cannot handle blanks in the names of what it makes)
 endif
 
 trace := $(BUILD)/bin/loom-trace
+cluster := $(BUILD)/bin/loom-cluster
+refine := $(BUILD)/bin/loom-refine
+denoise := $(BUILD)/bin/loom-denoise
 gather := $(BUILD)/bin/loom-gather
 merge := $(BUILD)/bin/loom-merge
 inspect := $(BUILD)/bin/loom-inspect
@@ -58,7 +75,10 @@ numbers := $(shell seq 0 $$(($(PASSES) - 1)))
 last := $(lastword $(numbers))
 passes := $(numbers:%=$(work)/pass-%.exr)
 graphs := $(numbers:%=$(work)/pass-%.h5)
-traced := $(if $(filter graph,$(METHOD)),$(graphs),$(passes))
+clusters := $(if $(filter pathgraph,$(METHOD)),$(numbers:%=$(work)/pass-%.clusters.h5))
+radiances := $(if $(refined),$(numbers:%=$(work)/pass-%.radiance.h5))
+traced := $(if $(filter pt,$(METHOD)),$(passes),$(graphs))
+clean := $(if $(filter-out 0,$(DENOISE)),$(OUT)/clean.exr $(OUT)/clean.png)
 scene_prerequisite := $(subst $(space),\$(space),$(SCENE))
 
 # What reaches the result, and what only says how fast.
@@ -73,14 +93,15 @@ $(1): $(if $(call equal,$(file <$(1)),$(2)),,FORCE)
 	@mkdir -p $$(@D) && printf '%s\n' $(call quote,$(2)) >$$@
 endef
 
-image: $(OUT)/image.exr $(OUT)/image.png
+image: $(OUT)/image.exr $(OUT)/image.png $(clean)
 	@echo $<
 
-demo: $(OUT)/image.exr $(OUT)/image.png
+demo: $(OUT)/image.exr $(OUT)/image.png $(clean)
 	@echo
 	@echo 'image    $(OUT)/image.exr'
 	@echo 'picture  $(OUT)/image.png'
-	@$(if $(filter graph,$(METHOD)),echo 'graph    $(work)/pass-$(last).h5')
+	@$(if $(clean),echo 'denoised $(OUT)/clean.exr')
+	@$(if $(filter-out pt,$(METHOD)),echo 'graph    $(work)/pass-$(last).h5')
 	@echo 'look     $(inspect) $(lastword $(traced))'
 
 $(eval $(call parameter,$(work)/trace.parameters,$(trace_parameters)))
@@ -89,23 +110,39 @@ $(traced): $(work)/pass-%: $(scene_prerequisite) $(work)/trace.parameters $(trac
 
 # A graph is as large as its picture is small: once gathered it goes, but for the last, which stays to be
 # looked at. Secondary: that it is gone does not make it be traced again.
-ifeq ($(METHOD),graph)
-.SECONDARY: $(graphs)
-$(passes): $(work)/pass-%.exr: $(work)/pass-%.h5 $(gather)
-	$(LAUNCH) $(gather) $< -o $@$(threads)
-	$(if $(filter $(last),$*)$(KEEP),,rm -f $<)
+.SECONDARY: $(graphs) $(clusters) $(radiances)
+
+# Borders between clusters are drawn anew in each pass, so that they average out.
+$(eval $(call parameter,$(work)/cluster.parameters,--k $(K)$(if $(CLUSTER), $(CLUSTER))))
+$(clusters): $(work)/pass-%.clusters.h5: $(work)/pass-%.h5 $(work)/cluster.parameters $(cluster)
+	$(LAUNCH) $(cluster) $< --k $(K)$(if $(CLUSTER), $(CLUSTER)) --seed $* -o $@$(threads)
+
+refine_parameters = $(if $(filter west,$(METHOD)),--method west --neighbours $(K),--iterations $(ITERATIONS))$(if $(REFINE), $(REFINE))
+$(eval $(call parameter,$(work)/refine.parameters,$(refine_parameters)))
+$(radiances): $(work)/pass-%.radiance.h5: $(work)/pass-%.h5 $(if $(clusters),$(work)/pass-%.clusters.h5) $(work)/refine.parameters $(refine)
+	$(LAUNCH) $(refine) $(filter %.h5,$^) $(refine_parameters) -o $@$(threads)
+
+ifneq ($(METHOD),pt)
+gather_parameters = $(if $(refined),--estimates)$(if $(GATHER), $(GATHER))
+$(eval $(call parameter,$(work)/gather.parameters,$(gather_parameters)))
+$(passes): $(work)/pass-%.exr: $(work)/pass-%.h5 $(if $(refined),$(work)/pass-%.radiance.h5) $(work)/gather.parameters $(gather)
+	$(LAUNCH) $(gather) $(filter %.h5,$^) $(gather_parameters) -o $@$(threads)
+	$(if $(filter $(last),$*)$(filter-out 0,$(KEEP)),,rm -f $(filter %.h5,$^) $(if $(clusters),$(work)/pass-$*.clusters.h5))
 endif
 
-$(eval $(call parameter,$(OUT)/image.parameters,$(METHOD) $(PASSES)))
+$(eval $(call parameter,$(OUT)/image.parameters,$(METHOD) $(PASSES)$(if $(MERGE), $(MERGE))))
 $(OUT)/image.exr: $(passes) $(OUT)/image.parameters $(merge)
-	$(LAUNCH) $(merge) $(passes) -o $@
+	$(LAUNCH) $(merge) $(passes)$(if $(MERGE), $(MERGE)) -o $@
+
+$(OUT)/clean.exr: $(OUT)/image.exr $(denoise)
+	$(LAUNCH) $(denoise) $< -o $@$(threads)
 
 $(eval $(call parameter,$(OUT)/preview.parameters,$(EXPOSURE)))
-$(OUT)/image.png: $(OUT)/image.exr $(OUT)/preview.parameters $(inspect)
+$(OUT)/image.png $(OUT)/clean.png: $(OUT)/%.png: $(OUT)/%.exr $(OUT)/preview.parameters $(inspect)
 	$(LAUNCH) $(inspect) $< --png $@$(if $(EXPOSURE), --exposure $(EXPOSURE))
 
 # Run alone on a tree that is not built yet.
-$(trace) $(gather) $(merge) $(inspect) &:
+$(trace) $(cluster) $(refine) $(gather) $(merge) $(denoise) $(inspect) &:
 	$(MAKE) --no-print-directory -f Makefile stages
 
 # Files that the scene includes: meshes, textures, other scene files.

@@ -65,7 +65,7 @@ void run(const Options& options, app::Report& report) {
 
     Cost cost = report.cost();
     cost.bytes_written = std::filesystem::file_size(options.output);
-    cost.parents = {std::filesystem::path(options.graph).filename()};
+    cost.parents = {parent_of(options.output, options.graph)};
     write_cost(cost, options.output);
     report.done("{} vertices in {} clusters, {} solitary", clusters.n_members(), clusters.n_clusters(),
                 graph.n_vertices() - clusters.n_members());

@@ -194,7 +194,8 @@ void run(const Options& options, app::Report& report) {
     Cost cost = report.cost();
     cost.samples = graph.n_paths();
     cost.bytes_written = std::filesystem::file_size(options.output);
-    for (const InputId& input : radiance.provenance.inputs) cost.parents.push_back(input.name);
+    cost.parents = {parent_of(options.output, options.graph)};
+    if (!options.clusters.empty()) cost.parents.push_back(parent_of(options.output, options.clusters));
     write_cost(cost, options.output);
     report.done("{} vertices, {} iterations", graph.n_vertices(), radiance.residual.size());
 }
