@@ -8,9 +8,10 @@
 //   Depth.Z                distance of the first hit             m
 //
 //   Emitted.R/G/B          part that is seen directly            W m^-2 sr^-1
-//   DirectOwn.R/G/B, DirectCluster.R/G/B, IndirectPath.R/G/B, IndirectCluster.R/G/B
-//                          the other parts, each estimated twice: by the pixel's own paths, without bias, and by the
-//                          clusters of their vertices; to be blended         W m^-2 sr^-1
+//   DirectOwn.R/G/B, DirectCluster.R/G/B
+//   IndirectPath.R/G/B, IndirectOwn.R/G/B, IndirectCluster.R/G/B
+//                          the other parts, each estimated by the pixel's own paths, by its own sample of refined
+//                          light, and by the clusters of its vertices; to be blended   W m^-2 sr^-1
 //
 // Only the layers that a stage has are there, R, G, B always. Channels are float32 in memory and when
 // written; row 0 is on top. The root attributes of all formats are text attributes of the header, `samples`
@@ -31,7 +32,8 @@
 namespace loom {
 
 /// The layers that a blend is made of.
-inline constexpr std::array<const char*, 5> estimate_layers{"Emitted", "DirectOwn", "DirectCluster", "IndirectPath", "IndirectCluster"};
+inline constexpr std::array<const char*, 6> estimate_layers{"Emitted",      "DirectOwn",   "DirectCluster",
+                                                           "IndirectPath", "IndirectOwn", "IndirectCluster"};
 
 struct Image {
     static constexpr FormatId format{"image", 1, 0};

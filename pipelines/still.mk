@@ -17,6 +17,7 @@ SCENE ?= scenes/cornell-box.xml  ## scene file, Mitsuba XML
 METHOD ?= pathgraph  ## pathgraph, west, graph, or pt: path tracing without a graph
 # PASSES=  ## passes to merge (pathgraph, west: 4, with fewer no blend; else 1)
 # SPP=  ## samples per pixel of each pass (pathgraph, west: 1; graph: 4; pt: 16)
+BATCH ?= 4  ## passes that a process traces; with a graph, so many lie on disk at a time
 K ?= 16  ## vertices of a cluster
 ITERATIONS ?= 6  ## steps of the refinement
 # CLUSTER=  ## further options of loom-cluster: CLUSTER="--method centres"
@@ -39,6 +40,7 @@ refined := $(filter pathgraph west,$(METHOD))
 SPP := $(or $(strip $(SPP)),$(if $(refined),1,$(if $(filter pt,$(METHOD)),16,4)))
 PASSES := $(or $(strip $(PASSES)),$(if $(refined),4,1))
 K := $(strip $(K))
+BATCH := $(strip $(BATCH))
 ITERATIONS := $(strip $(ITERATIONS))
 
 empty :=
@@ -48,9 +50,9 @@ quote = '$(subst ','\'',$(1))'
 ifeq ($(filter pathgraph west graph pt,$(METHOD)),)
 $(error METHOD=$(METHOD): must be pathgraph, west, graph or pt)
 endif
-ifneq ($(shell printf '%s\n' $(call quote,$(SPP)) $(call quote,$(PASSES)) $(call quote,$(K)) $(call quote,$(ITERATIONS)) \
-		| grep -cxE '[1-9][0-9]{0,8}'),4)
-$(error SPP=$(SPP) PASSES=$(PASSES) K=$(K) ITERATIONS=$(ITERATIONS): must be whole numbers from 1)
+ifneq ($(shell printf '%s\n' $(call quote,$(SPP)) $(call quote,$(PASSES)) $(call quote,$(BATCH)) $(call quote,$(K)) \
+		$(call quote,$(ITERATIONS)) | grep -cxE '[1-9][0-9]{0,8}'),5)
+$(error SPP=$(SPP) PASSES=$(PASSES) BATCH=$(BATCH) K=$(K) ITERATIONS=$(ITERATIONS): must be whole numbers from 1)
 endif
 ifeq ($(shell test -f $(call quote,$(SCENE)) && echo there),)
 $(error SCENE=$(SCENE): no such file)
@@ -105,8 +107,17 @@ demo: $(OUT)/image.exr $(OUT)/image.png $(clean)
 	@echo 'look     $(inspect) $(lastword $(traced))'
 
 $(eval $(call parameter,$(work)/trace.parameters,$(trace_parameters)))
-$(traced): $(work)/pass-%: $(scene_prerequisite) $(work)/trace.parameters $(trace)
-	$(LAUNCH) $(trace) $(trace_parameters) --first-sample $$(($(basename $*) * $(SPP)))$(threads) --depfile $@.d -o $@
+# Passes are traced in batches, so that a scene is not read for each: batch b has passes [b BATCH, (b+1) BATCH), as far
+# as they are wanted.
+define batch
+$(foreach i,$(2),$(work)/pass-$(i).$(kind)) &: $(scene_prerequisite) $(work)/trace.parameters $(trace)
+	$(LAUNCH) $(trace) $(trace_parameters) --first-sample $(shell echo $$(($(firstword $(2)) * $(SPP)))) --passes $(words $(2))$(threads) \
+		--depfile $(work)/batch-$(1).d -o $(work)/pass-%.$(kind)
+endef
+kind := $(if $(filter pt,$(METHOD)),exr,h5)
+batches := $(shell seq 0 $$((($(PASSES) - 1) / $(BATCH))))
+$(foreach b,$(batches),$(eval $(call batch,$(b),$(shell seq $$(($(b) * $(BATCH))) \
+	$$((($(b) + 1) * $(BATCH) < $(PASSES) ? ($(b) + 1) * $(BATCH) - 1 : $(last)))))))
 
 # A graph is as large as its picture is small: once gathered it goes, but for the last, which stays to be
 # looked at. Secondary: that it is gone does not make it be traced again.
@@ -146,4 +157,4 @@ $(trace) $(cluster) $(refine) $(gather) $(merge) $(denoise) $(inspect) &:
 	$(MAKE) --no-print-directory -f Makefile stages
 
 # Files that the scene includes: meshes, textures, other scene files.
--include $(traced:=.d)
+-include $(batches:%=$(work)/batch-%.d)

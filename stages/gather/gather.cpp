@@ -128,7 +128,7 @@ Image gathered_image(const PathGraph& graph, const Radiance& radiance, const Gat
     Image image = image_of(graph, threads, [&](std::size_t path, std::size_t& edge, FirstHit& first) {
         const Estimates L = estimates_of(reader, radiance, options.estimates, path, edge, first);
         if (options.estimates) {
-            const std::array values{L.Le, L.direct_own, L.direct_cluster, L.indirect_path, L.indirect_cluster};
+            const std::array values{L.Le, L.direct_own, L.direct_cluster, L.indirect_path, L.indirect_own, L.indirect_cluster};
             for (std::size_t i = 0; i < values.size(); ++i)
                 for (int c = 0; c < 3; ++c) layers[i][3 * (path % n_pixels) + c] += values[i][c] * inv_samples;
         }

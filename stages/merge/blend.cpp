@@ -9,16 +9,22 @@
 namespace loom::merge {
 namespace {
 
-constexpr int window_radius = 3, window_pixels = (2 * window_radius + 1) * (2 * window_radius + 1);
+/// Over which window bias is looked for, and by how many standard errors it must show.
+struct Test {
+    int radius;
+    double standard_errors;
+};
+constexpr Test against_own{3, 1};   // own samples against the cluster's: noise of a few samples
+constexpr Test against_path{6, 2};  // whole paths against both: rare bright paths make windows look biased
 
 /// Mean over the window, as far as it lies within the image.
-std::vector<double> window_mean(const std::vector<double>& values, int width, int height) {
-    const auto along = [](const std::vector<double>& in, int n, int stride, int n_lines, int line_stride) {
+std::vector<double> window_mean(const std::vector<double>& values, int width, int height, int radius) {
+    const auto along = [radius](const std::vector<double>& in, int n, int stride, int n_lines, int line_stride) {
         std::vector<double> out(in.size());
         for (int line = 0; line < n_lines; ++line)
             for (int i = 0; i < n; ++i) {
                 double sum = 0;
-                const int begin = std::max(i - window_radius, 0), end = std::min(i + window_radius + 1, n);
+                const int begin = std::max(i - radius, 0), end = std::min(i + radius + 1, n);
                 for (int k = begin; k < end; ++k) sum += in[std::size_t(line) * line_stride + std::size_t(k) * stride];
                 out[std::size_t(line) * line_stride + std::size_t(i) * stride] = sum / (end - begin);
             }
@@ -27,50 +33,91 @@ std::vector<double> window_mean(const std::vector<double>& values, int width, in
     return along(along(values, width, 1, height, width), height, width, width, 1);
 }
 
-/// Two estimates of one part of the light, and what is known of their luminance in one half of the parts.
-struct HalfSums {
+using Luminances = std::vector<double>;
+
+Luminances luminances(const std::vector<float>& rgb) {
+    Luminances y(rgb.size() / 3);
+    for (std::size_t i = 0; i < y.size(); ++i) {
+        y[i] = luminance(Rgb<double>{rgb[3 * i], rgb[3 * i + 1], rgb[3 * i + 2]});
+        if (!std::isfinite(y[i])) y[i] = 0;  // counted and reported in the result
+    }
+    return y;
+}
+
+/// Two estimates A and B = A - d in one half of the parts: sums of their luminance, by pixel.
+struct PairSums {
     double n = 0;
-    std::vector<double> d, d2, b, bd;  // d = A - B
+    std::vector<double> d, d2, b, bd;
 
-    explicit HalfSums(std::size_t n_pixels) : d(n_pixels), d2(n_pixels), b(n_pixels), bd(n_pixels) {}
+    explicit PairSums(std::size_t n_pixels) : d(n_pixels), d2(n_pixels), b(n_pixels), bd(n_pixels) {}
 
-    void add(const std::vector<float>& A, const std::vector<float>& B) {
+    void add(const Luminances& A, const Luminances& B) {
         ++n;
         for (std::size_t i = 0; i < d.size(); ++i) {
-            const double y_a = luminance(Rgb<double>{A[3 * i], A[3 * i + 1], A[3 * i + 2]});
-            const double y_b = luminance(Rgb<double>{B[3 * i], B[3 * i + 1], B[3 * i + 2]});
-            if (!std::isfinite(y_a - y_b)) continue;  // counted and reported in the result
-            const double difference = y_a - y_b;
+            const double difference = A[i] - B[i];
             d[i] += difference;
-            d2[i] += difference * difference;
-            b[i] += y_b;
-            bd[i] += y_b * difference;
+            d2[i] += sqr(difference);
+            b[i] += B[i];
+            bd[i] += B[i] * difference;
         }
     }
 
     /// Weight of A by pixel.
-    std::vector<double> weights(const std::vector<double>& importance, int width, int height) const {
-        std::vector<double> bias2(d.size()), var(d.size()), cov(d.size());
+    std::vector<double> weights(const std::vector<double>& importance, int width, int height, const Test& test) const {
+        std::vector<double> bias2(d.size()), var(d.size()), cov(d.size()), squares(d.size());
         for (std::size_t i = 0; i < d.size(); ++i) {
             const double mean = d[i] / n;
-            const double var_mean = std::max(d2[i] / n - mean * mean, 0.0) / (n - 1);
-            bias2[i] = (mean * mean - var_mean) * importance[i];
+            const double var_mean = std::max(d2[i] / n - sqr(mean), 0.0) / (n - 1);
+            bias2[i] = (sqr(mean) - var_mean) * importance[i];
+            squares[i] = sqr(bias2[i]);
             var[i] = var_mean * importance[i];
             cov[i] = (bd[i] / n - mean * b[i] / n) / (n - 1) * importance[i];
         }
-        std::vector<double> squares(bias2.size());
-        for (std::size_t i = 0; i < d.size(); ++i) squares[i] = sqr(bias2[i]);
-        bias2 = window_mean(bias2, width, height);
-        squares = window_mean(squares, width, height);
-        var = window_mean(var, width, height);
-        cov = window_mean(cov, width, height);
+        for (std::vector<double>* values : {&bias2, &squares, &var, &cov}) *values = window_mean(*values, width, height, test.radius);
         for (std::size_t i = 0; i < d.size(); ++i) {
-            const double error = std::sqrt(std::max(squares[i] - sqr(bias2[i]), 0.0) / window_pixels);
-            const double squared_bias = std::max(bias2[i] - error, 0.0), under = squared_bias + var[i];
-            bias2[i] = under > 0 ? std::clamp((squared_bias - cov[i]) / under, 0.0, 1.0) : 0.0;
+            const double error = std::sqrt(std::max(squares[i] - sqr(bias2[i]), 0.0)) / (2 * test.radius + 1);
+            const double b2 = std::max(bias2[i] - test.standard_errors * error, 0.0), under = b2 + var[i];
+            bias2[i] = under > 0 ? std::clamp((b2 - cov[i]) / under, 0.0, 1.0) : 0.0;
         }
         return bias2;
     }
+};
+
+/// Three estimates: whole paths, the own sample of refined light, the cluster.
+struct TripleSums {
+    PairSums own;                        // own sample against the cluster
+    std::vector<double> u, u2, uv, ub;  // u = path - cluster, v = own - cluster, b = cluster
+
+    explicit TripleSums(std::size_t n_pixels) : own(n_pixels), u(n_pixels), u2(n_pixels), uv(n_pixels), ub(n_pixels) {}
+
+    void add(const Luminances& path, const Luminances& own_sample, const Luminances& cluster) {
+        own.add(own_sample, cluster);
+        for (std::size_t i = 0; i < u.size(); ++i) {
+            const double difference = path[i] - cluster[i];
+            u[i] += difference;
+            u2[i] += sqr(difference);
+            uv[i] += difference * (own_sample[i] - cluster[i]);
+            ub[i] += difference * cluster[i];
+        }
+    }
+
+    /// Whole paths against the blend cluster + t (own - cluster).
+    PairSums against_blend(const std::vector<double>& t) const {
+        PairSums pair(u.size());
+        pair.n = own.n;
+        for (std::size_t i = 0; i < u.size(); ++i) {
+            pair.d[i] = u[i] - t[i] * own.d[i];
+            pair.d2[i] = u2[i] - 2 * t[i] * uv[i] + sqr(t[i]) * own.d2[i];
+            pair.b[i] = own.b[i] + t[i] * own.d[i];
+            pair.bd[i] = ub[i] - t[i] * own.bd[i] + t[i] * uv[i] - sqr(t[i]) * own.d2[i];
+        }
+        return pair;
+    }
+};
+
+/// Weights of one half of the parts, found by the other.
+struct Weights {
+    std::vector<double> direct, own, path;
 };
 
 }  // namespace
@@ -83,7 +130,8 @@ Image blend_images(std::size_t n_parts, const std::function<Image(std::size_t)>&
     Image result;
     std::vector<std::vector<double>> layer_sums;  // of channels that are no estimates
     std::vector<double> luminance_sum;
-    std::vector<HalfSums> direct, indirect;
+    std::vector<PairSums> direct;
+    std::vector<TripleSums> indirect;
     for (std::size_t i = 0; i < n_parts; ++i) {
         const Image image = part(i);
         if (i == 0) {
@@ -94,30 +142,31 @@ Image blend_images(std::size_t n_parts, const std::function<Image(std::size_t)>&
                     result.channels.push_back({channel.name, {}});
             layer_sums.assign(result.channels.size(), std::vector<double>(image.n_pixels()));
             luminance_sum.resize(image.n_pixels());
-            direct.assign(2, HalfSums(image.n_pixels()));
-            indirect = direct;
+            direct.assign(2, PairSums(image.n_pixels()));
+            indirect.assign(2, TripleSums(image.n_pixels()));
         }
         result.samples += image.samples;
         for (std::size_t k = 0; k < result.channels.size(); ++k) {
             const auto values = image.find(result.channels[k].name);
             for (std::size_t p = 0; p < values.size(); ++p) layer_sums[k][p] += double(values[p]);
         }
-        const std::vector<float> rgb = image.interleaved("");
-        for (std::size_t p = 0; p < luminance_sum.size(); ++p) {
-            const double y = luminance(Rgb<double>{rgb[3 * p], rgb[3 * p + 1], rgb[3 * p + 2]});
-            if (std::isfinite(y)) luminance_sum[p] += y;
-        }
-        direct[i % 2].add(image.interleaved("DirectOwn"), image.interleaved("DirectCluster"));
-        indirect[i % 2].add(image.interleaved("IndirectPath"), image.interleaved("IndirectCluster"));
+        const Luminances y = luminances(image.interleaved(""));
+        for (std::size_t p = 0; p < y.size(); ++p) luminance_sum[p] += y[p];
+        const auto layer = [&](const char* name) { return luminances(image.interleaved(name)); };
+        direct[i % 2].add(layer("DirectOwn"), layer("DirectCluster"));
+        indirect[i % 2].add(layer("IndirectPath"), layer("IndirectOwn"), layer("IndirectCluster"));
     }
 
     const int width = int(result.width), height = int(result.height);
-    std::vector<double> importance = window_mean(luminance_sum, width, height);
+    std::vector<double> importance = window_mean(luminance_sum, width, height, against_own.radius);
     for (double& y : importance) y = 1 / (sqr(y / double(n_parts)) + 0.01);  // errors count relative to brightness
-    std::vector<double> t_direct[2], t_indirect[2];
+    Weights weights[2];
     for (int half = 0; half < 2; ++half) {
-        t_direct[half] = direct[1 - half].weights(importance, width, height);
-        t_indirect[half] = indirect[1 - half].weights(importance, width, height);
+        const TripleSums& other = indirect[1 - half];
+        Weights& w = weights[half];
+        w.direct = direct[1 - half].weights(importance, width, height, against_own);
+        w.own = other.own.weights(importance, width, height, against_own);
+        w.path = other.against_blend(w.own).weights(importance, width, height, against_path);
     }
 
     const std::size_t n_pixels = result.n_pixels();
@@ -126,13 +175,14 @@ Image blend_images(std::size_t n_parts, const std::function<Image(std::size_t)>&
         const Image image = part(i);
         const auto emitted = image.interleaved("Emitted"), direct_own = image.interleaved("DirectOwn"),
                    direct_cluster = image.interleaved("DirectCluster"), path = image.interleaved("IndirectPath"),
-                   cluster = image.interleaved("IndirectCluster");
-        for (std::size_t p = 0; p < n_pixels; ++p) {
-            const double td = t_direct[i % 2][p], ti = t_indirect[i % 2][p];
-            for (std::size_t k = 3 * p; k < 3 * p + 3; ++k)
-                moments[k].add(emitted[k] + direct_cluster[k] + td * (direct_own[k] - direct_cluster[k]) + cluster[k] +
-                               ti * (path[k] - cluster[k]));
-        }
+                   own = image.interleaved("IndirectOwn"), cluster = image.interleaved("IndirectCluster");
+        const Weights& w = weights[i % 2];
+        for (std::size_t p = 0; p < n_pixels; ++p)
+            for (std::size_t k = 3 * p; k < 3 * p + 3; ++k) {
+                const double shared = cluster[k] + w.own[p] * (double(own[k]) - cluster[k]);
+                moments[k].add(emitted[k] + direct_cluster[k] + w.direct[p] * (double(direct_own[k]) - direct_cluster[k]) + shared +
+                               w.path[p] * (path[k] - shared));
+            }
     }
     for (std::size_t k = 0; k < result.channels.size(); ++k) {
         auto& values = result.channels[k].values;
@@ -146,10 +196,12 @@ Image blend_images(std::size_t n_parts, const std::function<Image(std::size_t)>&
     }
     result.set_layer("", "RGB", mean);
     result.set_layer("VarMean", "RGB", var_mean);
-    const auto even = double((n_parts + 1) / 2), odd = double(n_parts / 2);
-    for (const auto& [name, t] : {std::pair{"Blend.Direct", t_direct}, {"Blend.Indirect", t_indirect}}) {
-        const auto values = result.add(name);
-        for (std::size_t p = 0; p < n_pixels; ++p) values[p] = float((t[0][p] * even + t[1][p] * odd) / (even + odd));
+    const double even = double((n_parts + 1) / 2) / double(n_parts);
+    const auto direct_weight = result.add("Blend.Direct"), own_weight = result.add("Blend.Own"), path_weight = result.add("Blend.Path");
+    for (std::size_t p = 0; p < n_pixels; ++p) {
+        direct_weight[p] = float(lerp(1 - even, weights[0].direct[p], weights[1].direct[p]));
+        own_weight[p] = float(lerp(1 - even, weights[0].own[p], weights[1].own[p]));
+        path_weight[p] = float(lerp(1 - even, weights[0].path[p], weights[1].path[p]));
     }
     return result;
 }

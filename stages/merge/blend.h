@@ -14,15 +14,17 @@ inline constexpr std::size_t min_blend_parts = 4;
 /// Whether an image has the layers that a blend needs.
 bool has_estimates(const Image& image);
 
-/// Mean of the parts, its direct and its indirect light each blended pixel by pixel,
+/// Mean of the parts, in which direct and indirect light are each blended pixel by pixel from two estimates A, B:
 ///   x = B + t (A - B),   t = (b^2 - cov(B, A - B)) / (b^2 + var(A - B))   within [0, 1]
-/// A without bias, B of clusters, b^2 = mean(A - B)^2 - var(A - B) the squared bias of B less its standard
-/// error; all of luminance, over a window of 7 x 7 pixels. The weights of even parts are applied to odd ones and the other way round: a weight that
-/// knew the noise of what it weighs would favour dark samples.
+/// with b^2 = mean(A - B)^2 - var(A - B) the squared bias of B less a multiple of its standard error; all of
+/// luminance, over a window around the pixel. First own samples (A) against the cluster (B); for indirect light then
+/// whole paths (A), the only estimate without any bias, against that blend (B), with a wider window and a stricter
+/// test. The weights of even parts are applied to odd ones and the other way round: a weight that knew the noise of
+/// what it weighs would favour dark samples.
 /// in:      part   reads part i; called twice for each, so that memory does not grow with their number
 /// needs:   at least min_blend_parts parts of one size with estimates
-/// out:     R, G, B with VarMean over parts; layers that all parts have, without the estimates; Blend.Direct and
-///          Blend.Indirect, the mean weight t
+/// out:     R, G, B with VarMean over parts; layers that all parts have, without the estimates; Blend.Direct,
+///          Blend.Own and Blend.Path, the mean weights t
 Image blend_images(std::size_t n_parts, const std::function<Image(std::size_t)>& part);
 
 }  // namespace loom::merge

@@ -89,6 +89,27 @@ void count(const PathResult& r, Counts& counts) {
     counts.vertices += r.n_vertices;
 }
 
+std::uint64_t pass_number(const Options& options, std::uint64_t pass) {
+    return options.first_sample / options.spp + pass;
+}
+
+std::string output_of_pass(const Options& options, std::uint64_t pass) {
+    std::string name = options.output;
+    if (options.passes == 1 && name.find('%') == std::string::npos) return name;
+    return name.replace(name.rfind('%'), 1, std::to_string(pass_number(options, pass)));
+}
+
+/// The command that makes this pass alone.
+std::string command_of_pass(const Options& options, std::string command, std::uint64_t pass) {
+    const auto replace = [&](const std::string& from, const std::string& to) {
+        if (const auto at = command.find(from); at != std::string::npos) command.replace(at, from.size(), to);
+    };
+    replace(fmt::format(" --passes {}", options.passes), "");
+    replace(fmt::format(" --first-sample {}", options.first_sample),
+            fmt::format(" --first-sample {}", options.first_sample + pass * options.spp));
+    return command;
+}
+
 void write_depfile(const Options& options, const Scene& scene) {
     const auto escape = [](const std::string& name) {
         std::string out;
@@ -99,7 +120,9 @@ void write_depfile(const Options& options, const Scene& scene) {
         }
         return out;
     };
-    std::string text = escape(options.output) + ":";
+    std::string text;
+    for (std::uint64_t pass = 0; pass < options.passes; ++pass) text += (pass > 0 ? " " : "") + escape(output_of_pass(options, pass));
+    text += ":";
     for (const std::string& file : scene.dependencies) text += " \\\n  " + escape(file);
     // A rule without recipe for each file, so that a deleted one is remade (that is, complained about) by the
     // stage and not by make.
@@ -182,10 +205,12 @@ PathGraphInPieces render_graph(const Scene& scene, const PathOptions& path, cons
 
 void declare(app::Command& command, Options& options) {
     command.file("scene", options.scene, "scene file (Mitsuba XML, dialects 0.5 to 3)");
-    command.output("-o,--output", options.output, "path graph (.h5) or path-traced image (.exr)");
+    command.output("-o,--output", options.output, "path graph (.h5) or path-traced image (.exr); % stands for the number of the pass");
     command.option("-D,--define", options.defines, "NAME=VALUE of a scene parameter $NAME");
     command.option("--spp", options.spp, "samples per pixel", app::Range<std::uint64_t>{1, 1u << 30});
     command.option("--first-sample", options.first_sample, "number of the first sample of each pixel");
+    command.option("--passes", options.passes, "files to make, one after the other, of --spp samples each",
+                   app::Range<std::uint64_t>{1, 1u << 20});
     command.option("--seed", options.seed, "seed of all random numbers");
     command.choice("--sampler", options.sampler, "random numbers",
                    {{"sobol", SamplerKind::sobol}, {"independent", SamplerKind::independent}});
@@ -232,6 +257,11 @@ void run(const Options& options, app::Report& report) {
         if (options.output.empty()) throw InputError("--output: missing (a .h5 or .exr file)");
         if (ending != ".h5" && ending != ".exr")
             throw InputError(fmt::format("{}: the output must end in .h5 (path graph) or .exr (image)", options.output));
+        if (options.passes > 1 && options.output.find('%') == std::string::npos)
+            throw InputError(options.output + ": --passes needs a % in the name of the output, for the number of the pass");
+        if (options.passes > 1 && options.first_sample % options.spp != 0)
+            throw InputError(fmt::format("--first-sample {}: passes are numbered by it, so it must be a multiple of --spp {}",
+                                         options.first_sample, options.spp));
         check_output_path(options.output);
     }
     const auto scene = load_scene(options.scene, parse_defines(options.defines));
@@ -248,38 +278,45 @@ void run(const Options& options, app::Report& report) {
     }
     report.info("plan: {}", planned);
 
-    Provenance provenance;
-    provenance.stage = report.name();
-    provenance.command = report.command();
-    provenance.seed = options.seed;
-    provenance.plan = planned;
-    provenance.inputs.push_back({std::filesystem::path(options.scene).filename(), content_hash_text(scene->content_hash)});
-    const Work work{options.first_sample, options.spp, options.threads};
-    Counts counts;
-    if (ending == ".exr") {
-        Image image = render_image(*scene, path, work, report, counts);
-        image.provenance = provenance;
-        write_image(image, options.output);
-    } else {
-        PathGraphInPieces graph = render_graph(*scene, path, work, report, counts);
-        graph.provenance = provenance;
-        write_path_graph(graph, options.output);
-        std::uint64_t bytes = 0;
-        for (const ColumnBytes& column : column_bytes(graph)) bytes += column.bytes;
-        report.info("graph: {} vertices, {} light edges, {:.1f} bytes per vertex", graph.n_vertices(),
-                    graph.n_light_edges(), double(bytes) / double(std::max<std::size_t>(graph.n_vertices(), 1)));
+    // What reading the scene has cost, each pass carries a part of.
+    const Cost loading = report.cost();
+    for (std::uint64_t pass = 0; pass < options.passes; ++pass) {
+        const Cost before = report.cost();
+        const std::string output = output_of_pass(options, pass);
+        Provenance provenance;
+        provenance.stage = report.name();
+        provenance.command = command_of_pass(options, report.command(), pass);
+        provenance.seed = options.seed;
+        provenance.plan = planned;
+        provenance.inputs.push_back({std::filesystem::path(options.scene).filename(), content_hash_text(scene->content_hash)});
+        const Work work{options.first_sample + pass * options.spp, options.spp, options.threads};
+        Counts counts;
+        if (ending == ".exr") {
+            Image image = render_image(*scene, path, work, report, counts);
+            image.provenance = std::move(provenance);
+            write_image(image, output);
+        } else {
+            PathGraphInPieces graph = render_graph(*scene, path, work, report, counts);
+            graph.provenance = std::move(provenance);
+            write_path_graph(graph, output);
+            std::uint64_t bytes = 0;
+            for (const ColumnBytes& column : column_bytes(graph)) bytes += column.bytes;
+            report.info("graph: {} vertices, {} light edges, {:.1f} bytes per vertex", graph.n_vertices(),
+                        graph.n_light_edges(), double(bytes) / double(std::max<std::size_t>(graph.n_vertices(), 1)));
+        }
+        const std::uint64_t samples = scene->sensor.n_pixels() * options.spp;
+        Cost cost = report.cost();
+        cost.wall_s += loading.wall_s / double(options.passes) - before.wall_s;
+        cost.cpu_s += loading.cpu_s / double(options.passes) - before.cpu_s;
+        cost.rays = counts.rays;
+        cost.samples = samples;
+        cost.bytes_written = std::filesystem::file_size(output);
+        cost.sources = {std::filesystem::path(options.scene).filename()};
+        write_cost(cost, output);
+        report.done("{}: {} paths, {} vertices, {} rays, {} samples not finite", std::filesystem::path(output).filename().string(),
+                    samples, counts.vertices, counts.rays, counts.nonfinite);
     }
     if (!options.depfile.empty()) write_depfile(options, *scene);
-
-    const std::uint64_t samples = scene->sensor.n_pixels() * options.spp;
-    Cost cost = report.cost();
-    cost.rays = counts.rays;
-    cost.samples = samples;
-    cost.bytes_written = std::filesystem::file_size(options.output);
-    cost.sources = {std::filesystem::path(options.scene).filename()};
-    write_cost(cost, options.output);
-    report.done("{} paths, {} vertices, {} rays, {} samples not finite", samples, counts.vertices, counts.rays,
-                counts.nonfinite);
 }
 
 }  // namespace loom::trace

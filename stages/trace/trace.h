@@ -18,10 +18,11 @@ namespace loom::trace {
 
 struct Options {
     std::string scene;                 // Mitsuba XML
-    std::string output;                // .h5: path graph; .exr: path-traced image
+    std::string output;                // .h5: path graph; .exr: path-traced image; % is the number of the pass
     std::vector<std::string> defines;  // name=value
     std::uint64_t spp = 1;             // samples per pixel
     std::uint64_t first_sample = 0;    // number of the first one
+    std::uint64_t passes = 1;          // files of spp samples each, made one after the other
     std::uint64_t seed = 0;
     int threads = 0;                   // 0: all
     SamplerKind sampler = SamplerKind::sobol;
@@ -53,7 +54,7 @@ PathGraphInPieces render_graph(const Scene& scene, const PathOptions& path, cons
 
 void declare(app::Command& command, Options& options);
 
-/// Traces a scene file into options.output.
+/// Traces a scene file into options.output, pass by pass. A pass has the same bytes as if it had been made alone.
 /// throws: InputError
 void run(const Options& options, app::Report& report);
 
