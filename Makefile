@@ -52,6 +52,9 @@ image: stages ## render SCENE; with -s the only line on stdout is the path of th
 chart: stages ## error against cost of METHODS on SCENE; the last lines are the paths of the charts
 	@$(MAKE) --no-print-directory -f pipelines/chart.mk chart
 
+table: stages ## cost and error of path graphs beside path tracing, a row per scene; takes SCENES= OUT=
+	@$(MAKE) --no-print-directory -f pipelines/table.mk table
+
 test: build ## install, build and run all tests
 	cd $(BUILD) && ctest --output-on-failure --no-tests=error
 

@@ -16,9 +16,9 @@
 SCENE ?= scenes/cornell-box.xml  ## scene file, Mitsuba XML
 METHOD ?= pathgraph  ## pathgraph, west, graph, or pt: path tracing without a graph
 # PASSES=  ## passes to merge (pathgraph, west: 4, with fewer no blend; else 1)
-# SPP=  ## samples per pixel of each pass (pathgraph, west: 1; graph: 4; pt: 16)
+# SPP=  ## samples per pixel of each pass (4; pt: 16)
 BATCH ?= 4  ## passes that a process traces; with a graph, so many lie on disk at a time
-K ?= 16  ## vertices of a cluster
+# K=  ## vertices of a cluster, neighbours of west (16 at SPP=1, growing as its root: 32 at SPP=4; at most 128)
 ITERATIONS ?= 6  ## steps of the refinement
 # CLUSTER=  ## further options of loom-cluster: CLUSTER="--method centres"
 # REFINE=  ## further options of loom-refine: REFINE="--reuse points"
@@ -37,11 +37,15 @@ BUILD ?= build
 SCENE := $(strip $(SCENE))
 METHOD := $(strip $(METHOD))
 refined := $(filter pathgraph west,$(METHOD))
-SPP := $(or $(strip $(SPP)),$(if $(refined),1,$(if $(filter pt,$(METHOD)),16,4)))
+SPP := $(or $(strip $(SPP)),$(if $(filter pt,$(METHOD)),16,4))
 PASSES := $(or $(strip $(PASSES)),$(if $(refined),4,1))
-K := $(strip $(K))
 BATCH := $(strip $(BATCH))
 ITERATIONS := $(strip $(ITERATIONS))
+
+ifeq ($(strip $(K)),)
+K := $(shell awk 'BEGIN { k = int(16 * sqrt("$(SPP)")); print (k < 1 ? 1 : k > 128 ? 128 : k) }')
+endif
+K := $(strip $(K))
 
 empty :=
 space := $(empty) $(empty)

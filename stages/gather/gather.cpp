@@ -135,8 +135,6 @@ Image gathered_image(const PathGraph& graph, const Radiance& radiance, const Gat
         return L.Le + (options.direct == Source::own ? L.direct_own : L.direct_cluster) +
                (options.indirect == Source::own ? L.indirect_own : L.indirect_cluster);
     });
-    image.samples = 1;
-    for (const char* channel : {"VarMean.R", "VarMean.G", "VarMean.B"}) std::ranges::fill(image.add(channel), 0.0f);
     for (std::size_t i = 0; i < layers.size(); ++i) image.set_layer(estimate_layers[i], "RGB", layers[i]);
     return image;
 }

@@ -45,8 +45,8 @@ Image path_traced_image(const PathGraph& graph, int threads);
 ///   own      Le + own direct light + f cos / pdf_w X(second vertex); samples of pixels stay independent given X
 ///                                                                          PG section 5.2, K = 1
 ///   cluster  Le + X(first vertex)
-/// and either for direct and indirect light by itself. The variance is that between graphs, so a graph counts as one
-/// sample of its image: samples of one graph are not independent.
+/// and either for direct and indirect light by itself. VarMean takes the samples of a pixel for independent, which those
+/// of one graph are not; images of several graphs know better (loom-merge).
 Image gathered_image(const PathGraph& graph, const Radiance& radiance, const GatherOptions& options, int threads);
 
 /// throws: InputError

@@ -120,6 +120,53 @@ struct Weights {
     std::vector<double> direct, own, path;
 };
 
+/// The layers that are no estimates, averaged.
+struct LayerMeans {
+    Image result;
+
+    explicit LayerMeans(std::size_t n_parts) : n_parts_(double(n_parts)) {}
+
+    void add(const Image& image) {
+        if (sums_.empty()) {
+            result.width = image.width;
+            result.height = image.height;
+            const auto estimate = [](const Image::Channel& channel) {
+                return std::ranges::any_of(estimate_layers,
+                                           [&](const char* layer) { return channel.name.starts_with(std::string(layer) + "."); });
+            };
+            for (const Image::Channel& channel : image.channels)
+                if (!estimate(channel)) result.channels.push_back({channel.name, {}});
+            sums_.assign(result.channels.size(), std::vector<double>(image.n_pixels()));
+        }
+        result.samples += image.samples;
+        for (std::size_t k = 0; k < sums_.size(); ++k) {
+            const auto values = image.find(result.channels[k].name);
+            for (std::size_t p = 0; p < values.size(); ++p) sums_[k][p] += double(values[p]);
+        }
+    }
+
+    /// R, G, B and VarMean from moments over parts, [y, x, rgb].
+    Image finish(const std::vector<Moments>& moments) && {
+        for (std::size_t k = 0; k < sums_.size(); ++k) {
+            auto& values = result.channels[k].values;
+            values.resize(sums_[k].size());
+            for (std::size_t p = 0; p < values.size(); ++p) values[p] = float(sums_[k][p] / n_parts_);
+        }
+        std::vector<float> mean(moments.size()), var_mean(moments.size());
+        for (std::size_t k = 0; k < mean.size(); ++k) {
+            mean[k] = float(moments[k].mean);
+            var_mean[k] = float(moments[k].var_mean());
+        }
+        result.set_layer("", "RGB", mean);
+        result.set_layer("VarMean", "RGB", var_mean);
+        return std::move(result);
+    }
+
+  private:
+    double n_parts_;
+    std::vector<std::vector<double>> sums_;
+};
+
 }  // namespace
 
 bool has_estimates(const Image& image) {
@@ -127,28 +174,17 @@ bool has_estimates(const Image& image) {
 }
 
 Image blend_images(std::size_t n_parts, const std::function<Image(std::size_t)>& part) {
-    Image result;
-    std::vector<std::vector<double>> layer_sums;  // of channels that are no estimates
+    LayerMeans layers(n_parts);
     std::vector<double> luminance_sum;
     std::vector<PairSums> direct;
     std::vector<TripleSums> indirect;
     for (std::size_t i = 0; i < n_parts; ++i) {
         const Image image = part(i);
+        layers.add(image);
         if (i == 0) {
-            result.width = image.width;
-            result.height = image.height;
-            for (const Image::Channel& channel : image.channels)
-                if (std::ranges::none_of(estimate_layers, [&](const char* layer) { return channel.name.starts_with(std::string(layer) + "."); }))
-                    result.channels.push_back({channel.name, {}});
-            layer_sums.assign(result.channels.size(), std::vector<double>(image.n_pixels()));
             luminance_sum.resize(image.n_pixels());
             direct.assign(2, PairSums(image.n_pixels()));
             indirect.assign(2, TripleSums(image.n_pixels()));
-        }
-        result.samples += image.samples;
-        for (std::size_t k = 0; k < result.channels.size(); ++k) {
-            const auto values = image.find(result.channels[k].name);
-            for (std::size_t p = 0; p < values.size(); ++p) layer_sums[k][p] += double(values[p]);
         }
         const Luminances y = luminances(image.interleaved(""));
         for (std::size_t p = 0; p < y.size(); ++p) luminance_sum[p] += y[p];
@@ -157,7 +193,7 @@ Image blend_images(std::size_t n_parts, const std::function<Image(std::size_t)>&
         indirect[i % 2].add(layer("IndirectPath"), layer("IndirectOwn"), layer("IndirectCluster"));
     }
 
-    const int width = int(result.width), height = int(result.height);
+    const int width = int(layers.result.width), height = int(layers.result.height);
     std::vector<double> importance = window_mean(luminance_sum, width, height, against_own.radius);
     for (double& y : importance) y = 1 / (sqr(y / double(n_parts)) + 0.01);  // errors count relative to brightness
     Weights weights[2];
@@ -169,7 +205,7 @@ Image blend_images(std::size_t n_parts, const std::function<Image(std::size_t)>&
         w.path = other.against_blend(w.own).weights(importance, width, height, against_path);
     }
 
-    const std::size_t n_pixels = result.n_pixels();
+    const std::size_t n_pixels = layers.result.n_pixels();
     std::vector<Moments> moments(3 * n_pixels);
     for (std::size_t i = 0; i < n_parts; ++i) {
         const Image image = part(i);
@@ -184,18 +220,7 @@ Image blend_images(std::size_t n_parts, const std::function<Image(std::size_t)>&
                                w.path[p] * (path[k] - shared));
             }
     }
-    for (std::size_t k = 0; k < result.channels.size(); ++k) {
-        auto& values = result.channels[k].values;
-        values.resize(n_pixels);
-        for (std::size_t p = 0; p < n_pixels; ++p) values[p] = float(layer_sums[k][p] / double(n_parts));
-    }
-    std::vector<float> mean(3 * n_pixels), var_mean(3 * n_pixels);
-    for (std::size_t k = 0; k < mean.size(); ++k) {
-        mean[k] = float(moments[k].mean);
-        var_mean[k] = float(moments[k].var_mean());
-    }
-    result.set_layer("", "RGB", mean);
-    result.set_layer("VarMean", "RGB", var_mean);
+    Image result = std::move(layers).finish(moments);
     const double even = double((n_parts + 1) / 2) / double(n_parts);
     const auto direct_weight = result.add("Blend.Direct"), own_weight = result.add("Blend.Own"), path_weight = result.add("Blend.Path");
     for (std::size_t p = 0; p < n_pixels; ++p) {
@@ -204,6 +229,19 @@ Image blend_images(std::size_t n_parts, const std::function<Image(std::size_t)>&
         path_weight[p] = float(lerp(1 - even, weights[0].path[p], weights[1].path[p]));
     }
     return result;
+}
+
+Image average_images(std::size_t n_parts, const std::function<Image(std::size_t)>& part) {
+    LayerMeans layers(n_parts);
+    std::vector<Moments> moments;
+    for (std::size_t i = 0; i < n_parts; ++i) {
+        const Image image = part(i);
+        layers.add(image);
+        const std::vector<float> rgb = image.interleaved("");
+        moments.resize(rgb.size());
+        for (std::size_t k = 0; k < rgb.size(); ++k) moments[k].add(rgb[k]);
+    }
+    return std::move(layers).finish(moments);
 }
 
 }  // namespace loom::merge

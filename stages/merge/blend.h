@@ -27,4 +27,8 @@ bool has_estimates(const Image& image);
 ///          Blend.Own and Blend.Path, the mean weights t
 Image blend_images(std::size_t n_parts, const std::function<Image(std::size_t)>& part);
 
+/// Mean of the parts' own pictures; VarMean is that between parts, since samples within one are not independent.
+/// needs, in, out: as blend_images, of two parts or more; no weights
+Image average_images(std::size_t n_parts, const std::function<Image(std::size_t)>& part);
+
 }  // namespace loom::merge

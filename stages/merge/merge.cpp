@@ -118,12 +118,13 @@ void run(const Options& options, app::Report& report) {
     const bool estimates = has_estimates(first);
     const bool blend = estimates && !options.no_blend && options.parts.size() >= min_blend_parts;
     Image merged;
-    if (blend) {
-        merged = blend_images(options.parts.size(), [&](std::size_t i) {
-            Image part = read_image(options.parts[i]);
-            check_fit(first, part, options.parts[0], options.parts[i]);
-            return part;
-        });
+    if (estimates && options.parts.size() > 1) {
+        const auto part = [&](std::size_t i) {
+            Image image = read_image(options.parts[i]);
+            check_fit(first, image, options.parts[0], options.parts[i]);
+            return image;
+        };
+        merged = blend ? blend_images(options.parts.size(), part) : average_images(options.parts.size(), part);
     } else {
         std::vector<Image> parts;
         for (const std::string& file : options.parts) parts.push_back(read_image(file));

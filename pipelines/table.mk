@@ -1,0 +1,85 @@
+# What path graphs cost and bring on many scenes, one row each: OUT/table.tsv, printed as a table.
+#
+#   cost    CPU seconds per sample of every pixel and stage, at the scene's own size, reading the scene not counted;
+#           their sum over that of path tracing is the cost ratio
+#   error   relMSE at small size after 1 sample and after 16, plain and without the 0.1 % worst pixels, against
+#           REFERENCES/NAME_ref.exr where it is, else a path-traced reference
+#   equal   path tracing given as many samples as take the time of those 16: its error over that of path graphs
+#
+# Rows are made one at a time, so that their costs do not disturb each other; what is made stays.
+
+.DELETE_ON_ERROR:
+.NOTPARALLEL:
+.PHONY: table
+.DEFAULT_GOAL := table
+
+# SCENES=  ## scene files (the shared ones where they are, else a few of the project's own)
+# REFERENCES=  ## folder of NAME_ref.exr and NAME_var.exr
+# REFERENCE_SPP=  ## samples per pixel of a reference that is path traced (4096)
+BUILD ?= build
+shared := $(wildcard ../shared/scenes/*/scene_v3.xml ../shared/scenes/*/scene_glossy_v3.xml ../shared/scenes/*/scene_area_v3.xml)
+SCENES := $(or $(strip $(SCENES)),$(shared),scenes/cornell-box.xml scenes/glossy-box.xml)
+REFERENCES := $(or $(strip $(REFERENCES)),../shared/oracles/scenes)
+REFERENCE_SPP := $(or $(strip $(REFERENCE_SPP)),4096)
+OUT := $(or $(strip $(OUT)),out/table)
+
+compare := $(BUILD)/bin/loom-compare
+# ../shared/scenes/cornell-box/scene_glossy_v3.xml -> cornell-box_glossy, scenes/mirror.xml -> mirror
+name = $(shell echo '$(1)' | sed -E 's/[.]xml$$//; s,.*/([^/]+)/scene(_[a-z]+)?_v3$$,\1\2,; s,.*/,,')
+rows := $(foreach s,$(SCENES),$(OUT)/$(call name,$(s))/row.tsv)
+
+# $(call picture,FOLDER,VARIABLES)
+picture = $(MAKE) --no-print-directory -s -f pipelines/still.mk BUILD=$(BUILD) SCENE=$< OUT=$(@D)/$(1) $(2) image >/dev/null
+# $(call seconds,FOLDER,STAGE): CPU seconds per sample
+seconds = $$($(compare) --quiet --tsv --cost $(@D)/$(1)/image.exr | awk -F'\t' '$$6 ~ /^$(2)$$/ { s += $$9 } END { print s + 0 }')
+
+define row
+$(OUT)/$(call name,$(1))/row.tsv: $(1) pipelines/table.mk pipelines/still.mk $(wildcard $(BUILD)/bin/loom-*)
+	@mkdir -p $$(@D)
+	@echo '$(call name,$(1))' >&2
+	@$$(call picture,load,METHOD=pt SPP=1 DEFINES="resx=16 resy=16")
+	@$$(call picture,cost-pt,METHOD=pt SPP=4)
+	@$$(call picture,cost-pathgraph,METHOD=pathgraph SPP=4 PASSES=1)
+	@set -e; ref='$(REFERENCES)/$(call name,$(1))_ref.exr'; var='$(REFERENCES)/$(call name,$(1))_var.exr'; \
+	load=$$(call seconds,load,loom-trace); \
+	plain=$$(call seconds,cost-pt,loom-trace); trace=$$(call seconds,cost-pathgraph,loom-trace); \
+	cluster=$$(call seconds,cost-pathgraph,loom-cluster); refine=$$(call seconds,cost-pathgraph,loom-refine); \
+	gather=$$(call seconds,cost-pathgraph,loom-gather); \
+	ratio=$$$$(awk "BEGIN { print ($$$$trace - $$$$load + $$$$cluster + $$$$refine + $$$$gather) / ($$$$plain - $$$$load) }"); \
+	equal=$$$$(awk "BEGIN { print int(16 * $$$$ratio + 0.5) }"); \
+	if [ -f "$$$$ref" ]; then \
+		size=$$$$($(BUILD)/bin/loom-inspect --quiet --json "$$$$ref" | tr -d ' \n' | \
+			sed -E 's/.*"dataWindow":"x0to([0-9]+),y0to([0-9]+)".*/\1 \2/' | awk '{ print "resx=" $$$$1 + 1, "resy=" $$$$2 + 1 }'); \
+	else \
+		size='resx=256 resy=256'; ref=$$(@D)/reference/image.exr; var=; \
+		$$(call picture,reference,METHOD=pt SPP=64 PASSES=$$$$(($(REFERENCE_SPP) / 64)) SEED=77 DEFINES="$$$$size"); \
+	fi; \
+	$$(call picture,pt-1,METHOD=pt SPP=1 DEFINES="$$$$size"); \
+	$$(call picture,pathgraph-1,METHOD=pathgraph SPP=1 PASSES=1 DEFINES="$$$$size"); \
+	$$(call picture,pt-16,METHOD=pt SPP=16 DEFINES="$$$$size"); \
+	$$(call picture,pathgraph-16,METHOD=pathgraph SPP=4 PASSES=4 DEFINES="$$$$size"); \
+	$$(call picture,pt-equal,METHOD=pt SPP=$$$$equal DEFINES="$$$$size"); \
+	$(compare) --quiet --tsv --reference "$$$$ref" $$$${var:+$$$$([ -f "$$$$var" ] && echo --reference-variance "$$$$var")} \
+		$$(foreach p,pt-1 pathgraph-1 pt-16 pathgraph-16 pt-equal,$$(p)=$$(@D)/$$(p)/image.exr) >$$(@D)/errors.tsv; \
+	awk -F'\t' -v OFS='\t' -v scene='$(call name,$(1))' -v load="$$$$load" -v plain="$$$$plain" -v trace="$$$$trace" \
+		-v cluster="$$$$cluster" -v refine="$$$$refine" -v gather="$$$$gather" -v ratio="$$$$ratio" -v equal="$$$$equal" \
+		'NR == 1 { for (i = 1; i <= NF; ++i) at[$$$$i] = i; next } \
+		{ net = $$$$at["relmse_net"]; e[$$$$2] = net; t[$$$$2] = $$$$at["relmse_trimmed"] - $$$$at["reference_noise"]; c[$$$$2] = $$$$at["corr_right"] } \
+		END { print "scene", "pt_s", "trace_s", "cluster_s", "refine_s", "gather_s", "cost_ratio", "pt_1", "pathgraph_1", \
+			"gain_1_trimmed", "pt_16", "pathgraph_16", "gain_16_trimmed", "equal_spp", "equal_gain", "equal_gain_trimmed", "corr_right"; \
+		print scene, (plain - load) / 4, (trace - load) / 4, cluster / 4, refine / 4, gather / 4, ratio, e["pt-1"], \
+			e["pathgraph-1"], t["pt-1"] / t["pathgraph-1"], e["pt-16"], e["pathgraph-16"], t["pt-16"] / t["pathgraph-16"], equal, \
+			e["pt-equal"] / e["pathgraph-16"], t["pt-equal"] / t["pathgraph-16"], c["pathgraph-16"] }' $$(@D)/errors.tsv >$$@
+endef
+$(foreach s,$(SCENES),$(eval $(call row,$(s))))
+
+$(OUT)/table.tsv: $(rows)
+	@awk 'NR == 1 || FNR > 1' $^ >$@
+
+table: $(OUT)/table.tsv
+	@awk -F'\t' 'NR == 1 { n = split($$0, head); for (i = 1; i <= n; ++i) printf i == 1 ? "%-20s" : "%13s", head[i]; print ""; next } \
+		{ printf "%-20s", $$1; for (i = 2; i <= n; ++i) printf "%13.4g", $$i; print ""; ++rows; \
+		  for (i = 2; i <= n; ++i) { if ($$i > 0) logs[i] += log($$i); else bad[i] = 1 } } \
+		END { printf "%-20s", "geometric mean"; for (i = 2; i <= n; ++i) if (bad[i]) printf "%13s", "-"; else printf "%13.4g", exp(logs[i] / rows); \
+		      print "" }' $<
+	@echo $<
