@@ -1,6 +1,9 @@
 #include "stages/core/scattering/bsdf.h"
 
 #include <cmath>
+#include <map>
+#include <mutex>
+#include <tuple>
 #include <vector>
 
 namespace loom {
@@ -78,29 +81,47 @@ double rough_transmittance(const MicrofacetDistribution<float>& facets, float mu
     });
 }
 
+struct RoughInterface {
+    float fdr_int = 0, fdr_ext = 0;
+    std::array<float, n_transmittance> external_transmittance{};
+};
+
 /// The interface of a rough plastic: a table from outside, means under diffuse light from both sides.
 /// differs: the mean from inside is the sum over the 64 entries that Mitsuba 3 takes for the integral, so
 ///          that values agree with its own
-void prepare_rough_plastic(BsdfModel& model) {
-    const MicrofacetDistribution<float> facets(model.distribution, model.alpha_u, model.alpha_u);
+RoughInterface rough_interface(Microfacet distribution, float alpha, float eta) {
+    const MicrofacetDistribution<float> facets(distribution, alpha, alpha);
     const Quadrature outside = gauss_legendre(32), inside = gauss_legendre(128);
+    RoughInterface table;
     double internal = 0;
     for (int i = 0; i < n_transmittance; ++i) {
         const float mu = std::max(1e-6f, float(i) / float(n_transmittance - 1));
-        model.external_transmittance[i] = float(rough_transmittance(facets, mu, model.eta(), outside));
-        internal += 2 * mu * rough_reflectance(facets, mu, 1 / model.eta(), inside) / n_transmittance;
+        table.external_transmittance[i] = float(rough_transmittance(facets, mu, eta, outside));
+        internal += 2 * mu * rough_reflectance(facets, mu, 1 / eta, inside) / n_transmittance;
     }
-    model.fdr_int = float(internal);
+    table.fdr_int = float(internal);
 
     // ∫ 2 μ T(μ) dμ of the linear interpolant: exact for each piece.
     double through = 0;
     const double h = 1.0 / (n_transmittance - 1);
     for (int i = 0; i + 1 < n_transmittance; ++i) {
-        const double a = i * h, ta = model.external_transmittance[i],
-                     tb = model.external_transmittance[i + 1];
+        const double a = i * h, ta = table.external_transmittance[i], tb = table.external_transmittance[i + 1];
         through += 2 * h * (a * (ta + tb) / 2 + h * (ta + 2 * tb) / 6);
     }
-    model.fdr_ext = float(1 - through);
+    table.fdr_ext = float(1 - through);
+    return table;
+}
+
+/// A tenth of a second each, and scenes have many plastics of one roughness: each is integrated once per process.
+void prepare_rough_plastic(BsdfModel& model) {
+    static std::mutex mutex;
+    static std::map<std::tuple<Microfacet, float, float>, RoughInterface> known;
+    const std::lock_guard lock(mutex);
+    const auto [entry, inserted] = known.try_emplace({model.distribution, model.alpha_u, model.eta()});
+    if (inserted) entry->second = rough_interface(model.distribution, model.alpha_u, model.eta());
+    model.fdr_int = entry->second.fdr_int;
+    model.fdr_ext = entry->second.fdr_ext;
+    model.external_transmittance = entry->second.external_transmittance;
 }
 
 /// A model of two lobes that would reflect more than it gets is darkened, as Mitsuba 0.6 does.
