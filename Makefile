@@ -2,14 +2,14 @@
 
 .DEFAULT_GOAL := demo
 .DELETE_ON_ERROR:
-.PHONY: demo image chart test test-full asan bench peers tools build stages clean help
+.PHONY: demo image chart test test-full asan bench peers oidn tools build stages clean help
 SHELL := /bin/sh
 
 BUILD ?= build
 JOBS ?= $(shell nproc)
 # The variables of a picture (SCENE METHOD SPP ...) go through to pipelines/still.mk, which has their defaults.
 
-# Debian packages: what the build needs, then what only `make peers` needs.
+# Debian packages: what the build needs, then what only `make peers` and `make oidn` need.
 PACKAGES := g++ cmake ninja-build ccache pkg-config \
 	libembree-dev libopenexr-dev libopenimageio-dev libhdf5-dev libflann-dev libpugixml-dev libcli11-dev \
 	libtbb-dev libfmt-dev libspdlog-dev zlib1g-dev libpng-dev libgtest-dev gnuplot-nox
@@ -75,6 +75,13 @@ peers: stages ## (optional) throughput beside Mitsuba 3, which is fetched from P
 	$(or $(PEERS_PYTHON),$(BUILD)/peers/bin/python) tests/peers/throughput.py --trace $(BUILD)/bin/loom-trace \
 		$(if $(SPP),--spp $(SPP)) $(if $(THREADS),--threads $(THREADS)) \
 		$(if $(SCENE),'$(SCENE)')
+
+oidn: ## (optional) Open Image Denoise for loom-denoise, fetched from PyPI into a folder beside the build's bin/
+	@[ -e $(BUILD)/oidn/libOpenImageDenoise.so.2 ] || { $(call install,$(PEER_PACKAGES)); }
+	@[ -e $(BUILD)/oidn/libOpenImageDenoise.so.2 ] || { python3 -m venv $(BUILD)/oidn && \
+		$(BUILD)/oidn/bin/pip install -q --no-deps pyoidn==2.5.1.0 >&2 && cd $(BUILD)/oidn && \
+		ln -s lib/python3*/site-packages/pyoidn/oidn/lib/libOpenImageDenoise.so.2 .; }
+	@echo $(BUILD)/oidn/libOpenImageDenoise.so.2
 
 tools: ## install the Debian packages that are missing
 	@$(call install,$(PACKAGES))

@@ -23,7 +23,6 @@ ITERATIONS ?= 6  ## steps of the refinement
 # CLUSTER=  ## further options of loom-cluster: CLUSTER="--method centres"
 # REFINE=  ## further options of loom-refine: REFINE="--reuse points"
 # GATHER=  ## further options of loom-gather: GATHER="--direct own --indirect own"
-# DIRECT=  ## samples of direct light alone, for the blend of pathgraph: sharp shadows at little cost (4 SPP PASSES; 0: none)
 # MERGE=  ## further options of loom-merge: MERGE=--no-blend
 # DENOISE=  ## 1: also denoise the image, into OUT/clean.exr
 # SEED=  ## seed of the random numbers
@@ -89,9 +88,8 @@ clean := $(if $(filter-out 0,$(DENOISE)),$(OUT)/clean.exr $(OUT)/clean.png)
 scene_prerequisite := $(subst $(space),\$(space),$(SCENE))
 
 # What reaches the result, and what only says how fast.
-common_parameters = $(call quote,$(SCENE))$(if \
+trace_parameters = $(call quote,$(SCENE)) --spp $(SPP)$(if $(SEED), --seed $(SEED))$(if \
 	$(DEFINES), $(foreach d,$(DEFINES),-D $(call quote,$(d))))$(if $(TRACE), $(TRACE))
-trace_parameters = $(common_parameters) --spp $(SPP)$(if $(SEED), --seed $(SEED))
 threads = $(if $(THREADS), --threads $(THREADS))
 
 # $(call parameter,FILE,VALUE): FILE holds VALUE and is written anew only when VALUE is another one.
@@ -147,17 +145,9 @@ $(passes): $(work)/pass-%.exr: $(work)/pass-%.h5 $(if $(refined),$(work)/pass-%.
 	$(if $(filter $(last),$*)$(filter-out 0,$(KEEP)),,rm -f $(filter %.h5,$^) $(if $(clusters),$(work)/pass-$*.clusters.h5))
 endif
 
-# Direct light by itself, of samples that no pass has: another seed. A blend takes four passes.
-DIRECT := $(or $(strip $(DIRECT)),$(if $(refined),$(shell [ $(PASSES) -ge 4 ] && echo $$((4 * $(SPP) * $(PASSES))))))
-direct := $(if $(filter-out 0,$(DIRECT)),$(if $(refined),$(if $(filter --no-blend,$(MERGE)),,$(work)/direct.exr)))
-direct_parameters = $(common_parameters) --max-depth 2 --spp $(DIRECT) --seed $(shell echo $$(($(or $(SEED),0) + 1000003)))
-$(eval $(call parameter,$(work)/direct.parameters,$(if $(direct),$(direct_parameters))))
-$(work)/direct.exr: $(scene_prerequisite) $(work)/direct.parameters $(trace)
-	$(LAUNCH) $(trace) $(direct_parameters)$(threads) -o $@
-
-$(eval $(call parameter,$(OUT)/image.parameters,$(METHOD) $(PASSES)$(if $(MERGE), $(MERGE))$(if $(direct), $(DIRECT))))
-$(OUT)/image.exr: $(passes) $(direct) $(OUT)/image.parameters $(merge)
-	$(LAUNCH) $(merge) $(passes)$(if $(direct), --direct $(direct))$(if $(MERGE), $(MERGE)) -o $@
+$(eval $(call parameter,$(OUT)/image.parameters,$(METHOD) $(PASSES)$(if $(MERGE), $(MERGE))))
+$(OUT)/image.exr: $(passes) $(OUT)/image.parameters $(merge)
+	$(LAUNCH) $(merge) $(passes)$(if $(MERGE), $(MERGE)) -o $@
 
 $(OUT)/clean.exr: $(OUT)/image.exr $(denoise)
 	$(LAUNCH) $(denoise) $< -o $@$(threads)

@@ -22,7 +22,7 @@ class CommandLine : public PipelineTest {
 };
 
 TEST_F(CommandLine, help_and_version) {
-    for (const char* name : {"trace", "cluster", "refine", "gather", "merge", "inspect", "compare", "chart"}) {
+    for (const char* name : {"trace", "cluster", "refine", "gather", "merge", "denoise", "inspect", "compare", "chart"}) {
         const Outcome help = sh(stage(name) + " --help");
         EXPECT_EQ(help.code, 0) << name;
         EXPECT_NE(help.out.find("--quiet"), std::string::npos) << name;
@@ -39,6 +39,7 @@ TEST_F(CommandLine, wrong_command_lines_are_2) {
     expect_failure(2, stage("refine"));
     expect_failure(2, stage("gather"));
     expect_failure(2, stage("merge"));
+    expect_failure(2, stage("denoise"));
     expect_failure(2, stage("inspect"));
     expect_failure(2, stage("compare"));
     expect_failure(2, stage("chart"));
@@ -49,6 +50,10 @@ TEST_F(CommandLine, wrong_command_lines_are_2) {
     expect_failure(2, stage("cluster") + " missing.h5" + o);
     expect_failure(2, stage("gather") + " missing.h5" + image);
     expect_failure(2, stage("merge") + " missing.exr" + image);
+    expect_failure(2, stage("denoise") + " missing.exr" + image);
+    expect_failure(2, stage("denoise") + " tests/fixtures/image_1.0.exr");
+    expect_failure(2, stage("denoise") + " tests/fixtures/image_1.0.exr --method none" + image);
+    expect_failure(2, stage("denoise") + " tests/fixtures/image_1.0.exr --oidn /no/such/folder" + image);
     expect_failure(2, stage("inspect") + " missing.h5");
     expect_failure(2, stage("trace") + " " + box + o + " --unknown");
     expect_failure(2, stage("trace") + " " + box);
@@ -82,6 +87,7 @@ TEST_F(CommandLine, foreign_inputs_are_2) {
         expect_failure(2, stage("inspect") + " " + in(graph));
     }
     expect_failure(2, stage("merge") + " " + in("text.exr") + " -o " + in("x.exr"));
+    expect_failure(2, stage("denoise") + " " + in("text.exr") + " -o " + in("x.exr"));
     expect_failure(2, stage("inspect") + " " + in("text.exr"));
     expect_failure(2, stage("trace") + " " + in("text.xml") + " -o " + in("x.h5"));
 }

@@ -1,0 +1,250 @@
+#include "stages/denoise/filter.h"
+
+#include <tbb/parallel_for.h>
+#include <tbb/task_arena.h>
+
+#include <algorithm>
+#include <atomic>
+#include <cmath>
+#include <span>
+#include <stdexcept>
+
+#include "stages/denoise/filter_levels.h"
+
+namespace loom::denoise {
+namespace {
+
+using Column = std::vector<float>;
+
+/// Pixels of the image, rows in parallel.
+class Picture {
+  public:
+    Picture(const Layers& layers, const FilterParameters& p, int threads)
+        : width_(int(layers.width)), height_(int(layers.height)), border_(p.window_radius + p.patch_radius),
+          stride_((tiles_across() - 1) * filter_tile_width + filter_patch_width + 2 * border_),
+          arena_(threads > 0 ? threads : tbb::task_arena::automatic) {}
+
+    int width() const { return width_; }
+    int height() const { return height_; }
+    int border() const { return border_; }
+    std::ptrdiff_t stride() const { return stride_; }
+    int tiles_across() const { return (width_ + filter_tile_width - 1) / filter_tile_width; }
+    int bands() const { return (height_ + filter_tile_height - 1) / filter_tile_height; }
+    std::size_t n_pixels() const { return std::size_t(width_) * std::size_t(height_); }
+    std::size_t at(int x, int y) const { return std::size_t(y) * std::size_t(width_) + std::size_t(x); }
+
+    template <class Body>
+    void parallel(int n, Body&& body) {
+        arena_.execute([&] { tbb::parallel_for(0, n, body); });
+    }
+    /// value(x, y) of every pixel
+    template <class Value>
+    Column column(Value&& value) {
+        Column out(n_pixels());
+        parallel(height_, [&](int y) {
+            for (int x = 0; x < width_; ++x) out[at(x, y)] = value(x, y);
+        });
+        return out;
+    }
+    /// visit(i, is_centre) for the pixels of the square around (x, y) that are in the image
+    template <class Visit>
+    void square(int x, int y, int radius, Visit&& visit) const {
+        for (int j = std::max(0, y - radius); j <= std::min(height_ - 1, y + radius); ++j)
+            for (int i = std::max(0, x - radius); i <= std::min(width_ - 1, x + radius); ++i)
+                visit(at(i, j), i == x && j == y);
+    }
+    /// value(i) of every pixel, the edge repeated in the border
+    template <class Value>
+    Column bordered(Value&& value) {
+        const int rows = height_ + 2 * border_;
+        Column out(std::size_t(rows) * std::size_t(stride_));
+        parallel(rows, [&](int row) {
+            const int y = std::clamp(row - border_, 0, height_ - 1);
+            for (int x = 0; x < stride_; ++x)
+                out[std::size_t(row * stride_ + x)] = value(at(std::clamp(x - border_, 0, width_ - 1), y));
+        });
+        return out;
+    }
+
+  private:
+    int width_, height_, border_;
+    std::ptrdiff_t stride_;
+    tbb::task_arena arena_;
+};
+
+constexpr int neighbour_radius = 2;
+
+/// Mean and variance of one value of the pixels that visit(add) adds.
+struct Spread {
+    float sum = 0, squares = 0;
+    int n = 0;
+    void add(float x) { sum += x, squares += x * x, ++n; }
+    float mean() const { return n > 0 ? sum / float(n) : 0; }
+    float var_sample() const { return n > 1 ? std::max(0.0f, (squares - sum * mean()) / float(n - 1)) : 0; }
+};
+
+Column variance_from_neighbours(Picture& picture, const Column& values) {
+    return picture.column([&](int x, int y) {
+        Spread spread;
+        picture.square(x, y, neighbour_radius, [&](std::size_t i, bool) { spread.add(values[i]); });
+        return spread.var_sample();
+    });
+}
+
+Column smoothed(Picture& picture, const Column& values) {
+    return picture.column([&](int x, int y) {
+        Spread spread;
+        picture.square(x, y, 1, [&](std::size_t i, bool) { spread.add(values[i]); });
+        return spread.mean();
+    });
+}
+
+/// Bounds pixels that are far above their neighbours and uncertain by themselves.
+std::uint64_t bound_outliers(Picture& picture, float limit, Column (&color)[3], Column (&variance)[3]) {
+    const Column size = picture.column([&](int x, int y) {
+        const std::size_t i = picture.at(x, y);
+        return std::abs(color[0][i]) + std::abs(color[1][i]) + std::abs(color[2][i]);
+    });
+    std::atomic<std::uint64_t> n_outliers = 0;
+    picture.parallel(picture.height(), [&](int y) {
+        for (int x = 0; x < picture.width(); ++x) {
+            const std::size_t p = picture.at(x, y);
+            const float sd = std::sqrt(variance[0][p]) + std::sqrt(variance[1][p]) + std::sqrt(variance[2][p]);
+            if (!(sd > 0.25f * size[p])) continue;
+            Spread others;
+            picture.square(x, y, neighbour_radius, [&](std::size_t i, bool centre) {
+                if (!centre) others.add(size[i]);
+            });
+            const float bound = others.mean() + limit * std::sqrt(others.var_sample());
+            if (others.n < 2 || size[p] <= bound) continue;
+            const float scale = bound / size[p];
+            for (int c = 0; c < 3; ++c) {
+                color[c][p] *= scale;
+                variance[c][p] *= scale * scale;
+            }
+            n_outliers.fetch_add(1, std::memory_order_relaxed);
+        }
+    });
+    return n_outliers;
+}
+
+/// exp2(-n) that brings the mean size of the colours near 1, so that no product of theirs overflows.
+float unit_of(const Layers& layers) {
+    double sum = 0;
+    for (const auto& channel : layers.color)
+        for (const float x : channel) sum += std::abs(double(x));
+    return sum > 0 ? float(std::exp2(-std::clamp(std::ilogb(sum / double(3 * layers.n_pixels())), -120, 120))) : 1.0f;
+}
+
+}  // namespace
+
+Filtered filter(const Layers& layers, const FilterParameters& parameters, int threads) {
+    const int radius = parameters.window_radius;
+    if (radius < 0 || parameters.patch_radius < 0 || parameters.patch_radius > max_patch_radius)
+        throw std::logic_error("filter: radius out of range");
+    Filtered out;
+    if (layers.n_pixels() == 0) return out;
+    Picture picture(layers, parameters, threads);
+
+    const float unit = unit_of(layers);
+    Column color[3], variance[3];
+    for (int c = 0; c < 3; ++c) {
+        color[c] = picture.column([&](int x, int y) { return unit * layers.color[c][picture.at(x, y)]; });
+        variance[c] = layers.var_mean[c].empty()
+                          ? variance_from_neighbours(picture, color[c])
+                          : picture.column([&](int x, int y) { return unit * (unit * layers.var_mean[c][picture.at(x, y)]); });
+    }
+    if (parameters.outlier_limit > 0)
+        out.n_outliers = bound_outliers(picture, parameters.outlier_limit, color, variance);
+
+    Column color_b[3], variance_b[3], guide_b[3], guide_variance_b[3], feature[n_stored_features];
+    for (int c = 0; c < 3; ++c) {
+        const Column smooth = smoothed(picture, variance[c]);
+        color_b[c] = picture.bordered([&](std::size_t i) { return color[c][i]; });
+        variance_b[c] = picture.bordered([&](std::size_t i) { return smooth[i]; });
+        const auto divisor = [&](std::size_t i) {
+            return layers.albedo[c].empty() ? 1.0f : std::clamp(layers.albedo[c][i], parameters.dark_albedo, 1.0f);
+        };
+        guide_b[c] = picture.bordered([&](std::size_t i) { return color[c][i] / divisor(i); });
+        guide_variance_b[c] = picture.bordered([&](std::size_t i) { return smooth[i] / (divisor(i) * divisor(i)); });
+    }
+    const auto stored = [&](std::span<const float> layer, auto&& value) {
+        return picture.bordered([&](std::size_t i) { return layer.empty() ? 0.0f : value(layer[i]); });
+    };
+    for (int c = 0; c < 3; ++c) {
+        feature[c] = stored(layers.albedo[c], [&](float a) { return parameters.albedo_scale * std::clamp(a, 0.0f, 1.0f); });
+        feature[3 + c] = stored(layers.normal[c], [&](float n) { return parameters.normal_scale * std::clamp(n, -1.0f, 1.0f); });
+    }
+    // What no ray hit lies behind everything.
+    const float far = layers.depth.empty() ? 0 : *std::max_element(layers.depth.begin(), layers.depth.end());
+    feature[6] = stored(layers.depth, [&](float z) {
+        return parameters.depth_scale * (z > 0 ? std::log(z) : far > 0 ? std::log(far) + 1 : 0.0f);
+    });
+    Column inside(color_b[0].size());
+    for (int y = 0; y < picture.height(); ++y)
+        std::fill_n(inside.begin() + (y + picture.border()) * picture.stride() + picture.border(), picture.width(), 1.0f);
+
+    // Centres of a band write to the rows of their windows; bands overlap there and are added up in order.
+    static const auto filter_tile = __builtin_cpu_supports("x86-64-v4")   ? v4::filter_tile
+                                    : __builtin_cpu_supports("x86-64-v3") ? v3::filter_tile
+                                                                          : v2::filter_tile;
+    const int band_rows = filter_tile_height + 2 * radius;
+    const std::size_t band_size = std::size_t(band_rows) * std::size_t(picture.stride());
+    std::vector<Column> sums(std::size_t(picture.bands()));
+    picture.parallel(picture.bands(), [&](int band) {
+        thread_local Column weights;
+        weights.resize(filter_weights_size(radius));
+        sums[std::size_t(band)].resize(4 * band_size);
+        FilterTile tile{};
+        for (int c = 0; c < 3; ++c) {
+            tile.color[c] = color_b[c].data();
+            tile.variance[c] = variance_b[c].data();
+            tile.guide[c] = guide_b[c].data();
+            tile.guide_variance[c] = guide_variance_b[c].data();
+        }
+        for (int f = 0; f < n_stored_features; ++f) tile.feature[f] = feature[f].data();
+        tile.inside = inside.data();
+        tile.stride = picture.stride();
+        tile.window_radius = radius;
+        tile.patch_radius = parameters.patch_radius;
+        tile.k_squared = parameters.k * parameters.k;
+        tile.ridge = parameters.ridge;
+        tile.pixel_scale = parameters.pixel_scale;
+        tile.y = picture.border() + band * filter_tile_height;
+        tile.height = std::min(filter_tile_height, picture.height() - band * filter_tile_height);
+        tile.weights = weights.data();
+        for (std::size_t k = 0; k < 4; ++k) tile.sums[k] = sums[std::size_t(band)].data() + k * band_size;
+        for (int t = 0; t < picture.tiles_across(); ++t) {
+            tile.x = picture.border() + t * filter_tile_width;
+            filter_tile(tile);
+        }
+    });
+
+    for (auto& channel : out.color) channel.resize(picture.n_pixels());
+    picture.parallel(picture.height(), [&](int y) {
+        const int overlap = (2 * radius + filter_tile_height - 1) / filter_tile_height;
+        const int band_of_row = y / filter_tile_height;
+        for (int x = 0; x < picture.width(); ++x) {
+            float total[4] = {};
+            for (int band = std::max(0, band_of_row - overlap); band <= std::min(picture.bands() - 1, band_of_row + overlap);
+                 ++band) {
+                const int row = y - band * filter_tile_height + radius;
+                if (row < 0 || row >= band_rows) continue;
+                const float* at = sums[std::size_t(band)].data() + row * picture.stride() + picture.border() + x;
+                for (std::size_t k = 0; k < 4; ++k) total[k] += at[k * band_size];
+            }
+            for (int c = 0; c < 3; ++c) {
+                float low = INFINITY, high = -INFINITY;
+                picture.square(x, y, neighbour_radius, [&](std::size_t i, bool) {
+                    low = std::min(low, color[c][i]);
+                    high = std::max(high, color[c][i]);
+                });
+                // A pixel is its own centre with weight 1, so the total is not zero.
+                out.color[c][picture.at(x, y)] = std::clamp(total[c] / total[3], low, high) / unit;
+            }
+        }
+    });
+    return out;
+}
+
+}  // namespace loom::denoise

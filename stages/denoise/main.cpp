@@ -1,0 +1,11 @@
+#include "stages/denoise/denoise.h"
+
+#include "stages/core/app/command.h"
+
+int main(int argc, char** argv) {
+    using namespace loom;
+    denoise::Options options;
+    app::Command command{"denoise: take the noise out of an image"};
+    denoise::declare(command, options);
+    return command.execute(argc, argv, [&] { denoise::run(options, command.report); });
+}
