@@ -35,19 +35,11 @@ struct Builder {
 
     /// One column of a block: f_j cos_j / rho at all vertices of the cluster, in 16 bits of its largest value.
     void add_column(const ClusterShading& shading, std::size_t slot, std::uint16_t* out, float inv_rho, float q, ChunkResult& result) {
-        const int lanes = shading.padded();
         float scale[3], sum[3];
+        shading.fix_row(out, scale, sum);
         for (int channel = 0; channel < 3; ++channel) {
-            const float* f = shading.f(channel);
-            float largest = 0, total = 0;
-            for (int l = 0; l < lanes; ++l) {
-                largest = std::max(largest, f[l]);
-                total += f[l];
-            }
-            sum[channel] = total * inv_rho;
-            scale[channel] = largest * inv_rho * (1.0f / 65535.0f);
-            const float to_fixed = largest > 0 ? 65535.0f / largest : 0.0f;
-            for (int l = 0; l < lanes; ++l) out[channel * lanes + l] = std::uint16_t(f[l] * to_fixed + 0.5f);
+            sum[channel] *= inv_rho;
+            scale[channel] *= inv_rho * (1.0f / 65535.0f);
         }
         const float most = std::max({sum[0], sum[1], sum[2]}), total = sum[0] + sum[1] + sum[2];
         // An edge that survived roulette with q stands for 1 / q of its kind.
@@ -144,7 +136,11 @@ System build_system(const PathGraph& graph, const Clusters& clusters, const Syst
     parallel_chunks(s.n_clusters, clusters_per_chunk, options.threads, [&](std::uint64_t chunk, std::uint64_t begin, std::uint64_t end) {
         const auto shading = std::make_unique<ClusterShading>(reader);
         const auto direct = std::make_unique<Lanes>();
-        for (std::uint64_t c = begin; c < end; ++c) builder.add_cluster(c, *shading, *direct, results[chunk]);
+        const auto members = [&](std::uint64_t c) { return clusters.member.values().subspan(s.first[c], s.first[c + 1] - s.first[c]); };
+        for (std::uint64_t c = begin; c < end; ++c) {
+            if (c + 1 < end) shading->prefetch(members(c + 1));
+            builder.add_cluster(c, *shading, *direct, results[chunk]);
+        }
     });
 
     // Solitary vertices: those that no cluster has.

@@ -35,9 +35,11 @@ using Framef = Frame<float>;
 inline Framef frame_along(const Normal3f& n, const Vector3f& dp_du) {
     const Vector3f s = dp_du - Vector3f(n) * dot(n, dp_du);
     const float len2 = length2(s);
-    if (!(len2 > 0)) return Framef(n);
-    const Vector3f unit = s / std::sqrt(len2);
-    return {unit, cross(n, unit), n};
+    // Without a branch, for loops over columns.
+    const bool known = len2 > 0;
+    const Framef any(n);
+    const Vector3f unit = select(known, s / std::sqrt(select(known, len2, 1.0f)), any.s);
+    return {unit, select(known, cross(n, unit), any.t), n};
 }
 
 // Trigonometry of a direction in its local frame.

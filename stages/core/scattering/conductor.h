@@ -27,7 +27,7 @@ struct ConductorFamily : DeltaFamily {
 /// f = F D G / (4 cos_o cos_i)                                          [Walter2007] Eq. (20)
 struct RoughConductorFamily : SmoothFamily {
     template <class T>
-    static BsdfValue<T> f_cos_pdf(const Bsdf<T>& b, const Vector3<T>& wo, const Vector3<T>& wi) {
+    [[gnu::always_inline]] static BsdfValue<T> f_cos_pdf(const Bsdf<T>& b, const Vector3<T>& wo, const Vector3<T>& wi) {
         const MicrofacetDistribution<T> facets(b);
         const Vector3<T> h = normalize(wo + wi);
         const T cos_h = dot(wo, h);

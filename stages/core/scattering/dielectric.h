@@ -81,7 +81,7 @@ struct RoughDielectricFamily : SmoothFamily {
     }
 
     template <class T>
-    static BsdfValue<T> f_cos_pdf(const Bsdf<T>& b, const Vector3<T>& wo, const Vector3<T>& wi) {
+    [[gnu::always_inline]] static BsdfValue<T> f_cos_pdf(const Bsdf<T>& b, const Vector3<T>& wo, const Vector3<T>& wi) {
         using std::fabs;
         const bool reflects = wo.z * wi.z > T(0);
         const bool outside = wo.z > T(0);

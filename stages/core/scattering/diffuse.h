@@ -10,7 +10,7 @@ namespace loom {
 /// f = reflectance / π                                                         [Lambert1760]
 struct DiffuseFamily : SmoothFamily {
     template <class T>
-    static BsdfValue<T> f_cos_pdf(const Bsdf<T>& b, const Vector3<T>& wo, const Vector3<T>& wi) {
+    [[gnu::always_inline]] static BsdfValue<T> f_cos_pdf(const Bsdf<T>& b, const Vector3<T>& wo, const Vector3<T>& wi) {
         const T pdf = wi.z * inv_pi<T>;
         return one_sided(wo, wi, b.diffuse * pdf, pdf);
     }
@@ -28,7 +28,7 @@ struct DiffuseFamily : SmoothFamily {
 ///                                                                    [OrenNayar1994] Eqs. (30)-(35)
 struct RoughDiffuseFamily : DiffuseFamily {
     template <class T>
-    static BsdfValue<T> f_cos_pdf(const Bsdf<T>& b, const Vector3<T>& wo, const Vector3<T>& wi) {
+    [[gnu::always_inline]] static BsdfValue<T> f_cos_pdf(const Bsdf<T>& b, const Vector3<T>& wo, const Vector3<T>& wi) {
         using std::atan2;
         using std::fabs;
         const T sigma2 = T(0.5) * sqr(b.alpha_u);

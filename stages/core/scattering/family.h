@@ -5,6 +5,7 @@
 //   choose(bsdf, wo, u_lobe, u)   lobe and direction
 //   delta_lobe(bsdf, wo, lobe)    a lobe without width
 //   albedo(bsdf, wo)              as bsdf.h
+// f_cos_pdf and what it calls are inlined by force: a call keeps loops over columns from being vectorised.
 // The bases below stand in for the parts that a family does not have.
 
 #include "stages/core/scattering/bsdf_model.h"

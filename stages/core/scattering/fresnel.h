@@ -18,7 +18,7 @@ struct FresnelDielectric {
 /// in:      cos_i   1   cosine of the incident direction; negative below the interface
 ///          eta     1   index below the interface over that above it
 template <class T>
-FresnelDielectric<T> fresnel_dielectric(const T& cos_i, const T& eta) {
+[[gnu::always_inline]] inline FresnelDielectric<T> fresnel_dielectric(const T& cos_i, const T& eta) {
     using std::fabs;
     const bool outside = cos_i >= T(0);
     const T inv_eta = T(1) / eta;
@@ -41,7 +41,7 @@ FresnelDielectric<T> fresnel_dielectric(const T& cos_i, const T& eta) {
 /// differs: only squares of eta and k enter, so a negative one (found in published scenes) acts as its
 ///          absolute value
 template <class T>
-T fresnel_conductor(const T& cos_i, const T& eta, const T& k) {
+[[gnu::always_inline]] inline T fresnel_conductor(const T& cos_i, const T& eta, const T& k) {
     const T c2 = cos_i * cos_i;
     const T s2 = T(1) - c2;
     const T difference = eta * eta - k * k - s2;
@@ -55,7 +55,7 @@ T fresnel_conductor(const T& cos_i, const T& eta, const T& k) {
     return (t1 - t2) * t3 / ((t1 + t2) * (t3 + t4));
 }
 template <class T>
-Rgb<T> fresnel_conductor(const T& cos_i, const Spectrum& eta, const Spectrum& k) {
+[[gnu::always_inline]] inline Rgb<T> fresnel_conductor(const T& cos_i, const Spectrum& eta, const Spectrum& k) {
     return {fresnel_conductor(cos_i, T(eta.r), T(k.r)), fresnel_conductor(cos_i, T(eta.g), T(k.g)),
             fresnel_conductor(cos_i, T(eta.b), T(k.b))};
 }
@@ -63,7 +63,7 @@ Rgb<T> fresnel_conductor(const T& cos_i, const Spectrum& eta, const Spectrum& k)
 /// Reflectance of a dielectric interface under diffuse illumination, by fits.
 ///   eta < 1: [EganHilgeman1973], eta >= 1: [dEonIrving2011]; within 0.6 % for 1/2 < eta < 10
 template <class T>
-T fresnel_diffuse_reflectance(const T& eta) {
+[[gnu::always_inline]] inline T fresnel_diffuse_reflectance(const T& eta) {
     const T x = T(1) / eta;
     const T below = T(0.0636) * x + T(0.6681) + eta * (T(0.7099) - eta * T(1.4399));
     const T above =

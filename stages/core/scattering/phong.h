@@ -20,7 +20,7 @@ struct PhongFamily : SmoothFamily {
         return share(max_channel(b.specular) * largest, max_channel(b.diffuse));
     }
     template <class T>
-    static BsdfValue<T> f_cos_pdf(const Bsdf<T>& b, const Vector3<T>& wo, const Vector3<T>& wi) {
+    [[gnu::always_inline]] static BsdfValue<T> f_cos_pdf(const Bsdf<T>& b, const Vector3<T>& wo, const Vector3<T>& wi) {
         using std::pow;
         const float n = b.model->exponent;
         const T cos_a = dot(reflect(wo), wi);

@@ -2,6 +2,8 @@
 // A diffuse base under a dielectric coat, smooth or rough. Light that the coat reflects back inside is
 // scattered again; the series of those reflections is summed in closed form.
 
+#include <algorithm>
+
 #include "stages/core/scattering/family.h"
 #include "stages/core/scattering/fresnel.h"
 #include "stages/core/scattering/microfacet.h"
@@ -11,7 +13,7 @@ namespace loom {
 /// Diffuse reflectance of the base seen through the coat, apart from the two passages of its interface.
 ///   ρ / (η² (1 - ρ R_in)), or ρ / (η² (1 - R_in)) when colours are to be kept (nonlinear = false)
 template <class T>
-Rgb<T> coated_diffuse(const Bsdf<T>& b, const T& inside_reflectance) {
+[[gnu::always_inline]] inline Rgb<T> coated_diffuse(const Bsdf<T>& b, const T& inside_reflectance) {
     const T inv_eta2 = T(1) / (b.eta * b.eta);
     if (!b.model->nonlinear) return b.diffuse * (inv_eta2 / (T(1) - inside_reflectance));
     return b.diffuse / (Rgb<T>(T(1)) - b.diffuse * inside_reflectance) * inv_eta2;
@@ -23,40 +25,43 @@ struct PlasticFamily : SmoothFamily {
     template <class T>
     struct Energy {
         Rgb<T> specular, diffuse;  // what each lobe reflects of the light that leaves to wo
-        Rgb<T> base;
         T transmitted;
         T p_specular() const { return share(max_channel(specular), max_channel(diffuse)); }
     };
     template <class T>
-    static Energy<T> energy(const Bsdf<T>& b, const Vector3<T>& wo) {
+    [[gnu::always_inline]] static Energy<T> energy(const Bsdf<T>& b, const Vector3<T>& wo, const Rgb<T>& base) {
         const T F = fresnel_dielectric(wo.z, b.eta).reflectance;
-        const Rgb<T> base = coated_diffuse(b, fresnel_diffuse_reflectance(T(1) / b.eta));
         const T entering = T(1) - fresnel_diffuse_reflectance(b.eta);
-        return {b.specular * F, base * ((T(1) - F) * entering), base, T(1) - F};
+        return {b.specular * F, base * ((T(1) - F) * entering), T(1) - F};
     }
     template <class T>
-    static BsdfValue<T> f_cos_pdf(const Bsdf<T>& b, const Vector3<T>& wo, const Vector3<T>& wi) {
-        const Energy<T> e = energy(b, wo);
+    [[gnu::always_inline]] static Rgb<T> base(const Bsdf<T>& b) {
+        return coated_diffuse(b, fresnel_diffuse_reflectance(T(1) / b.eta));
+    }
+    template <class T>
+    [[gnu::always_inline]] static BsdfValue<T> f_cos_pdf(const Bsdf<T>& b, const Vector3<T>& wo, const Vector3<T>& wi) {
+        const Rgb<T> below = base(b);
+        const Energy<T> e = energy(b, wo, below);
         const T cosine = wi.z * inv_pi<T>;
         const T entering = T(1) - fresnel_dielectric(wi.z, b.eta).reflectance;
-        return one_sided(wo, wi, e.base * (e.transmitted * entering * cosine),
+        return one_sided(wo, wi, below * (e.transmitted * entering * cosine),
                          (T(1) - e.p_specular()) * cosine);
     }
     template <class T>
     static ChosenDirection<T> choose(const Bsdf<T>& b, const Vector3<T>& wo, float u_lobe, Point2f u) {
         if (!(wo.z > T(0))) return {};
-        if (T(u_lobe) < energy(b, wo).p_specular()) return {reflect(wo), Lobe::delta_reflection};
+        if (T(u_lobe) < energy(b, wo, base(b)).p_specular()) return {reflect(wo), Lobe::delta_reflection};
         return {Vector3<T>(sample_cosine_hemisphere(u)), Lobe::diffuse};
     }
     template <class T>
     static DeltaLobe<T> delta_lobe(const Bsdf<T>& b, const Vector3<T>& wo, Lobe lobe) {
         if (lobe != Lobe::delta_reflection || !(wo.z > T(0))) return {};
-        const Energy<T> e = energy(b, wo);
+        const Energy<T> e = energy(b, wo, base(b));
         return {e.specular, e.p_specular(), reflect(wo)};
     }
     template <class T>
     static Rgb<T> albedo(const Bsdf<T>& b, const Vector3<T>& wo) {
-        const Energy<T> e = energy(b, wo);
+        const Energy<T> e = energy(b, wo, base(b));
         return select(wo.z > T(0), e.specular + e.diffuse, Rgb<T>());
     }
 };
@@ -66,21 +71,27 @@ struct PlasticFamily : SmoothFamily {
 struct RoughPlasticFamily : SmoothFamily {
     /// What the coat lets through, by linear interpolation of the table.
     template <class T>
-    static T transmittance(const BsdfModel& model, const T& cos) {
+    [[gnu::always_inline]] static T transmittance(const BsdfModel& model, const T& cos) {
         const T x = cos * T(n_transmittance - 1);
-        const int i = clamp(static_cast<int>(value_of(x)), 0, n_transmittance - 2);
+        const int i = std::min(std::max(static_cast<int>(value_of(x)), 0), n_transmittance - 2);
         const T t = x - T(static_cast<float>(i));
-        return T(model.external_transmittance[i]) * (T(1) - t) + T(model.external_transmittance[i + 1]) * t;
+        const float* table = model.external_transmittance.data();
+        return T(table[i]) * (T(1) - t) + T(table[i + 1]) * t;
     }
     template <class T>
-    static PlasticFamily::Energy<T> energy(const Bsdf<T>& b, const Vector3<T>& wo) {
+    [[gnu::always_inline]] static PlasticFamily::Energy<T> energy(const Bsdf<T>& b, const Vector3<T>& wo,
+                                                                   const Rgb<T>& base) {
         const T through = transmittance(*b.model, wo.z);
-        const Rgb<T> base = coated_diffuse(b, T(b.model->fdr_int));
-        return {b.specular * (T(1) - through), base * (through * T(1.0f - b.model->fdr_ext)), base, through};
+        return {b.specular * (T(1) - through), base * (through * T(1.0f - b.model->fdr_ext)), through};
     }
     template <class T>
-    static BsdfValue<T> f_cos_pdf(const Bsdf<T>& b, const Vector3<T>& wo, const Vector3<T>& wi) {
-        const PlasticFamily::Energy<T> e = energy(b, wo);
+    [[gnu::always_inline]] static Rgb<T> base(const Bsdf<T>& b) {
+        return coated_diffuse(b, T(b.model->fdr_int));
+    }
+    template <class T>
+    [[gnu::always_inline]] static BsdfValue<T> f_cos_pdf(const Bsdf<T>& b, const Vector3<T>& wo, const Vector3<T>& wi) {
+        const Rgb<T> below = base(b);
+        const PlasticFamily::Energy<T> e = energy(b, wo, below);
         const T p_specular = e.p_specular();
         const MicrofacetDistribution<T> facets(b);
         const Vector3<T> h = normalize(wo + wi);
@@ -92,13 +103,13 @@ struct RoughPlasticFamily : SmoothFamily {
             b.model->sample_visible ? d * facets.G1_exact(wo) / (T(4) * wo.z) : d * h.z / (T(4) * cos_h);
         const T cosine = wi.z * inv_pi<T>;
         const T passages = e.transmitted * transmittance(*b.model, wi.z);
-        return one_sided(wo, wi, b.specular * specular + e.base * (passages * cosine),
+        return one_sided(wo, wi, b.specular * specular + below * (passages * cosine),
                          p_specular * specular_pdf + (T(1) - p_specular) * cosine);
     }
     template <class T>
     static ChosenDirection<T> choose(const Bsdf<T>& b, const Vector3<T>& wo, float u_lobe, Point2f u) {
         if (!(wo.z > T(0))) return {};
-        if (!(T(u_lobe) < energy(b, wo).p_specular()))
+        if (!(T(u_lobe) < energy(b, wo, base(b)).p_specular()))
             return {Vector3<T>(sample_cosine_hemisphere(u)), Lobe::diffuse};
         const Vector3<T> m = MicrofacetDistribution<T>(b).sample(wo, u, b.model->sample_visible);
         const Vector3<T> wi = reflect(wo, m);
@@ -106,7 +117,7 @@ struct RoughPlasticFamily : SmoothFamily {
     }
     template <class T>
     static Rgb<T> albedo(const Bsdf<T>& b, const Vector3<T>& wo) {
-        const PlasticFamily::Energy<T> e = energy(b, wo);
+        const PlasticFamily::Energy<T> e = energy(b, wo, base(b));
         return select(wo.z > T(0), e.specular + e.diffuse, Rgb<T>());
     }
 };

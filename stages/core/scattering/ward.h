@@ -1,6 +1,7 @@
 #pragma once
 // Ward's anisotropic model in the energy-balanced form that Mitsuba 0.6 has as its default.
 
+#include "stages/core/math/exponential.h"
 #include "stages/core/sampling/warp.h"
 #include "stages/core/scattering/family.h"
 #include "stages/core/scattering/fresnel.h"
@@ -17,12 +18,11 @@ struct WardFamily : SmoothFamily {
         return share(max_channel(b.specular) * (T(2) / (T(1) + wo.z)), max_channel(b.diffuse));
     }
     template <class T>
-    static BsdfValue<T> f_cos_pdf(const Bsdf<T>& b, const Vector3<T>& wo, const Vector3<T>& wi) {
-        using std::exp;
+    [[gnu::always_inline]] static BsdfValue<T> f_cos_pdf(const Bsdf<T>& b, const Vector3<T>& wo, const Vector3<T>& wi) {
         const Vector3<T> H = wo + wi;
         const T z2 = H.z * H.z, length2_H = length2(H);
         const T spread =
-            exp(-(sqr(H.x / b.alpha_u) + sqr(H.y / b.alpha_v)) / z2) / (pi<T> * b.alpha_u * b.alpha_v);
+            exponential(-(sqr(H.x / b.alpha_u) + sqr(H.y / b.alpha_v)) / z2) / (pi<T> * b.alpha_u * b.alpha_v);
         const T lobe = spread * length2_H / (z2 * z2);
         // dm/dwi = 1 / (4 h·wo), and h·wo = |H| / 2.
         const T lobe_pdf = spread * length2_H / (T(2) * z2 * H.z);

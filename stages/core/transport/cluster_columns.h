@@ -17,20 +17,24 @@ constexpr int padded_lanes(int n) { return (n + lane_block - 1) / lane_block * l
 using LaneColumn = float[max_lanes + lane_block];
 
 struct ClusterColumns {
-    // A run of lanes has one material.
+    // A run of lanes has one material. The loops go on to a whole block of lanes: what they leave beyond the end is
+    // overwritten by the next run or cleared.
     struct Run {
         const BsdfModel* model;
         int begin, end;
+        int past_end() const { return begin + padded_lanes(end - begin); }
     };
 
     int n = 0;
     std::vector<Run> runs;
-    // At the vertices; directions in world space but for wo.
+    // At the vertices; directions in world space, but for wo after prepare_lanes().
     alignas(64) LaneColumn px, py, pz;
     LaneColumn sx, sy, sz, tx, ty, tz, nx, ny, nz;  // shading frame
-    LaneColumn wo_x, wo_y, wo_z;                    // local
+    LaneColumn wo_x, wo_y, wo_z;
+    std::uint32_t ns[max_lanes + lane_block], tangent[max_lanes + lane_block];  // as on disk: two octahedral int16, u low
+    bool has_tangent = false;
     LaneColumn diffuse_r, diffuse_g, diffuse_b, specular_r, specular_g, specular_b;
-    LaneColumn transmittance_r, transmittance_g, transmittance_b, alpha_u, alpha_v, opacity;
+    LaneColumn transmittance_r, transmittance_g, transmittance_b, alpha_u, alpha_v, eta, opacity;
     LaneColumn survival;  // probability that BSDF sampling goes on to trace its ray; 0 where it was not attempted
     // Asked for: direction of light (local) and the factor between measures.
     LaneColumn wi_x, wi_y, wi_z, geometry;
@@ -41,6 +45,9 @@ struct ClusterColumns {
 
 // Every function answers for all lanes; lanes from n up to the next whole block get 0.
 #define LOOM_CLUSTER_KERNELS                                                                                    \
+    /* From ns and tangent the shading frames, wo from world to local, and in each run the parameters of its */ \
+    /* material. */                                                                                             \
+    void prepare_lanes(ClusterColumns& c);                                                                      \
     /* Light from direction (x, y, z), world space: values in sr^-1. */                                         \
     void evaluate_direction(ClusterColumns& c, float x, float y, float z);                                      \
     /* Light from the point (x, y, z) of a surface with normal (nx, ny, nz), seen from its front: values per */ \
@@ -48,6 +55,8 @@ struct ClusterColumns {
     void evaluate_point(ClusterColumns& c, float x, float y, float z, float nx, float ny, float nz);            \
     /* Light from the point (x, y, z), which has no surface: f cos / d^2, densities without meaning. */         \
     void evaluate_delta_point(ClusterColumns& c, float x, float y, float z);                                    \
+    /* f in 16 bits of its largest value: row[rgb][lane]; largest[rgb] and sum[rgb] over the lanes. */          \
+    void fix_row(const ClusterColumns& c, std::uint16_t* row, float* largest, float* sum);                      \
     /* sum_e L_e c_e of one cluster: coefficient[e][rgb][lane] 16-bit fixed point, radiance[e][rgb] holds */    \
     /* their scale; out[rgb][lane]. */                                                                          \
     void apply_block(const std::uint16_t* coefficient, const float* radiance, int n_edges, int lanes, float* out);
@@ -64,9 +73,11 @@ LOOM_CLUSTER_KERNELS
 
 /// The kernels of the highest level that this processor has.
 struct ClusterKernels {
+    decltype(&v2::prepare_lanes) prepare;
     decltype(&v2::evaluate_direction) direction;
     decltype(&v2::evaluate_point) point;
     decltype(&v2::evaluate_delta_point) delta_point;
+    decltype(&v2::fix_row) fix_row;
     decltype(&v2::apply_block) apply_block;
 };
 const ClusterKernels& cluster_kernels();

@@ -1,54 +1,94 @@
 #include "stages/core/transport/cluster_shading.h"
 
-#include <algorithm>
+#include <cstring>
 #include <stdexcept>
 
 namespace loom {
+namespace {
+
+/// Both octahedral coordinates of a direction in one word.
+std::uint32_t packed(const Column<std::int16_t>& column, std::size_t j) {
+    std::uint32_t uv;
+    std::memcpy(&uv, column.data() + 2 * j, sizeof uv);
+    return uv;
+}
+
+}  // namespace
 
 void ClusterShading::load(std::span<const std::uint32_t> vertices) {
     const PathGraph& g = reader_.graph();
     const auto& v = g.vertices;
     const int n = int(vertices.size());
     if (n > max_lanes) throw std::logic_error("ClusterShading: cluster too large");
-    std::copy(vertices.begin(), vertices.end(), vertex_);
-    // Few lanes and mostly one material: insertion keeps their order.
-    for (int i = 1; i < n; ++i)
-        for (int k = i; k > 0 && v.material[vertex_[k]] < v.material[vertex_[k - 1]]; --k) std::swap(vertex_[k], vertex_[k - 1]);
+    std::uint16_t material[max_lanes];
+    for (int l = 0; l < n; ++l) {
+        // Few lanes and mostly one material: insertion keeps their order.
+        const std::uint32_t j = vertices[l];
+        const std::uint16_t m = v.material[j];
+        int k = l;
+        for (; k > 0 && m < material[k - 1]; --k) material[k] = material[k - 1], vertex_[k] = vertex_[k - 1];
+        material[k] = m, vertex_[k] = j;
+    }
 
     ClusterColumns& c = columns_;
     c.n = n;
     c.runs.clear();
+    c.has_tangent = !v.tangent.empty();
     perturbed_.clear();
     perturbed_lane_.clear();
     for (int l = 0; l < n; ++l) {
         const std::uint32_t j = vertex_[l];
-        const ShadingPoint at = reader_.vertex(j);
-        if (c.runs.empty() || c.runs.back().model != at.bsdf.model) c.runs.push_back({at.bsdf.model, l, l});
+        if (l == 0 || material[l] != material[l - 1]) c.runs.push_back({&reader_.model(material[l]), l, l});
         c.runs.back().end = l + 1;
-        c.px[l] = at.p.x, c.py[l] = at.p.y, c.pz[l] = at.p.z;
-        c.sx[l] = at.frame.s.x, c.sy[l] = at.frame.s.y, c.sz[l] = at.frame.s.z;
-        c.tx[l] = at.frame.t.x, c.ty[l] = at.frame.t.y, c.tz[l] = at.frame.t.z;
-        c.nx[l] = at.frame.n.x, c.ny[l] = at.frame.n.y, c.nz[l] = at.frame.n.z;
-        c.wo_x[l] = at.wo_local.x, c.wo_y[l] = at.wo_local.y, c.wo_z[l] = at.wo_local.z;
-        const Bsdf<float>& b = at.bsdf;
-        c.diffuse_r[l] = b.diffuse.r, c.diffuse_g[l] = b.diffuse.g, c.diffuse_b[l] = b.diffuse.b;
-        c.specular_r[l] = b.specular.r, c.specular_g[l] = b.specular.g, c.specular_b[l] = b.specular.b;
-        c.transmittance_r[l] = b.transmittance.r, c.transmittance_g[l] = b.transmittance.g;
-        c.transmittance_b[l] = b.transmittance.b;
-        c.alpha_u[l] = b.alpha_u, c.alpha_v[l] = b.alpha_v, c.opacity[l] = b.opacity;
+        c.px[l] = v.p[3 * j], c.py[l] = v.p[3 * j + 1], c.pz[l] = v.p[3 * j + 2];
+        c.wo_x[l] = v.wo[3 * j], c.wo_y[l] = v.wo[3 * j + 1], c.wo_z[l] = v.wo[3 * j + 2];
+        c.ns[l] = packed(v.ns, j);
+        if (c.has_tangent) c.tangent[l] = packed(v.tangent, j);
         const std::uint16_t flags = v.flags[j];
         attempted_nee_[l] = (flags & vertex_flag::attempted_nee) != 0;
         c.survival[l] = (flags & vertex_flag::attempted_bsdf) ? (v.q.empty() ? 1.0f : v.q[j]) : 0.0f;
-        if (at.perturbed) {
-            perturbed_.push_back(at);
+        if (!v.n_side.empty() && packed(v.n_side, j) != c.ns[l]) {
+            perturbed_.push_back(reader_.vertex(j));
             perturbed_lane_.push_back(l);
         }
     }
-    // The loops run over whole blocks.
-    for (int l = n; l < padded(); ++l) {
-        for (float* column : {c.px, c.py, c.pz, c.sx, c.sy, c.sz, c.tx, c.ty, c.tz, c.nx, c.ny, c.nz}) column[l] = 0;
-        c.survival[l] = 0;
-        attempted_nee_[l] = 0;
+    for (int l = n; l < padded(); ++l) c.survival[l] = 0, attempted_nee_[l] = 0;
+    kernels_.prepare(c);
+    for (const ClusterColumns::Run& run : c.runs) load_textures(run, g.materials.textured[material[run.begin]]);
+}
+
+void ClusterShading::load_textures(const ClusterColumns::Run& run, std::uint8_t textured) {
+    const auto& v = reader_.graph().vertices;
+    ClusterColumns& c = columns_;
+    const auto read = [&](std::uint8_t parameter, const Column<Half>& from, auto... columns) {
+        if (!(textured & parameter)) return;
+        for (int l = run.begin; l < run.end; ++l) {
+            const Half* at = from.data() + sizeof...(columns) * std::size_t(vertex_[l]);
+            ((columns[l] = float_from_half(*at++)), ...);
+        }
+    };
+    read(textured_parameter::diffuse, v.diffuse, c.diffuse_r, c.diffuse_g, c.diffuse_b);
+    read(textured_parameter::specular, v.specular, c.specular_r, c.specular_g, c.specular_b);
+    read(textured_parameter::transmittance, v.transmittance, c.transmittance_r, c.transmittance_g, c.transmittance_b);
+    read(textured_parameter::alpha, v.alpha, c.alpha_u, c.alpha_v);
+    read(textured_parameter::opacity, v.opacity, c.opacity);
+}
+
+void ClusterShading::prefetch(std::span<const std::uint32_t> vertices) const {
+    const auto& v = reader_.graph().vertices;
+    for (const std::uint32_t j : vertices) {
+        // Of p and wo the next row too: where this vertex continues.
+        for (const float* rows : {v.p.data(), v.wo.data()}) {
+            __builtin_prefetch(rows + 3 * std::size_t(j));
+            __builtin_prefetch(rows + 3 * std::size_t(j) + 5);
+        }
+        __builtin_prefetch(v.ns.data() + 2 * std::size_t(j));
+        __builtin_prefetch(v.material.data() + j);
+        __builtin_prefetch(v.flags.data() + j);
+        __builtin_prefetch(v.lobe.data() + j);
+        __builtin_prefetch(v.pdf_w.data() + j);
+        if (!v.q.empty()) __builtin_prefetch(v.q.data() + j);
+        if (!v.diffuse.empty()) __builtin_prefetch(v.diffuse.data() + 3 * std::size_t(j));
     }
 }
 

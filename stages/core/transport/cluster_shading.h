@@ -16,6 +16,9 @@ class ClusterShading {
     /// needs:   at most max_lanes vertices
     void load(std::span<const std::uint32_t> vertices);
 
+    /// What load() will read of these vertices, ahead of time: a cluster's rows lie all over the graph.
+    void prefetch(std::span<const std::uint32_t> vertices) const;
+
     int size() const { return columns_.n; }
     int padded() const { return padded_lanes(columns_.n); }
     std::uint32_t vertex(int lane) const { return vertex_[lane]; }
@@ -29,6 +32,8 @@ class ClusterShading {
 
     // Answers, by lane; 0 up to padded().
     const float* f(int channel) const { return channel == 0 ? columns_.f_r : channel == 1 ? columns_.f_g : columns_.f_b; }
+    /// The answers as 16-bit fractions of their largest: row[rgb][lane]; largest and sum by channel.
+    void fix_row(std::uint16_t* row, float* largest, float* sum) const { kernels_.fix_row(columns_, row, largest, sum); }
     bool sees(int lane) const { return columns_.f_r[lane] + columns_.f_g[lane] + columns_.f_b[lane] > 0; }
     /// Density of BSDF sampling with survival of roulette; 0 where it was not attempted.
     float pdf_bsdf(int lane) const { return columns_.pdf[lane]; }
@@ -39,11 +44,12 @@ class ClusterShading {
     bool attempted_nee(int lane) const { return attempted_nee_[lane] != 0; }
 
   private:
+    void load_textures(const ClusterColumns::Run& run, std::uint8_t textured);
     void shadow_bumps();
 
     const GraphReader& reader_;
     const ClusterKernels& kernels_;
-    ClusterColumns columns_;
+    ClusterColumns columns_{};
     std::vector<ShadingPoint> perturbed_;  // with bump or normal maps
     std::vector<int> perturbed_lane_;
     std::uint32_t vertex_[max_lanes];

@@ -1,5 +1,10 @@
 // The column loops of a cluster, compiled once per x86-64 level (LOOM_LEVEL is v2, v3 or v4). Every entry is
 // flattened: what it calls is inlined, so nothing else of a level leaks into the program.
+#include <limits>
+#include <type_traits>
+
+#include "formats/io/octahedral.h"
+#include "stages/core/math/frame.h"
 #include "stages/core/transport/cluster_columns.h"
 
 namespace loom::LOOM_LEVEL {
@@ -17,18 +22,66 @@ template <class World>
     }
 }
 
+/// In a fixed order that every level can follow.
+[[gnu::always_inline]] inline float sum_of(const float* column, int lanes) {
+    float partial[lane_block] = {};
+    for (int block = 0; block < lanes; block += lane_block)
+        for (int l = 0; l < lane_block; ++l) partial[l] += column[block + l];
+    for (int half = lane_block / 2; half > 0; half /= 2)
+        for (int l = 0; l < half; ++l) partial[l] += partial[l + half];
+    return partial[0];
+}
+[[gnu::always_inline]] inline float largest_of(const float* column, int lanes) {
+    float partial[lane_block] = {};
+    for (int block = 0; block < lanes; block += lane_block)
+        for (int l = 0; l < lane_block; ++l) partial[l] = column[block + l] > partial[l] ? column[block + l] : partial[l];
+    for (int half = lane_block / 2; half > 0; half /= 2)
+        for (int l = 0; l < half; ++l) partial[l] = partial[l + half] > partial[l] ? partial[l + half] : partial[l];
+    return partial[0];
+}
+
+[[gnu::always_inline]] inline Vector3f decoded(std::uint32_t uv) {
+    const auto unit = unit_from_octahedral(std::int16_t(uv & 0xffffu), std::int16_t(uv >> 16));
+    return {unit[0], unit[1], unit[2]};
+}
+
+[[gnu::always_inline]] inline void set_frame(ClusterColumns& c, int l, const Framef& frame) {
+    c.sx[l] = frame.s.x, c.sy[l] = frame.s.y, c.sz[l] = frame.s.z;
+    c.tx[l] = frame.t.x, c.ty[l] = frame.t.y, c.tz[l] = frame.t.z;
+    c.nx[l] = frame.n.x, c.ny[l] = frame.n.y, c.nz[l] = frame.n.z;
+    const Vector3f wo = frame.to_local({c.wo_x[l], c.wo_y[l], c.wo_z[l]});
+    c.wo_x[l] = wo.x, c.wo_y[l] = wo.y, c.wo_z[l] = wo.z;
+}
+
+/// What a model chooses between and a loop cannot: choices inside it keep it scalar.
 template <class Family>
-[[gnu::always_inline]] inline void evaluate_run(ClusterColumns& c, const ClusterColumns::Run& run) {
-    const BsdfModel& model = *run.model;
-    for (int l = run.begin; l < run.end; ++l) {
-        Bsdf<float> b(model);
+constexpr bool has_facets = std::is_same_v<Family, RoughConductorFamily> || std::is_same_v<Family, RoughDielectricFamily> ||
+                            std::is_same_v<Family, RoughPlasticFamily>;
+template <class Family>
+constexpr bool has_base = std::is_same_v<Family, PlasticFamily> || std::is_same_v<Family, RoughPlasticFamily>;
+
+template <class Family, bool beckmann, bool sample_visible, bool nonlinear>
+[[gnu::noinline, gnu::flatten]] void evaluate_run(ClusterColumns& c, const ClusterColumns::Run& run) {
+    // A copy whose choices are known here, and which no store to a column can change.
+    BsdfModel model = *run.model;
+    if (has_facets<Family>) {
+        model.distribution = beckmann ? Microfacet::beckmann : Microfacet::ggx;
+        model.sample_visible = sample_visible;
+    }
+    if (has_base<Family>) model.nonlinear = nonlinear;
+    // seen_from_behind(): one comparison of floats, where a bool beside one would keep the loop scalar.
+    const float behind_below = model.two_sided ? 0.0f : -std::numeric_limits<float>::infinity();
+    for (int l = run.begin; l < run.past_end(); ++l) {
+        Bsdf<float> b;
+        b.model = &model;
         b.diffuse = {c.diffuse_r[l], c.diffuse_g[l], c.diffuse_b[l]};
         b.specular = {c.specular_r[l], c.specular_g[l], c.specular_b[l]};
         b.transmittance = {c.transmittance_r[l], c.transmittance_g[l], c.transmittance_b[l]};
         b.alpha_u = c.alpha_u[l];
         b.alpha_v = c.alpha_v[l];
+        b.eta = c.eta[l];
         const Vector3f wo{c.wo_x[l], c.wo_y[l], c.wo_z[l]};
-        const bool behind = seen_from_behind(b, wo);
+        const bool behind = wo.z < behind_below;
         const BsdfValue<float> v = Family::f_cos_pdf(b, mirrored(behind, wo), mirrored(behind, Vector3f{c.wi_x[l], c.wi_y[l], c.wi_z[l]}));
         const float factor = c.opacity[l] * c.geometry[l];
         c.f_r[l] = v.f_cos.r * factor;
@@ -38,22 +91,54 @@ template <class Family>
     }
 }
 
+template <class Family>
+[[gnu::always_inline]] inline void evaluate_run(ClusterColumns& c, const ClusterColumns::Run& run) {
+    const BsdfModel& m = *run.model;
+    const auto with_base = [&]<bool beckmann, bool visible>() __attribute__((always_inline)) {
+        if (has_base<Family> && m.nonlinear) evaluate_run<Family, beckmann, visible, has_base<Family>>(c, run);
+        else evaluate_run<Family, beckmann, visible, false>(c, run);
+    };
+    if constexpr (!has_facets<Family>) with_base.template operator()<false, false>();
+    else if (m.distribution == Microfacet::beckmann)
+        m.sample_visible ? with_base.template operator()<true, true>() : with_base.template operator()<true, false>();
+    else
+        m.sample_visible ? with_base.template operator()<false, true>() : with_base.template operator()<false, false>();
+}
+
 [[gnu::always_inline]] inline void evaluate_runs(ClusterColumns& c) {
     for (const ClusterColumns::Run& run : c.runs)
-        with_family(
-            run.model->kind, [&]<class Family>(Family) __attribute__((always_inline)) { evaluate_run<Family>(c, run); });
+        with_family(run.model->kind, [&]<class Family>(Family) __attribute__((always_inline)) {
+            // Nothing but delta lobes: black.
+            if constexpr (Family::smooth) {
+                evaluate_run<Family>(c, run);
+            } else {
+                for (int l = run.begin; l < run.past_end(); ++l) c.f_r[l] = c.f_g[l] = c.f_b[l] = c.pdf[l] = 0;
+            }
+        });
     const int lanes = padded_lanes(c.n);
     for (int l = c.n; l < lanes; ++l) c.f_r[l] = c.f_g[l] = c.f_b[l] = c.pdf[l] = 0;
-    // In a fixed order that every level can follow.
-    float partial[lane_block] = {};
-    for (int block = 0; block < lanes; block += lane_block)
-        for (int l = 0; l < lane_block; ++l) partial[l] += c.pdf[block + l];
-    for (int half = lane_block / 2; half > 0; half /= 2)
-        for (int l = 0; l < half; ++l) partial[l] += partial[l + half];
-    c.pdf_sum = partial[0];
+    c.pdf_sum = sum_of(c.pdf, lanes);
 }
 
 }  // namespace
+
+[[gnu::flatten]] void prepare_lanes(ClusterColumns& c) {
+    const int lanes = padded_lanes(c.n);
+    if (c.has_tangent)
+        for (int l = 0; l < lanes; ++l) set_frame(c, l, frame_along(Normal3f(decoded(c.ns[l])), decoded(c.tangent[l])));
+    else
+        for (int l = 0; l < lanes; ++l) set_frame(c, l, Framef(Normal3f(decoded(c.ns[l]))));
+    for (const ClusterColumns::Run& run : c.runs) {
+        const BsdfModel& b = *run.model;
+        for (int l = run.begin; l < run.past_end(); ++l) {
+            c.diffuse_r[l] = b.diffuse.r, c.diffuse_g[l] = b.diffuse.g, c.diffuse_b[l] = b.diffuse.b;
+            c.specular_r[l] = b.specular.r, c.specular_g[l] = b.specular.g, c.specular_b[l] = b.specular.b;
+            c.transmittance_r[l] = b.transmittance.r, c.transmittance_g[l] = b.transmittance.g;
+            c.transmittance_b[l] = b.transmittance.b;
+            c.alpha_u[l] = b.alpha_u, c.alpha_v[l] = b.alpha_v, c.eta[l] = b.eta(), c.opacity[l] = b.opacity;
+        }
+    }
+}
 
 [[gnu::flatten]] void evaluate_direction(ClusterColumns& c, float x, float y, float z) {
     to_local(c, [=](int) __attribute__((always_inline)) { return Vector3f{x, y, z}; });
@@ -80,6 +165,18 @@ template <class Family>
         return d * std::sqrt(inv_d2);
     });
     evaluate_runs(c);
+}
+
+[[gnu::flatten]] void fix_row(const ClusterColumns& c, std::uint16_t* __restrict row, float* __restrict largest, float* __restrict sum) {
+    const int lanes = padded_lanes(c.n);
+    const float* const columns[3] = {c.f_r, c.f_g, c.f_b};
+    for (int channel = 0; channel < 3; ++channel) {
+        const float* f = columns[channel];
+        sum[channel] = sum_of(f, lanes);
+        largest[channel] = largest_of(f, lanes);
+        const float to_fixed = largest[channel] > 0 ? 65535.0f / largest[channel] : 0.0f;
+        for (int l = 0; l < lanes; ++l) row[channel * lanes + l] = std::uint16_t(std::int32_t(f[l] * to_fixed + 0.5f));
+    }
 }
 
 [[gnu::flatten]] void apply_block(const std::uint16_t* __restrict coefficient, const float* __restrict radiance, int n_edges,
