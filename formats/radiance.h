@@ -34,6 +34,7 @@ struct Radiance {
 
     Column<float> L;         // reflected radiance, without emission
     Column<float> direct;    // the part of L at first vertices that arrives directly; absent for "west"
+    Column<float> indirect_path;  // what paths alone know of the rest; absent for "west"
     Column<double> residual, image_change;  // by iteration
     double clamped_share = 0;
 
@@ -79,6 +80,10 @@ void Radiance::fields(Self& r, Visitor& v) {
             "radiance that the vertex reflects towards wo; its own emission is not in it", Finite::counted);
     v.optional("paths/direct", r.direct, 3, "path,rgb", "W m^-2 sr^-1",
                "part of L at the first vertex that arrives straight from lights; 0 for paths without vertices",
+               Finite::counted);
+    v.optional("paths/indirect_path", r.indirect_path, 3, "path,rgb", "W m^-2 sr^-1",
+               "what the path's own samples, of no neighbour, estimate of the other light that its first vertex "
+               "reflects; 0 for paths without vertices",
                Finite::counted);
     v.field("iterations/residual", r.residual, 1, "iteration", "1", "sum |X' - X| / sum |X'| over vertices",
             Finite::counted);

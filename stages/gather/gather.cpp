@@ -48,7 +48,7 @@ struct Estimates {
 };
 
 /// in: first light edge of the path; out: that of the next path
-/// paths:   also what the path alone says, which takes a walk along all of it
+/// paths:   also what the path alone says: as it was stored, else by a walk along all of it
 Estimates estimates_of(const GraphReader& reader, const Radiance& radiance, bool paths, std::size_t path, std::size_t& edge,
                        FirstHit& first) {
     const PathGraph& g = reader.graph();
@@ -65,7 +65,9 @@ Estimates estimates_of(const GraphReader& reader, const Radiance& radiance, bool
         if (begin + 1 < end) {
             Spectrum beta = own_continuation(reader, at, begin, continuation_direction(g, begin));
             L.indirect_own = beta * rgb(radiance.L, begin + 1);
-            for (std::uint64_t j = begin + 1; paths && j < end; ++j) {
+            const bool stored = !radiance.indirect_path.empty();
+            if (paths && stored) L.indirect_path = rgb(radiance.indirect_path, path);
+            for (std::uint64_t j = begin + 1; paths && !stored && j < end; ++j) {
                 const ShadingPoint here = reader.vertex(j);
                 for (; edge < e.vertex.size() && e.vertex[edge] == j; ++edge) L.indirect_path += beta * own_light(reader, here, j, edge);
                 if (j + 1 < end) beta *= own_continuation(reader, here, j, continuation_direction(g, j));

@@ -86,7 +86,7 @@ void declare(app::Command& command, Options& options) {
 
 Radiance refine_radiance(const PathGraph& graph, const Clusters& clusters, const Options& options, app::Report& report) {
     const Schedule plan = schedule(graph, options);
-    const System system =
+    System system =
         build_system(graph, clusters, {{options.reuse, options.as_printed}, options.clamp, options.epsilon, options.threads});
     if (system.largest_column_sum > 1)
         report.info("an edge gives up to {:.3f} of the light that it brings; {} of {} edges clamped, {:.4f} % of the energy",
@@ -98,15 +98,13 @@ Radiance refine_radiance(const PathGraph& graph, const Clusters& clusters, const
         if (graph.paths.first_vertex[i] < graph.paths.first_vertex[i + 1])
             first_hits.push_back(system.unknown[graph.paths.first_vertex[i]]);
 
-    HugeArray<Light> X(system.n_unknowns);
-    if (plan.start == Start::paths) {
-        const HugeArray<Light> by_vertex = path_radiance(GraphReader(graph), options.threads);
-        for (std::size_t k = 0; k < system.n_unknowns; ++k) X[k] = by_vertex[system.vertex[k]];
-    } else {
-        std::copy_n(system.B.data(), system.n_unknowns, X.data());
-    }
     std::vector<double> residual, image_change;
     Radiance result;
+    auto [X, indirect] = path_radiance(system, graph, options.threads);
+    result.indirect_path = interleaved(indirect.size(), options.threads, [&](std::size_t i) { return indirect[i]; });
+    if (plan.start == Start::zero) std::copy_n(system.B.data(), system.n_unknowns, X.data());
+    system.own = {};  // it has done its work, and is the largest table but for the coefficients
+    indirect = {};
     const auto log = solve(system, first_hits, {plan.iterations, options.clamp, options.epsilon, options.threads}, X, [&](const Iteration& i) {
         residual.push_back(i.residual);
         image_change.push_back(i.image_change);

@@ -57,7 +57,8 @@ struct Builder {
     }
 
     /// What vertex j alone makes of samples that no neighbour can use.
-    void add_private(std::size_t j, std::uint32_t unknown, bool all, Spectrum& direct, ChunkResult& result) const {
+    /// in/out:  direct  light; weight  of the continuation
+    void add_private(std::size_t j, std::uint32_t unknown, bool all, Spectrum& direct, Spectrum& weight, ChunkResult& result) const {
         const bool delta = is_delta(Lobe(graph.vertices.lobe[j]));
         const bool continues = (graph.vertices.flags[j] & vertex_flag::continued) && (all || delta);
         const std::uint32_t begin = offsets[j], end = offsets[j + 1];
@@ -66,8 +67,9 @@ struct Builder {
         for (std::uint32_t k = begin; k < end; ++k)
             if (all || LightTechnique(graph.light_edges.technique[k]) == LightTechnique::bsdf_hit)
                 direct += own_light(reader, at, j, k);
-        if (continues)
-            result.privates.push_back({unknown, std::uint32_t(j + 1), own_continuation(reader, at, j, continuation_direction(graph, j))});
+        if (!continues) return;
+        weight = own_continuation(reader, at, j, continuation_direction(graph, j));
+        result.privates.push_back({unknown, std::uint32_t(j + 1), weight});
     }
 
     void add_cluster(std::size_t c, ClusterShading& shading, Lanes& direct, ChunkResult& result) {
@@ -75,18 +77,23 @@ struct Builder {
         shading.load(clusters.member.values().subspan(begin, system.first[c + 1] - begin));
         const int lanes = shading.padded();
         for (int l = 0; l < lanes; ++l) direct.r[l] = direct.g[l] = direct.b[l] = 0;
+        Spectrum own_light_of[max_lanes], own_weight[max_lanes];
         for (int l = 0; l < shading.size(); ++l) {
             system.vertex[begin + l] = shading.vertex(l);
             system.unknown[shading.vertex(l)] = begin + l;
-            Spectrum own(0);
-            add_private(shading.vertex(l), begin + l, false, own, result);
+            Spectrum own(0), weight(0);
+            add_private(shading.vertex(l), begin + l, false, own, weight, result);
             direct.r[l] = own.r, direct.g[l] = own.g, direct.b[l] = own.b;
+            own_light_of[l] = own, own_weight[l] = weight;
         }
         std::uint16_t* column = system.coefficients.data() + system.block[c];
         int n_edges = 0;
         for_each_indirect_edge(shading, graph, options.sharing, [&](int lane, std::uint32_t end, float inv_rho) {
             const std::size_t slot = begin + n_edges;
-            const float q = survival(shading.vertex(lane));
+            const std::size_t j = shading.vertex(lane);
+            const float q = survival(j), back = shading.to_solid_angle(lane);
+            own_weight[lane] = back > 0 ? shading.f(lane, back / graph.vertices.pdf_w[j])
+                                        : own_continuation(reader, reader.vertex(j), j, continuation_direction(graph, j));
             add_column(shading, slot, column, inv_rho, q, result);
             system.edge_end[slot] = end;
             if (!system.edge_survival.empty()) system.edge_survival[slot] = q;
@@ -94,7 +101,11 @@ struct Builder {
             ++n_edges;
         });
         system.n_edges[c] = std::uint16_t(n_edges);
-        for_each_light_edge(shading, graph, offsets, options.sharing, [&](int, std::uint32_t, const Spectrum& light, float inv_rho) {
+        for_each_light_edge(shading, graph, offsets, options.sharing, [&](int lane, std::uint32_t edge, const Spectrum& light, float inv_rho) {
+            const std::size_t j = shading.vertex(lane);
+            const float back = shading.to_solid_angle(lane);
+            own_light_of[lane] += back > 0 ? own_light(graph, shading.f(lane, back), j, edge, Heuristic::power)
+                                           : own_light(reader, reader.vertex(j), j, edge);
             const Spectrum w = light * inv_rho;
             const float *r = shading.f(0), *g = shading.f(1), *b = shading.f(2);
             for (int l = 0; l < lanes; ++l) {
@@ -103,7 +114,11 @@ struct Builder {
                 direct.b[l] += b[l] * w.b;
             }
         });
-        for (int l = 0; l < shading.size(); ++l) system.B[begin + l] = {direct.r[l], direct.g[l], direct.b[l]};
+        for (int l = 0; l < shading.size(); ++l) {
+            system.B[begin + l] = {direct.r[l], direct.g[l], direct.b[l]};
+            const Spectrum &own = own_light_of[l], &weight = own_weight[l];
+            system.own[shading.vertex(l)] = {{own.r, own.g, own.b}, {weight.r, weight.g, weight.b}};
+        }
     }
 };
 
@@ -118,6 +133,7 @@ System build_system(const PathGraph& graph, const Clusters& clusters, const Syst
     s.vertex = HugeArray<std::uint32_t>(s.n_unknowns);
     s.unknown = HugeArray<std::uint32_t>(s.n_unknowns);
     s.B = HugeArray<Light>(s.n_unknowns);
+    s.own = HugeArray<System::Own>(s.n_unknowns);
     s.first.assign(clusters.first.begin(), clusters.first.end());
     s.n_edges.resize(s.n_clusters);
     s.block.resize(s.n_clusters + 1);
@@ -156,9 +172,10 @@ System build_system(const PathGraph& graph, const Clusters& clusters, const Syst
         std::vector<ChunkResult> solitary((next - n_members) / 4096 + 1);
         parallel_chunks(next - n_members, 4096, options.threads, [&](std::uint64_t chunk, std::uint64_t begin, std::uint64_t end) {
             for (std::uint64_t i = n_members + begin; i < n_members + end; ++i) {
-                Spectrum direct(0);
-                builder.add_private(s.vertex[i], std::uint32_t(i), true, direct, solitary[chunk]);
+                Spectrum direct(0), weight(0);
+                builder.add_private(s.vertex[i], std::uint32_t(i), true, direct, weight, solitary[chunk]);
                 s.B[i] = {direct.r, direct.g, direct.b};
+                s.own[s.vertex[i]] = {s.B[i], {weight.r, weight.g, weight.b}};
             }
         });
         results.insert(results.end(), std::make_move_iterator(solitary.begin()), std::make_move_iterator(solitary.end()));
@@ -181,6 +198,23 @@ System build_system(const PathGraph& graph, const Clusters& clusters, const Syst
             for (std::uint32_t slot = s.first[c]; slot < s.first[c] + s.n_edges[c]; ++slot) s.edge_end[slot] = s.unknown[s.edge_end[slot]];
     });
     return s;
+}
+
+PathRadiance path_radiance(const System& system, const PathGraph& g, int threads) {
+    PathRadiance out{HugeArray<Light>(system.n_unknowns), HugeArray<Light>(g.n_paths())};
+    parallel_chunks(g.n_paths(), 4096, threads, [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
+        for (std::uint64_t i = begin; i < end; ++i) {
+            Light L, indirect;
+            for (std::uint64_t j = g.paths.first_vertex[i + 1]; j-- > g.paths.first_vertex[i];) {
+                const auto& [light, weight] = system.own[j];
+                indirect = {weight.r * L.r, weight.g * L.g, weight.b * L.b};
+                L = {light.r + indirect.r, light.g + indirect.g, light.b + indirect.b};
+                out.X[system.unknown[j]] = L;
+            }
+            out.indirect[i] = indirect;
+        }
+    });
+    return out;
 }
 
 HugeArray<Light> path_radiance(const GraphReader& reader, int threads, Heuristic heuristic) {

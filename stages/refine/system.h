@@ -56,6 +56,12 @@ struct System {
     };
     std::vector<Private> privates;
 
+    /// What path tracing knows of a vertex: light by its own samples, and the weight of its own continuation.
+    struct Own {
+        Light light, weight;
+    };
+    HugeArray<Own> own;  // by vertex
+
     /// Columns that the clamp scaled, and the share of the coefficients' sum that it took.
     std::uint64_t n_clamped = 0, n_columns = 0;
     double clamped_share = 0;
@@ -66,7 +72,14 @@ struct System {
 /// needs:   clusters of this graph, of at most max_lanes vertices
 System build_system(const PathGraph& graph, const Clusters& clusters, const SystemOptions& options);
 
-/// What each vertex reflects along its path by that path's own samples, by vertex: all that path tracing knows.
+/// What each vertex reflects along its path by that path's own samples: all that path tracing knows.
+struct PathRadiance {
+    HugeArray<Light> X;         // by unknown
+    HugeArray<Light> indirect;  // by path: of the first vertex, without the light that reaches it straight
+};
+PathRadiance path_radiance(const System& system, const PathGraph& graph, int threads);
+
+/// The same by vertex, evaluated path by path.
 HugeArray<Light> path_radiance(const GraphReader& reader, int threads, Heuristic heuristic = Heuristic::power);
 
 }  // namespace loom::refine

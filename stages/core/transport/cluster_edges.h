@@ -42,6 +42,7 @@ Normal3f facing_normal(const PathGraph& graph, std::size_t j);
 Normal3f light_normal(const PathGraph& graph, std::size_t edge);
 
 /// Calls sink(lane, vertex, inv_rho) for each continuation, whose end is `vertex`; shading then answers for its light.
+/// An edge that nobody could have sampled, by rounding, has inv_rho 0.
 template <class Sink>
 void for_each_indirect_edge(ClusterShading& shading, const PathGraph& graph, const SharingOptions& options, Sink&& sink) {
     for (int lane = 0; lane < shading.size(); ++lane) {
@@ -59,11 +60,11 @@ void for_each_indirect_edge(ClusterShading& shading, const PathGraph& graph, con
             for (int k = 0; k < shading.size(); ++k)
                 if (graph.vertices.flags[shading.vertex(k)] & vertex_flag::continued) rho += shading.pdf_bsdf(k);
         }
-        if (rho > 0) sink(lane, std::uint32_t(j + 1), 1 / rho);
+        sink(lane, std::uint32_t(j + 1), rho > 0 ? 1 / rho : 0.0f);
     }
 }
 
-/// Calls sink(lane, edge, light, inv_rho) for each light edge; shading then answers for its light.
+/// Calls sink(lane, edge, light, inv_rho) for each light edge; shading then answers for its light. inv_rho as above.
 template <class Sink>
 void for_each_light_edge(ClusterShading& shading, const PathGraph& graph, std::span<const std::uint32_t> offsets,
                          const SharingOptions& options, Sink&& sink) {
@@ -118,7 +119,7 @@ void for_each_light_edge(ClusterShading& shading, const PathGraph& graph, std::s
                     else
                         rho += found_bsdf[k] ? shading.pdf_bsdf(k) : 0.0f;
             }
-            if (rho > 0) sink(lane, i, light, 1 / rho);
+            sink(lane, i, light, rho > 0 ? 1 / rho : 0.0f);
         }
     }
 }

@@ -32,6 +32,11 @@ class ClusterShading {
 
     // Answers, by lane; 0 up to padded().
     const float* f(int channel) const { return channel == 0 ? columns_.f_r : channel == 1 ? columns_.f_g : columns_.f_b; }
+    /// f cos / f: what takes the answer at a lane back to sr^-1; 0 where that is lost.
+    float to_solid_angle(int lane) const { return columns_.geometry[lane] > 0 ? 1 / columns_.geometry[lane] : 0.0f; }
+    Spectrum f(int lane, float scale) const {
+        return {columns_.f_r[lane] * scale, columns_.f_g[lane] * scale, columns_.f_b[lane] * scale};
+    }
     /// The answers as 16-bit fractions of their largest: row[rgb][lane]; largest and sum by channel.
     void fix_row(std::uint16_t* row, float* largest, float* sum) const { kernels_.fix_row(columns_, row, largest, sum); }
     bool sees(int lane) const { return columns_.f_r[lane] + columns_.f_g[lane] + columns_.f_b[lane] > 0; }

@@ -13,17 +13,36 @@ Spectrum own_continuation(const GraphReader& reader, const ShadingPoint& at, std
     return value;
 }
 
+namespace {
+
+Spectrum incident(const PathGraph& graph, std::size_t k) {
+    const auto& Li = graph.light_edges.Li;
+    return {Li[3 * k], Li[3 * k + 1], Li[3 * k + 2]};
+}
+
+/// Of the technique that found edge k against the other one.
+float mis_weight(const PathGraph& graph, std::size_t k, Heuristic heuristic) {
+    const auto& e = graph.light_edges;
+    const bool next_event = LightTechnique(e.technique[k]) == LightTechnique::next_event;
+    const float pdf = next_event ? e.pdf_nee_w[k] : e.pdf_bsdf_w[k], other = next_event ? e.pdf_bsdf_w[k] : e.pdf_nee_w[k];
+    return heuristic == Heuristic::power ? power_heuristic(pdf, other) : pdf / (pdf + other);
+}
+
+}  // namespace
+
+Spectrum own_light(const PathGraph& graph, const Spectrum& f_cos, std::size_t j, std::size_t k, Heuristic heuristic) {
+    const auto& e = graph.light_edges;
+    const bool next_event = LightTechnique(e.technique[k]) == LightTechnique::next_event;
+    const float pdf = next_event ? e.pdf_nee_w[k] : graph.vertices.pdf_w[j];
+    return f_cos * incident(graph, k) * (mis_weight(graph, k, heuristic) / pdf);
+}
+
 Spectrum own_light(const GraphReader& reader, const ShadingPoint& at, std::size_t j, std::size_t k, Heuristic heuristic) {
-    const auto& e = reader.graph().light_edges;
+    const PathGraph& g = reader.graph();
     const Vector3f wi = reader.light_direction(at.p, k);
-    const Spectrum Li{e.Li[3 * k], e.Li[3 * k + 1], e.Li[3 * k + 2]};
-    const float pdf_nee = e.pdf_nee_w[k], pdf_bsdf = e.pdf_bsdf_w[k];
-    const auto weight = [heuristic](float pdf, float other) {
-        return heuristic == Heuristic::power ? power_heuristic(pdf, other) : pdf / (pdf + other);
-    };
-    if (LightTechnique(e.technique[k]) == LightTechnique::next_event)
-        return f_cos_pdf(at, wi).f_cos * Li * (weight(pdf_nee, pdf_bsdf) / pdf_nee);
-    return own_continuation(reader, at, j, wi) * Li * weight(pdf_bsdf, pdf_nee);
+    const bool next_event = LightTechnique(g.light_edges.technique[k]) == LightTechnique::next_event;
+    if (next_event || !is_delta(Lobe(g.vertices.lobe[j]))) return own_light(g, f_cos_pdf(at, wi).f_cos, j, k, heuristic);
+    return own_continuation(reader, at, j, wi) * incident(g, k) * mis_weight(g, k, heuristic);
 }
 
 std::size_t first_light_edge(const PathGraph& graph, std::size_t j) {

@@ -16,6 +16,10 @@ Spectrum own_continuation(const GraphReader& reader, const ShadingPoint& at, std
 Spectrum own_light(const GraphReader& reader, const ShadingPoint& at, std::size_t j, std::size_t k,
                    Heuristic heuristic = Heuristic::power);
 
+/// The same, f cos given.
+/// needs:   the edge was not found by a delta lobe
+Spectrum own_light(const PathGraph& graph, const Spectrum& f_cos, std::size_t j, std::size_t k, Heuristic heuristic);
+
 /// First light edge at or after vertex j.
 std::size_t first_light_edge(const PathGraph& graph, std::size_t j);
 
