@@ -33,7 +33,7 @@ struct Radiance {
     } settings;
 
     Column<float> L;         // reflected radiance, without emission
-    Column<float> direct;    // the part of L at first vertices that arrives directly; absent for "west"
+    Column<float> direct;    // the part of L at first vertices that arrives directly; a gather needs it
     Column<float> indirect_path;  // what paths alone know of the rest; absent for "west"
     Column<double> residual, image_change;  // by iteration
     double clamped_share = 0;
@@ -54,7 +54,8 @@ void write_radiance(const Radiance& radiance, const std::filesystem::path& path,
 /// throws:  InputError naming the file and the dataset
 Radiance read_radiance(const std::filesystem::path& path);
 
-/// Refuses the radiance of another graph than this one, known as graph_id.
+/// Refuses the radiance of another graph than this one, known as graph_id, and one that does not say the direct
+/// light of every path.
 /// throws:  InputError naming both files and the command that mends it
 void require_radiance_of(const PathGraph& graph, const InputId& graph_id, const Radiance& radiance,
                          const std::filesystem::path& radiance_path);

@@ -6,6 +6,7 @@
 #include "tests/formats/tiny_clusters.h"
 #include "tests/formats/tiny_graph.h"
 #include "tests/formats/tiny_image.h"
+#include "tests/formats/tiny_radiance.h"
 
 namespace loom {
 namespace {
@@ -18,6 +19,8 @@ TEST(Fixtures, DISABLED_WriteFixtures) {
                  [](const auto& path) { write_path_graph(testing::tiny_graph(), path); });
     unless_there("tests/fixtures/clusters_1.0.h5",
                  [](const auto& path) { write_clusters(testing::tiny_clusters(), path); });
+    unless_there("tests/fixtures/radiance_1.0.h5",
+                 [](const auto& path) { write_radiance(testing::tiny_radiance(), path); });
     unless_there("tests/fixtures/image_1.0.exr",
                  [](const auto& path) { write_image(testing::tiny_image(), path); });
 }
