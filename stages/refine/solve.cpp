@@ -66,7 +66,7 @@ std::vector<Iteration> solve(const System& s, std::span<const std::uint32_t> fir
                 if (options.clamp == Clamp::cluster) {
                     float given[3] = {};
                     for (int l = 0; l < n; ++l)
-                        for (int channel = 0; channel < 3; ++channel) given[channel] += out[channel * lanes + l];
+                        for (int channel = 0; channel < 3; ++channel) given[channel] += out[channel * lanes + l] * s.inv_eta2[first + l];
                     factor = cluster_factor(given, taken_in, options.epsilon);
                     const double all = double(given[0]) + given[1] + given[2];
                     local.given += all;
@@ -116,8 +116,10 @@ std::vector<Iteration> solve(const System& s, std::span<const std::uint32_t> fir
         std::swap(X, next);
         log.push_back(iteration);
         if (step) step(iteration);
-        if (iteration.residual > 3 * least) break;
-        least = std::min(least, iteration.residual);
+        double change = 0;
+        for (const Sums& part : all) change += part.change;
+        if (change > 3 * least) break;
+        least = std::min(least, change);
     }
     return log;
 }

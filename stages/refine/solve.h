@@ -22,8 +22,9 @@ struct SolveOptions {
 /// in:   first_hits  unknowns of the first vertices of paths
 ///       X           start; replaced by the result
 ///       step        called after each iteration
-/// out:  one entry per iteration; fewer when the iteration diverged: the residual grew threefold over its least, or
-///       a value stopped being finite, in which case X is the last iterate before that
+/// out:  one entry per iteration; fewer when the iteration diverged: sum |X' - X| grew threefold over its least (the
+///       residual, relative to what grows as fast, need not grow), or a value stopped being finite, in which case X
+///       is the last iterate before that
 std::vector<Iteration> solve(const System& system, std::span<const std::uint32_t> first_hits, const SolveOptions& options,
                              HugeArray<Light>& X, const std::function<void(const Iteration&)>& step = {});
 

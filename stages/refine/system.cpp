@@ -13,6 +13,7 @@ constexpr std::uint64_t clusters_per_chunk = 256;
 
 struct Lanes {
     alignas(64) float r[max_lanes + lane_block], g[max_lanes + lane_block], b[max_lanes + lane_block];
+    float inv_eta2[max_lanes + lane_block];
 };
 
 /// Sums that a chunk hands back; chunks are added in order.
@@ -32,12 +33,21 @@ struct Builder {
     System& system;
 
     float survival(std::size_t j) const { return graph.vertices.q.empty() ? 1.0f : graph.vertices.q[j]; }
+    /// Squared index of the medium between vertex j and the one before it.
+    float eta2(std::size_t j) const { return graph.vertices.eta.empty() ? 1.0f : graph.vertices.eta[j] * graph.vertices.eta[j]; }
 
     /// One column of a block: f_j cos_j / rho at all vertices of the cluster, in 16 bits of its largest value.
-    void add_column(const ClusterShading& shading, std::size_t slot, std::uint16_t* out, float inv_rho, float q, ChunkResult& result) {
+    /// in:  inv_eta2  of each lane   edge_eta2  of the medium that the light comes through
+    void add_column(const ClusterShading& shading, const float* inv_eta2, float edge_eta2, std::size_t slot, std::uint16_t* out,
+                    float inv_rho, float q, ChunkResult& result) {
         float scale[3], sum[3];
         shading.fix_row(out, scale, sum);
         for (int channel = 0; channel < 3; ++channel) {
+            if (!graph.vertices.eta.empty()) {
+                sum[channel] = 0;
+                for (int l = 0; l < shading.size(); ++l) sum[channel] += shading.f(channel)[l] * inv_eta2[l];
+                sum[channel] *= edge_eta2;
+            }
             sum[channel] *= inv_rho;
             scale[channel] *= inv_rho * (1.0f / 65535.0f);
         }
@@ -77,6 +87,7 @@ struct Builder {
         shading.load(clusters.member.values().subspan(begin, system.first[c + 1] - begin));
         const int lanes = shading.padded();
         for (int l = 0; l < lanes; ++l) direct.r[l] = direct.g[l] = direct.b[l] = 0;
+        for (int l = 0; l < lanes; ++l) direct.inv_eta2[l] = l < shading.size() ? 1 / eta2(shading.vertex(l)) : 1.0f;
         Spectrum own_light_of[max_lanes], own_weight[max_lanes];
         for (int l = 0; l < shading.size(); ++l) {
             system.vertex[begin + l] = shading.vertex(l);
@@ -94,9 +105,9 @@ struct Builder {
             const float q = survival(j), back = shading.to_solid_angle(lane);
             own_weight[lane] = back > 0 ? shading.f(lane, back / graph.vertices.pdf_w[j])
                                         : own_continuation(reader, reader.vertex(j), j, continuation_direction(graph, j));
-            add_column(shading, slot, column, inv_rho, q, result);
+            add_column(shading, direct.inv_eta2, eta2(end), slot, column, inv_rho, q, result);
             system.edge_end[slot] = end;
-            if (!system.edge_survival.empty()) system.edge_survival[slot] = q;
+            if (!system.edge_survival.empty()) system.edge_survival[slot] = q * eta2(end);
             column += 3 * lanes;
             ++n_edges;
         });
@@ -114,6 +125,7 @@ struct Builder {
                 direct.b[l] += b[l] * w.b;
             }
         });
+        if (!system.inv_eta2.empty()) std::copy_n(direct.inv_eta2, shading.size(), system.inv_eta2.data() + begin);
         for (int l = 0; l < shading.size(); ++l) {
             system.B[begin + l] = {direct.r[l], direct.g[l], direct.b[l]};
             const Spectrum &own = own_light_of[l], &weight = own_weight[l];
@@ -144,7 +156,10 @@ System build_system(const PathGraph& graph, const Clusters& clusters, const Syst
     const std::size_t n_members = s.first.back();
     s.edge_end = HugeArray<std::uint32_t>(n_members);
     s.edge_scale = HugeArray<Light>(n_members);
-    if (options.clamp == Clamp::cluster) s.edge_survival = HugeArray<float>(n_members);
+    if (options.clamp == Clamp::cluster) {
+        s.edge_survival = HugeArray<float>(n_members);
+        s.inv_eta2 = HugeArray<float>(n_members);
+    }
     s.coefficients = HugeArray<std::uint16_t>(s.block.back());
 
     Builder builder{graph, reader, clusters, options, offsets, s};

@@ -12,7 +12,8 @@
 
 namespace loom::refine {
 
-/// What keeps the iteration from growing.
+/// What keeps the iteration from growing. Light is counted as basic radiance, L / eta^2 with the index of the medium
+/// it travels in: where it leaves glass its radiance changes by eta^2 and its energy does not.       [Veach1997] 5.2
 enum class Clamp {
     none,
     column,   // once: no edge gives more than (1 - epsilon) of the light that it brings; linear
@@ -46,7 +47,8 @@ struct System {
     std::vector<std::uint64_t> block;         // first coefficient
     HugeArray<std::uint32_t> edge_end;        // by slot: unknown that the light comes from
     HugeArray<Light> edge_scale;           // by slot: of a fixed-point coefficient
-    HugeArray<float> edge_survival;           // by slot; empty unless the clamp asks for it
+    HugeArray<float> edge_survival;           // by slot, times eta^2 of the edge; empty unless the clamp asks for it
+    HugeArray<float> inv_eta2;                // by unknown, on the side of wo; empty unless the clamp asks for it
     HugeArray<std::uint16_t> coefficients;    // [edge][rgb][padded lane]
 
     /// Continuations that only their own vertex uses: delta lobes, solitary vertices.
@@ -65,7 +67,7 @@ struct System {
     /// Columns that the clamp scaled, and the share of the coefficients' sum that it took.
     std::uint64_t n_clamped = 0, n_columns = 0;
     double clamped_share = 0;
-    float largest_column_sum = 0;  // before the clamp, survival counted: the bound of the spectrum
+    float largest_column_sum = 0;  // before the clamp, of basic radiance, survival counted: the bound of the spectrum
 };
 
 /// Evaluates all clusters once: direct light and blocks.
