@@ -2,7 +2,7 @@
 
 .DEFAULT_GOAL := demo
 .DELETE_ON_ERROR:
-.PHONY: demo image chart test test-full asan bench peers oidn tools build stages clean help
+.PHONY: demo image chart table test test-full stability asan bench peers oidn tools build stages clean help
 SHELL := /bin/sh
 
 BUILD ?= build
@@ -60,6 +60,9 @@ test: build ## install, build and run all tests
 
 test-full: build ## the tests with the longer statistical runs
 	cd $(BUILD) && LOOM_TEST_FULL=1 ctest --output-on-failure --no-tests=error
+
+stability: build ## scenes that are hard on path graphs, at full length
+	LOOM_TEST_FULL=1 $(BUILD)/test_statistical --gtest_filter='Stability*:Blend*'
 
 asan: tools ## unit and formats tests under AddressSanitizer and UndefinedBehaviorSanitizer
 	@$(call compile,$(BUILD)-asan,-DCMAKE_BUILD_TYPE=Debug -DLOOM_SANITIZE=ON,test_unit test_formats)
