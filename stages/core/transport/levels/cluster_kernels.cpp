@@ -5,6 +5,8 @@
 
 #include "formats/io/octahedral.h"
 #include "stages/core/math/frame.h"
+#include <cstring>
+
 #include "stages/core/transport/cluster_columns.h"
 
 namespace loom::LOOM_LEVEL {
@@ -179,18 +181,23 @@ template <class Family>
     }
 }
 
+// Vectors of the compiler, not a plain loop: g++ 12 converts unsigned 16-bit numbers one by one there.
+using FloatLanes = float __attribute__((vector_size(lane_block * sizeof(float))));
+using IntLanes = std::int32_t __attribute__((vector_size(lane_block * sizeof(std::int32_t))));
+using FixedLanes = std::uint16_t __attribute__((vector_size(lane_block * sizeof(std::uint16_t))));
+
 [[gnu::flatten]] void apply_block(const std::uint16_t* __restrict coefficient, const float* __restrict radiance, int n_edges,
                                   int lanes, float* __restrict out) {
     for (int block = 0; block < lanes; block += lane_block) {
-        float sum[3][lane_block] = {};
+        FloatLanes sum[3] = {};
+        const std::uint16_t* row = coefficient + block;
         for (int e = 0; e < n_edges; ++e)
-            for (int channel = 0; channel < 3; ++channel) {
-                const std::uint16_t* row = coefficient + (3 * e + channel) * lanes + block;
-                const float L = radiance[3 * e + channel];
-                for (int l = 0; l < lane_block; ++l) sum[channel][l] += float(row[l]) * L;
+            for (int channel = 0; channel < 3; ++channel, row += lanes) {
+                FixedLanes fixed;
+                std::memcpy(&fixed, row, sizeof fixed);
+                sum[channel] += __builtin_convertvector(__builtin_convertvector(fixed, IntLanes), FloatLanes) * radiance[3 * e + channel];
             }
-        for (int channel = 0; channel < 3; ++channel)
-            for (int l = 0; l < lane_block; ++l) out[channel * lanes + block + l] = sum[channel][l];
+        for (int channel = 0; channel < 3; ++channel) std::memcpy(out + channel * lanes + block, &sum[channel], sizeof sum[channel]);
     }
 }
 
