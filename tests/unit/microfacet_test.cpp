@@ -77,5 +77,16 @@ TEST(Microfacet, ErfInvInverts) {
         EXPECT_NEAR(std::erf(erf_inv(x)), x, 1e-6 * std::abs(x) + 1e-9);
 }
 
+// Would catch a lost term of the polynomial, or a power of two rounded the wrong way.
+TEST(Microfacet, ExponentialOfAFloatIsThatOfTheLibrary) {
+    for (double x = -86.9; x < 87.9; x += 1.37e-4) {
+        const float f = float(x);
+        ASSERT_NEAR(double(exponential(f)) / std::exp(double(f)), 1, 2.5e-7) << x;
+    }
+    EXPECT_EQ(exponential(0.0f), 1);
+    EXPECT_LT(exponential(-1e30f), 2e-38f);
+    EXPECT_TRUE(std::isfinite(exponential(1e30f)));
+}
+
 }  // namespace
 }  // namespace loom::test

@@ -101,7 +101,7 @@ struct MicrofacetDistribution {
     [[gnu::always_inline]] T smith_beckmann(const Vector3<T>& v) const {
         const T a = cot_over_alpha(v);
         // lambda = exp(-a²) / (2 a √π) - erfc(a) / 2, and erfc(a) = exp(-a²) p(t) to 1.5e-7.
-        //                    [AbramowitzStegun1964] "Handbook of Mathematical Functions", Eq. (7.1.26)
+        //                    [AbramowitzStegun1964] Eq. (7.1.26)
         const T t = T(1) / (T(1) + T(0.3275911) * a);
         const T p = t * (T(0.254829592) + t * (T(-0.284496736) + t * (T(1.421413741) + t * (T(-1.453152027) + t * T(1.061405429)))));
         const T lambda = exponential(-a * a) * (T(1 / (2 * 1.77245385090551602730)) / a - T(0.5) * p);
