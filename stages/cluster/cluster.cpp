@@ -81,10 +81,24 @@ BucketedPoints fill_buckets(const PathGraph& graph, const Sharing& sharing, cons
     parallel_chunks(n, vertices_per_chunk, options.threads,
                     [&](std::uint64_t chunk, std::uint64_t begin, std::uint64_t end) {
                         std::uint32_t* mine = counts.data() + chunk * n_buckets;
+                        std::array<Point, Buckets::batch> batch{};
+                        std::array<std::uint32_t, Buckets::batch> found;
+                        std::size_t n_batch = 0;
+                        const auto place_batch = [&] {
+                            buckets.of(batch, found);
+                            for (std::size_t i = 0; i < n_batch; ++i) {
+                                bucket_of[batch[i].vertex] = found[i];
+                                ++mine[found[i]];
+                            }
+                            n_batch = 0;
+                        };
                         for (std::uint64_t j = begin; j < end; ++j) {
-                            bucket_of[j] = sharing.rule(j) ? buckets.of(metric(j)) : no_bucket;
-                            if (bucket_of[j] != no_bucket) ++mine[bucket_of[j]];
+                            bucket_of[j] = no_bucket;
+                            if (!sharing.rule(j)) continue;
+                            batch[n_batch++] = metric(j);
+                            if (n_batch == Buckets::batch) place_batch();
                         }
+                        place_batch();
                     });
 
     BucketedPoints out{memory.points.get(sharing.n), std::vector<std::size_t>(n_buckets + 1)};

@@ -1,4 +1,6 @@
 #pragma once
+#include <algorithm>
+#include <array>
 #include <cstdint>
 #include <limits>
 #include <span>
@@ -34,13 +36,21 @@ class Buckets {
     Buckets(std::span<Point> subset, std::uint32_t subset_per_bucket, std::uint64_t seed);
 
     std::size_t size() const { return n_buckets_; }
-    std::uint32_t of(const Point& point) const {
-        std::int32_t at = 0;
-        while (at >= 0) {
-            const Cut& cut = cuts_[std::size_t(at)];
-            at = cut.side[point.x[cut.axis] < cut.at ? 0 : 1];
+    /// Buckets of several points at once: each waits for its own next cut, so they wait together.
+    static constexpr std::size_t batch = 16;
+    void of(const std::array<Point, batch>& points, std::array<std::uint32_t, batch>& buckets) const {
+        std::array<std::int32_t, batch> at{};
+        std::int32_t any_inside = 0;
+        while (any_inside >= 0) {
+            any_inside = -1;
+            for (std::size_t i = 0; i < batch; ++i) {
+                const Cut& cut = cuts_[std::size_t(std::max(at[i], 0))];
+                const std::int32_t next = cut.side[points[i].x[cut.axis] < cut.at ? 0 : 1];
+                at[i] = at[i] < 0 ? at[i] : next;
+                any_inside &= at[i];
+            }
         }
-        return std::uint32_t(~at);
+        for (std::size_t i = 0; i < batch; ++i) buckets[i] = std::uint32_t(~at[i]);
     }
 
   private:
