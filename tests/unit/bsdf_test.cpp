@@ -115,6 +115,35 @@ TEST_P(BsdfInvariants, WeightIsValueOverDensity) {
     }
 }
 
+// Over a bright base, at grazing wo, weights of rough plastics exceed 1: what one microfacet reflects, F(wo.h), is up to
+// twice the mean that the choice of lobes knows. No choice of lobes that does not know h can mend it: neither the exact
+// G1 in the value (1.54 for 1.53) nor the lobes' energies by quadrature (1.66) does. Clamped by path graphs.
+TEST(Bsdf, RoughPlasticOverABrightBaseWeighsAtMostItsFresnelSpread) {
+    for (const Microfacet distribution : {Microfacet::ggx, Microfacet::beckmann})
+        for (const float alpha : {0.05f, 0.1f, 0.4f}) {
+            BsdfModel model;
+            model.kind = BsdfKind::rough_plastic;
+            model.distribution = distribution;
+            model.int_ior = 1.49f;
+            model.alpha_u = model.alpha_v = alpha;
+            model.diffuse = Spectrum(0.95f);
+            prepare(model);
+            const Bsdf<float> bsdf(model);
+            for (const float cos : {1.0f, 0.3f, 0.05f, 0.005f, 0.0001f}) {
+                const Vector3f wo = direction(cos, 0);
+                const float mean = 1 - RoughPlasticFamily::transmittance(model, cos);
+                for (int i = 0; i < 10000; ++i) {
+                    const Draw draw(SamplerKind::independent, 4, i);
+                    const BsdfSample<float> s = sample(bsdf, wo, draw.u_lobe, draw.u);
+                    if (s.lobe == Lobe::none) continue;
+                    const float F = fresnel_dielectric(dot(wo, normalize(wo + s.wi)), bsdf.eta).reflectance;
+                    ASSERT_LE(max_channel(s.weight), 1.06f * std::max(1.0f, F / mean)) << alpha << " " << cos;
+                    ASSERT_LE(max_channel(s.weight), 1.75f);
+                }
+            }
+        }
+}
+
 TEST(Bsdf, OneSidedKindsAreBlackFromBehindAndTwoSidedOnesAlike) {
     for (const BsdfCase& c : bsdf_cases()) {
         if (transmits(c.model) || c.model.opacity < 1) continue;

@@ -160,7 +160,7 @@ void fill(ClusterColumns& c, const GraphReader& reader, const std::vector<Shadin
         c.diffuse_r[l] = b.diffuse.r, c.diffuse_g[l] = b.diffuse.g, c.diffuse_b[l] = b.diffuse.b;
         c.specular_r[l] = b.specular.r, c.specular_g[l] = b.specular.g, c.specular_b[l] = b.specular.b;
         c.transmittance_r[l] = b.transmittance.r, c.transmittance_g[l] = b.transmittance.g, c.transmittance_b[l] = b.transmittance.b;
-        c.alpha_u[l] = b.alpha_u, c.alpha_v[l] = b.alpha_v, c.opacity[l] = b.opacity;
+        c.alpha_u[l] = b.alpha_u, c.alpha_v[l] = b.alpha_v, c.eta[l] = b.eta, c.opacity[l] = b.opacity;
         c.survival[l] = survival_of(reader.graph(), begin + l);
     }
 }
