@@ -23,6 +23,7 @@ ITERATIONS ?= 6  ## steps of the refinement
 # CLUSTER=  ## further options of loom-cluster: CLUSTER="--method centres"
 # REFINE=  ## further options of loom-refine: REFINE="--reuse points"
 # GATHER=  ## further options of loom-gather: GATHER="--direct own --indirect own"
+# DIRECT=  ## samples of direct light alone, for the blend of pathgraph: sharp shadows at little cost (4 SPP PASSES; 0: none)
 # MERGE=  ## further options of loom-merge: MERGE=--no-blend
 # DENOISE=  ## 1: also denoise the image, into OUT/clean.exr
 # SEED=  ## seed of the random numbers
@@ -88,8 +89,9 @@ clean := $(if $(filter-out 0,$(DENOISE)),$(OUT)/clean.exr $(OUT)/clean.png)
 scene_prerequisite := $(subst $(space),\$(space),$(SCENE))
 
 # What reaches the result, and what only says how fast.
-trace_parameters = $(call quote,$(SCENE)) --spp $(SPP)$(if $(SEED), --seed $(SEED))$(if \
+common_parameters = $(call quote,$(SCENE))$(if \
 	$(DEFINES), $(foreach d,$(DEFINES),-D $(call quote,$(d))))$(if $(TRACE), $(TRACE))
+trace_parameters = $(common_parameters) --spp $(SPP)$(if $(SEED), --seed $(SEED))
 threads = $(if $(THREADS), --threads $(THREADS))
 
 # $(call parameter,FILE,VALUE): FILE holds VALUE and is written anew only when VALUE is another one.
@@ -111,17 +113,22 @@ demo: $(OUT)/image.exr $(OUT)/image.png $(clean)
 	@echo 'look     $(inspect) $(lastword $(traced))'
 
 $(eval $(call parameter,$(work)/trace.parameters,$(trace_parameters)))
-# Passes are traced in batches, so that a scene is not read for each: batch b has passes [b BATCH, (b+1) BATCH), as far
-# as they are wanted.
+# Passes are traced in batches of BATCH, so that a scene is not read for each. Those that are there already make a
+# batch of their own: more passes add to them.
 define batch
-$(foreach i,$(2),$(work)/pass-$(i).$(kind)) &: $(scene_prerequisite) $(work)/trace.parameters $(trace)
-	$(LAUNCH) $(trace) $(trace_parameters) --first-sample $(shell echo $$(($(firstword $(2)) * $(SPP)))) --passes $(words $(2))$(threads) \
-		--depfile $(work)/batch-$(1).d -o $(work)/pass-%.$(kind)
+$(foreach i,$(1),$(work)/pass-$(i).$(kind)) &: $(scene_prerequisite) $(work)/trace.parameters $(trace)
+	$(LAUNCH) $(trace) $(trace_parameters) --first-sample $(shell echo $$(($(firstword $(1)) * $(SPP)))) --passes $(words $(1))$(threads) \
+		--depfile $(work)/from-$(firstword $(1)).d -o $(work)/pass-%.$(kind)
 endef
 kind := $(if $(filter pt,$(METHOD)),exr,h5)
-batches := $(shell seq 0 $$((($(PASSES) - 1) / $(BATCH))))
-$(foreach b,$(batches),$(eval $(call batch,$(b),$(shell seq $$(($(b) * $(BATCH))) \
-	$$((($(b) + 1) * $(BATCH) < $(PASSES) ? ($(b) + 1) * $(BATCH) - 1 : $(last)))))))
+# 0,1,2,3 4,5: comma-separated passes of each batch
+batches := $(shell i=0; was=; for i in $(numbers); do \
+	is=$$([ -e '$(work)'/pass-$$i.exr ] && echo there || echo missing); \
+	if [ $$i = 0 ]; then printf '%s' $$i; \
+	elif [ $$((i % $(BATCH))) = 0 ] || { [ $$is = missing ] && [ $$was = there ]; }; then printf ' %s' $$i; \
+	else printf ',%s' $$i; is=$$was; fi; was=$$is; done)
+comma := ,
+$(foreach b,$(batches),$(eval $(call batch,$(subst $(comma),$(space),$(b)))))
 
 # A graph is as large as its picture is small: once gathered it goes, but for the last, which stays to be
 # looked at. Secondary: that it is gone does not make it be traced again.
@@ -145,9 +152,17 @@ $(passes): $(work)/pass-%.exr: $(work)/pass-%.h5 $(if $(refined),$(work)/pass-%.
 	$(if $(filter $(last),$*)$(filter-out 0,$(KEEP)),,rm -f $(filter %.h5,$^) $(if $(clusters),$(work)/pass-$*.clusters.h5))
 endif
 
-$(eval $(call parameter,$(OUT)/image.parameters,$(METHOD) $(PASSES)$(if $(MERGE), $(MERGE))))
-$(OUT)/image.exr: $(passes) $(OUT)/image.parameters $(merge)
-	$(LAUNCH) $(merge) $(passes)$(if $(MERGE), $(MERGE)) -o $@
+# Direct light by itself, of samples that no pass has: another seed. A blend takes four passes.
+DIRECT := $(or $(strip $(DIRECT)),$(if $(refined),$(shell [ $(PASSES) -ge 4 ] && echo $$((4 * $(SPP) * $(PASSES))))))
+direct := $(if $(filter-out 0,$(DIRECT)),$(if $(refined),$(if $(filter --no-blend,$(MERGE)),,$(work)/direct.exr)))
+direct_parameters = $(common_parameters) --max-depth 2 --spp $(DIRECT) --seed $(shell echo $$(($(or $(SEED),0) + 1000003)))
+$(eval $(call parameter,$(work)/direct.parameters,$(if $(direct),$(direct_parameters))))
+$(work)/direct.exr: $(scene_prerequisite) $(work)/direct.parameters $(trace)
+	$(LAUNCH) $(trace) $(direct_parameters)$(threads) -o $@
+
+$(eval $(call parameter,$(OUT)/image.parameters,$(METHOD) $(PASSES)$(if $(MERGE), $(MERGE))$(if $(direct), $(DIRECT))))
+$(OUT)/image.exr: $(passes) $(direct) $(OUT)/image.parameters $(merge)
+	$(LAUNCH) $(merge) $(passes)$(if $(direct), --direct $(direct))$(if $(MERGE), $(MERGE)) -o $@
 
 $(OUT)/clean.exr: $(OUT)/image.exr $(denoise)
 	$(LAUNCH) $(denoise) $< -o $@$(threads)
@@ -161,4 +176,4 @@ $(trace) $(cluster) $(refine) $(gather) $(merge) $(denoise) $(inspect) &:
 	$(MAKE) --no-print-directory -f Makefile stages
 
 # Files that the scene includes: meshes, textures, other scene files.
--include $(batches:%=$(work)/batch-%.d)
+-include $(wildcard $(work)/from-*.d)

@@ -44,6 +44,19 @@ Luminances luminances(const std::vector<float>& rgb) {
     return y;
 }
 
+/// Mean over the window of estimates that may be negative, less some of its standard errors, at least 0.
+std::vector<double> significant(const std::vector<double>& estimate, int width, int height, const Test& test) {
+    std::vector<double> squares(estimate.size());
+    for (std::size_t i = 0; i < estimate.size(); ++i) squares[i] = sqr(estimate[i]);
+    std::vector<double> mean = window_mean(estimate, width, height, test.radius);
+    squares = window_mean(squares, width, height, test.radius);
+    for (std::size_t i = 0; i < mean.size(); ++i) {
+        const double error = std::sqrt(std::max(squares[i] - sqr(mean[i]), 0.0)) / (2 * test.radius + 1);
+        mean[i] = std::max(mean[i] - test.standard_errors * error, 0.0);
+    }
+    return mean;
+}
+
 /// Two estimates A and B = A - d in one half of the parts: sums of their luminance, by pixel.
 struct PairSums {
     double n = 0;
@@ -64,20 +77,20 @@ struct PairSums {
 
     /// Weight of A by pixel.
     std::vector<double> weights(const std::vector<double>& importance, int width, int height, const Test& test) const {
-        std::vector<double> bias2(d.size()), var(d.size()), cov(d.size()), squares(d.size());
+        std::vector<double> bias2(d.size()), var(d.size()), cov(d.size());
         for (std::size_t i = 0; i < d.size(); ++i) {
             const double mean = d[i] / n;
             const double var_mean = std::max(d2[i] / n - sqr(mean), 0.0) / (n - 1);
             bias2[i] = (sqr(mean) - var_mean) * importance[i];
-            squares[i] = sqr(bias2[i]);
             var[i] = var_mean * importance[i];
             cov[i] = (bd[i] / n - mean * b[i] / n) / (n - 1) * importance[i];
         }
-        for (std::vector<double>* values : {&bias2, &squares, &var, &cov}) *values = window_mean(*values, width, height, test.radius);
+        bias2 = significant(bias2, width, height, test);
+        var = window_mean(var, width, height, test.radius);
+        cov = window_mean(cov, width, height, test.radius);
         for (std::size_t i = 0; i < d.size(); ++i) {
-            const double error = std::sqrt(std::max(squares[i] - sqr(bias2[i]), 0.0)) / (2 * test.radius + 1);
-            const double b2 = std::max(bias2[i] - test.standard_errors * error, 0.0), under = b2 + var[i];
-            bias2[i] = under > 0 ? std::clamp((b2 - cov[i]) / under, 0.0, 1.0) : 0.0;
+            const double under = bias2[i] + var[i];
+            bias2[i] = under > 0 ? std::clamp((bias2[i] - cov[i]) / under, 0.0, 1.0) : 0.0;
         }
         return bias2;
     }
@@ -112,6 +125,42 @@ struct TripleSums {
             pair.bd[i] = ub[i] - t[i] * own.bd[i] + t[i] * uv[i] - sqr(t[i]) * own.d2[i];
         }
         return pair;
+    }
+};
+
+/// Light that arrives straight from emitters, of the cluster in one half of the parts: sums of its luminance, by pixel.
+struct SharedDirect {
+    double n = 0;
+    std::vector<double> b, b2;
+
+    explicit SharedDirect(std::size_t n_pixels) : b(n_pixels), b2(n_pixels) {}
+
+    void add(const Luminances& emitted, const Luminances& direct) {
+        ++n;
+        for (std::size_t i = 0; i < b.size(); ++i) {
+            b[i] += emitted[i] + direct[i];
+            b2[i] += sqr(emitted[i] + direct[i]);
+        }
+    }
+
+    /// Weight of an independent image `a` without bias, of variance var_a.
+    std::vector<double> weights(const Luminances& a, const Luminances& var_a, const std::vector<double>& importance, int width,
+                                int height, const Test& test) const {
+        std::vector<double> bias2(b.size()), noise(b.size()), all(b.size());
+        for (std::size_t i = 0; i < b.size(); ++i) {
+            const double mean = b[i] / n, var_mean = std::max(b2[i] / n - sqr(mean), 0.0) / (n - 1);
+            bias2[i] = (sqr(a[i] - mean) - var_a[i] - var_mean) * importance[i];
+            noise[i] = var_mean * importance[i];
+            all[i] = (var_a[i] + var_mean) * importance[i];
+        }
+        bias2 = significant(bias2, width, height, test);
+        noise = window_mean(noise, width, height, test.radius);
+        all = window_mean(all, width, height, test.radius);
+        for (std::size_t i = 0; i < b.size(); ++i) {
+            const double under = bias2[i] + all[i];
+            bias2[i] = under > 0 ? (bias2[i] + noise[i]) / under : 0.0;
+        }
+        return bias2;
     }
 };
 
@@ -173,34 +222,54 @@ bool has_estimates(const Image& image) {
     return std::ranges::all_of(estimate_layers, [&](const char* layer) { return !image.find(std::string(layer) + ".R").empty(); });
 }
 
-Image blend_images(std::size_t n_parts, const std::function<Image(std::size_t)>& part) {
+Image blend_images(std::size_t n_parts, const std::function<Image(std::size_t)>& part, const Image* direct_image) {
     LayerMeans layers(n_parts);
     std::vector<double> luminance_sum;
     std::vector<PairSums> direct;
+    std::vector<SharedDirect> shared_direct;
     std::vector<TripleSums> indirect;
     for (std::size_t i = 0; i < n_parts; ++i) {
         const Image image = part(i);
         layers.add(image);
         if (i == 0) {
             luminance_sum.resize(image.n_pixels());
-            direct.assign(2, PairSums(image.n_pixels()));
+            if (direct_image)
+                shared_direct.assign(2, SharedDirect(image.n_pixels()));
+            else
+                direct.assign(2, PairSums(image.n_pixels()));
             indirect.assign(2, TripleSums(image.n_pixels()));
         }
         const Luminances y = luminances(image.interleaved(""));
         for (std::size_t p = 0; p < y.size(); ++p) luminance_sum[p] += y[p];
         const auto layer = [&](const char* name) { return luminances(image.interleaved(name)); };
-        direct[i % 2].add(layer("DirectOwn"), layer("DirectCluster"));
+        if (direct_image)
+            shared_direct[i % 2].add(layer("Emitted"), layer("DirectCluster"));
+        else
+            direct[i % 2].add(layer("DirectOwn"), layer("DirectCluster"));
         indirect[i % 2].add(layer("IndirectPath"), layer("IndirectOwn"), layer("IndirectCluster"));
     }
 
     const int width = int(layers.result.width), height = int(layers.result.height);
     std::vector<double> importance = window_mean(luminance_sum, width, height, against_own.radius);
     for (double& y : importance) y = 1 / (sqr(y / double(n_parts)) + 0.01);  // errors count relative to brightness
+    std::vector<float> direct_rgb, direct_var;
+    Luminances direct_y, direct_var_y;
+    if (direct_image) {
+        direct_rgb = direct_image->interleaved("");
+        direct_var = direct_image->interleaved("VarMean");
+        direct_y = luminances(direct_rgb);
+        // Channels rise and fall together: their standard deviations add up.
+        std::vector<float> deviation(direct_var.size());
+        for (std::size_t k = 0; k < deviation.size(); ++k) deviation[k] = std::sqrt(direct_var[k]);
+        direct_var_y = luminances(deviation);
+        for (double& y : direct_var_y) y = sqr(y);
+    }
     Weights weights[2];
     for (int half = 0; half < 2; ++half) {
         const TripleSums& other = indirect[1 - half];
         Weights& w = weights[half];
-        w.direct = direct[1 - half].weights(importance, width, height, against_own);
+        w.direct = direct_image ? shared_direct[1 - half].weights(direct_y, direct_var_y, importance, width, height, against_own)
+                                : direct[1 - half].weights(importance, width, height, against_own);
         w.own = other.own.weights(importance, width, height, against_own);
         w.path = other.against_blend(w.own).weights(importance, width, height, against_path);
     }
@@ -216,8 +285,9 @@ Image blend_images(std::size_t n_parts, const std::function<Image(std::size_t)>&
         for (std::size_t p = 0; p < n_pixels; ++p)
             for (std::size_t k = 3 * p; k < 3 * p + 3; ++k) {
                 const double shared = cluster[k] + w.own[p] * (double(own[k]) - cluster[k]);
-                moments[k].add(emitted[k] + direct_cluster[k] + w.direct[p] * (double(direct_own[k]) - direct_cluster[k]) + shared +
-                               w.path[p] * (path[k] - shared));
+                const double straight = emitted[k] + direct_cluster[k];
+                const double other = direct_image ? direct_rgb[k] : emitted[k] + direct_own[k];
+                moments[k].add(straight + w.direct[p] * (other - straight) + shared + w.path[p] * (path[k] - shared));
             }
     }
     Image result = std::move(layers).finish(moments);
@@ -228,6 +298,12 @@ Image blend_images(std::size_t n_parts, const std::function<Image(std::size_t)>&
         own_weight[p] = float(lerp(1 - even, weights[0].own[p], weights[1].own[p]));
         path_weight[p] = float(lerp(1 - even, weights[0].path[p], weights[1].path[p]));
     }
+    // The image of direct light is the same in all parts: its own noise does not show between them.
+    if (direct_image)
+        for (int c = 0; c < 3; ++c) {
+            const auto var_mean = result.add(std::string("VarMean.") + "RGB"[c]);
+            for (std::size_t p = 0; p < n_pixels; ++p) var_mean[p] += float(sqr(double(result.find("Blend.Direct")[p])) * direct_var[3 * p + c]);
+        }
     return result;
 }
 

@@ -22,10 +22,12 @@ bool has_estimates(const Image& image);
 /// test. The weights of even parts are applied to odd ones and the other way round: a weight that knew the noise of
 /// what it weighs would favour dark samples.
 /// in:      part   reads part i; called twice for each, so that memory does not grow with their number
+///          direct  emission and direct light of independent samples, with VarMean: then A for direct light in place of
+///                  the parts' own samples, since many such samples cost as much as few whole paths   PG figure 10
 /// needs:   at least min_blend_parts parts of one size with estimates
 /// out:     R, G, B with VarMean over parts; layers that all parts have, without the estimates; Blend.Direct,
 ///          Blend.Own and Blend.Path, the mean weights t
-Image blend_images(std::size_t n_parts, const std::function<Image(std::size_t)>& part);
+Image blend_images(std::size_t n_parts, const std::function<Image(std::size_t)>& part, const Image* direct = nullptr);
 
 /// Mean of the parts' own pictures; VarMean is that between parts, since samples within one are not independent.
 /// needs, in, out: as blend_images, of two parts or more; no weights

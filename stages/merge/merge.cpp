@@ -100,6 +100,7 @@ void declare(app::Command& command, Options& options) {
         .required();
     command.output("-o,--output", options.output, "the joined image").required();
     command.flag("--zip", options.zip, "compress the output");
+    command.file("--direct", options.direct, "emission and direct light of other samples (EXR, paths of at most two edges), for the blend");
     command.flag("--no-blend", options.no_blend, "do not blend the estimates of path graphs with those of their paths");
     command.example("loom-merge pass-0.exr pass-1.exr -o image.exr");
 }
@@ -117,20 +118,31 @@ void run(const Options& options, app::Report& report) {
     const Image first = read_image(options.parts[0]);
     const bool estimates = has_estimates(first);
     const bool blend = estimates && !options.no_blend && options.parts.size() >= min_blend_parts;
-    Image merged;
+    Image merged, direct;
+    if (!options.direct.empty()) {
+        if (!blend)
+            throw InputError(fmt::format("{}: only a blend takes it: {} or more parts of path graphs with estimates", options.direct, min_blend_parts));
+        direct = read_image(options.direct);
+        if (direct.width != first.width || direct.height != first.height)
+            throw InputError(fmt::format("{}: is {} x {}, but {} is {} x {}", options.direct, direct.width, direct.height,
+                                         options.parts[0], first.width, first.height));
+        if (direct.find("VarMean.R").empty() || direct.samples < 2)
+            throw InputError(fmt::format("{}: does not say how noisy it is (VarMean of two samples or more)", options.direct));
+        provenance.inputs.push_back(identify(options.direct));
+    }
     if (estimates && options.parts.size() > 1) {
         const auto part = [&](std::size_t i) {
             Image image = read_image(options.parts[i]);
             check_fit(first, image, options.parts[0], options.parts[i]);
             return image;
         };
-        merged = blend ? blend_images(options.parts.size(), part) : average_images(options.parts.size(), part);
+        merged = blend ? blend_images(options.parts.size(), part, options.direct.empty() ? nullptr : &direct) : average_images(options.parts.size(), part);
     } else {
         std::vector<Image> parts;
         for (const std::string& file : options.parts) parts.push_back(read_image(file));
         merged = merge_images(parts, options.parts);
     }
-    const std::string why = blend ? "on: blend with the paths' own estimates; off: nothing"
+    const std::string why = blend ? fmt::format("on: blend with the paths' own estimates; off: {}", options.direct.empty() ? "further direct light (none given)" : "nothing")
                             : !estimates       ? ""
                             : options.no_blend ? "off: blend with the paths' own estimates (--no-blend)"
                                                : fmt::format("off: blend with the paths' own estimates (fewer than {} parts)", min_blend_parts);
@@ -145,6 +157,7 @@ void run(const Options& options, app::Report& report) {
     Cost cost = report.cost();
     cost.bytes_written = std::filesystem::file_size(options.output);
     for (const std::string& part : options.parts) cost.parents.push_back(parent_of(options.output, part));
+    if (!options.direct.empty()) cost.parents.push_back(parent_of(options.output, options.direct));
     write_cost(cost, options.output);
     const std::size_t n_bad = count_nonfinite(merged);
     if (n_bad > 0) report.warn("{}: {} numbers are NaN or infinite", options.output, n_bad);

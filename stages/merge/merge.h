@@ -18,6 +18,7 @@ struct Options {
     std::vector<std::string> parts;  // images, in the order in which they are summed
     std::string output;              // the joined image
     bool zip = false;                // compress the output
+    std::string direct;              // emission and direct light by themselves, to be blended in
     bool no_blend = false;           // leave the parts' own picture as it is
 };
 

@@ -62,8 +62,8 @@ TEST_F(MakeImage, leaves_picture_preview_and_graph_and_then_does_nothing) {
     EXPECT_EQ(picture.samples, 4u);
     EXPECT_EQ(count_nonfinite(picture), 0u);
     EXPECT_TRUE(fs::exists(folder / "x/image.png"));
-    EXPECT_TRUE(fs::exists(folder / "x/graph/pass-1.h5"));
-    EXPECT_FALSE(fs::exists(folder / "x/graph/pass-0.h5"));  // gathered and gone
+    EXPECT_TRUE(fs::exists(folder / "x/pathgraph/pass-1.h5"));
+    EXPECT_FALSE(fs::exists(folder / "x/pathgraph/pass-0.h5"));  // gathered and gone
 
     EXPECT_TRUE(up_to_date("x", variables));
     EXPECT_TRUE(up_to_date("x", variables + " THREADS=1"));
@@ -84,9 +84,9 @@ TEST_F(MakeImage, leaves_picture_preview_and_graph_and_then_does_nothing) {
 
 TEST_F(MakeImage, more_passes_keep_the_finished_ones) {
     image("x", small + "SPP=1 PASSES=2");
-    const auto time = fs::last_write_time(folder / "x/graph/pass-0.exr");
+    const auto time = fs::last_write_time(folder / "x/pathgraph/pass-0.exr");
     const std::string added = bytes_of(image("x", small + "SPP=1 PASSES=3"));
-    EXPECT_EQ(fs::last_write_time(folder / "x/graph/pass-0.exr"), time);
+    EXPECT_EQ(fs::last_write_time(folder / "x/pathgraph/pass-0.exr"), time);
     EXPECT_TRUE(added == bytes_of(image("y", small + "SPP=1 PASSES=3")));
 }
 
