@@ -15,10 +15,6 @@
 namespace loom::gather {
 namespace {
 
-Spectrum rgb(const Column<float>& column, std::size_t i) {
-    return {column[3 * i], column[3 * i + 1], column[3 * i + 2]};
-}
-
 FirstHit first_hit(const PathGraph& g, std::size_t path, const ShadingPoint& at) {
     const Point3f origin = g.paths.origin.empty()
                                ? Point3f{float(g.sensor.origin[0]), float(g.sensor.origin[1]), float(g.sensor.origin[2])}

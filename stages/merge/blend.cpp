@@ -302,7 +302,7 @@ Image blend_images(std::size_t n_parts, const std::function<Image(std::size_t)>&
     if (direct_image)
         for (int c = 0; c < 3; ++c) {
             const auto var_mean = result.add(std::string("VarMean.") + "RGB"[c]);
-            for (std::size_t p = 0; p < n_pixels; ++p) var_mean[p] += float(sqr(double(result.find("Blend.Direct")[p])) * direct_var[3 * p + c]);
+            for (std::size_t p = 0; p < n_pixels; ++p) var_mean[p] += float(sqr(double(direct_weight[p])) * direct_var[3 * p + c]);
         }
     return result;
 }

@@ -138,8 +138,8 @@ void run(const Options& options, app::Report& report) {
         };
         merged = blend ? blend_images(options.parts.size(), part, options.direct.empty() ? nullptr : &direct) : average_images(options.parts.size(), part);
     } else {
-        std::vector<Image> parts;
-        for (const std::string& file : options.parts) parts.push_back(read_image(file));
+        std::vector<Image> parts{first};
+        for (std::size_t i = 1; i < options.parts.size(); ++i) parts.push_back(read_image(options.parts[i]));
         merged = merge_images(parts, options.parts);
     }
     const std::string why = blend ? fmt::format("on: blend with the paths' own estimates; off: {}", options.direct.empty() ? "further direct light (none given)" : "nothing")

@@ -1,16 +1,6 @@
 #include "stages/core/transport/cluster_edges.h"
 
-#include "formats/io/octahedral.h"
-
 namespace loom {
-namespace {
-
-Normal3f normal(const Column<std::int16_t>& column, std::size_t i) {
-    const auto unit = unit_from_octahedral(column[2 * i], column[2 * i + 1]);
-    return {unit[0], unit[1], unit[2]};
-}
-
-}  // namespace
 
 std::vector<std::uint32_t> light_edge_offsets(const PathGraph& graph) {
     const auto& vertex = graph.light_edges.vertex;
@@ -25,12 +15,12 @@ std::vector<std::uint32_t> light_edge_offsets(const PathGraph& graph) {
 
 Normal3f facing_normal(const PathGraph& graph, std::size_t j) {
     const auto& v = graph.vertices;
-    const Normal3f n = normal(v.ng.empty() ? v.ns : v.ng, j);
+    const Normal3f n = unit_vector<Normal3f>(v.ng.empty() ? v.ns : v.ng, j);
     return dot(n, Vector3f{v.wo[3 * j], v.wo[3 * j + 1], v.wo[3 * j + 2]}) < 0 ? -n : n;
 }
 
 Normal3f light_normal(const PathGraph& graph, std::size_t edge) {
-    return normal(graph.light_edges.n, edge);
+    return unit_vector<Normal3f>(graph.light_edges.n, edge);
 }
 
 }  // namespace loom

@@ -82,7 +82,7 @@ void for_each_light_edge(ClusterShading& shading, const PathGraph& graph, std::s
         for (std::uint32_t i = offsets[j]; i < offsets[j + 1]; ++i) {
             const bool next_event = LightTechnique(e.technique[i]) == LightTechnique::next_event;
             if (!next_event && is_delta(Lobe(graph.vertices.lobe[j]))) continue;
-            Spectrum light{e.Li[3 * i], e.Li[3 * i + 1], e.Li[3 * i + 2]};
+            Spectrum light = rgb(e.Li, i);
             const Point3f y{e.y[4 * i], e.y[4 * i + 1], e.y[4 * i + 2]};
             const float* p = graph.vertices.p.data() + 3 * j;
             float pdf_nee = e.pdf_nee_w[i];

@@ -1,20 +1,10 @@
 #include "stages/core/transport/graph_reader.h"
 
-#include "formats/io/octahedral.h"
-
 namespace loom {
 namespace {
 
-Spectrum rgb(const Column<float>& column, std::size_t i) {
-    return {column[3 * i], column[3 * i + 1], column[3 * i + 2]};
-}
 Spectrum rgb(const Column<Half>& column, std::size_t i) {
     return {float_from_half(column[3 * i]), float_from_half(column[3 * i + 1]), float_from_half(column[3 * i + 2])};
-}
-template <class V>
-V direction(const Column<std::int16_t>& column, std::size_t i) {
-    const auto unit = unit_from_octahedral(column[2 * i], column[2 * i + 1]);
-    return {unit[0], unit[1], unit[2]};
 }
 
 }  // namespace
@@ -53,11 +43,11 @@ ShadingPoint GraphReader::vertex(std::size_t j) const {
     ShadingPoint at;
     at.p = {v.p[3 * j], v.p[3 * j + 1], v.p[3 * j + 2]};
     at.wo = {v.wo[3 * j], v.wo[3 * j + 1], v.wo[3 * j + 2]};
-    const auto n = direction<Normal3f>(v.ns, j);
-    at.ng = v.ng.empty() ? n : direction<Normal3f>(v.ng, j);
-    at.n_side = v.n_side.empty() ? n : direction<Normal3f>(v.n_side, j);
+    const auto n = unit_vector<Normal3f>(v.ns, j);
+    at.ng = v.ng.empty() ? n : unit_vector<Normal3f>(v.ng, j);
+    at.n_side = v.n_side.empty() ? n : unit_vector<Normal3f>(v.n_side, j);
     at.perturbed = !v.n_side.empty() && !(at.n_side == n);
-    at.frame = v.tangent.empty() ? Framef(n) : frame_along(n, direction<Vector3f>(v.tangent, j));
+    at.frame = v.tangent.empty() ? Framef(n) : frame_along(n, unit_vector<Vector3f>(v.tangent, j));
     at.wo_local = at.frame.to_local(at.wo);
     Bsdf<float> b(models_[v.material[j]]);
     const std::uint8_t textured = graph_.materials.textured[v.material[j]];

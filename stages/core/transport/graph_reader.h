@@ -1,10 +1,23 @@
 #pragma once
 #include <vector>
 
+#include "formats/io/octahedral.h"
 #include "formats/path_graph.h"
 #include "stages/core/transport/shading.h"
 
 namespace loom {
+
+/// Row i of a column of colours.
+inline Spectrum rgb(const Column<float>& column, std::size_t i) {
+    return {column[3 * i], column[3 * i + 1], column[3 * i + 2]};
+}
+
+/// Row i of a column of octahedral unit vectors.
+template <class V>
+V unit_vector(const Column<std::int16_t>& column, std::size_t i) {
+    const auto unit = unit_from_octahedral(column[2 * i], column[2 * i + 1]);
+    return {unit[0], unit[1], unit[2]};
+}
 
 /// Vertices of a path graph as shading points, the very ones that the tracer had. The graph is borrowed.
 class GraphReader {

@@ -15,11 +15,6 @@ Spectrum own_continuation(const GraphReader& reader, const ShadingPoint& at, std
 
 namespace {
 
-Spectrum incident(const PathGraph& graph, std::size_t k) {
-    const auto& Li = graph.light_edges.Li;
-    return {Li[3 * k], Li[3 * k + 1], Li[3 * k + 2]};
-}
-
 /// Of the technique that found edge k against the other one.
 float mis_weight(const PathGraph& graph, std::size_t k, Heuristic heuristic) {
     const auto& e = graph.light_edges;
@@ -34,7 +29,7 @@ Spectrum own_light(const PathGraph& graph, const Spectrum& f_cos, std::size_t j,
     const auto& e = graph.light_edges;
     const bool next_event = LightTechnique(e.technique[k]) == LightTechnique::next_event;
     const float pdf = next_event ? e.pdf_nee_w[k] : graph.vertices.pdf_w[j];
-    return f_cos * incident(graph, k) * (mis_weight(graph, k, heuristic) / pdf);
+    return f_cos * rgb(e.Li, k) * (mis_weight(graph, k, heuristic) / pdf);
 }
 
 Spectrum own_light(const GraphReader& reader, const ShadingPoint& at, std::size_t j, std::size_t k, Heuristic heuristic) {
@@ -42,7 +37,7 @@ Spectrum own_light(const GraphReader& reader, const ShadingPoint& at, std::size_
     const Vector3f wi = reader.light_direction(at.p, k);
     const bool next_event = LightTechnique(g.light_edges.technique[k]) == LightTechnique::next_event;
     if (next_event || !is_delta(Lobe(g.vertices.lobe[j]))) return own_light(g, f_cos_pdf(at, wi).f_cos, j, k, heuristic);
-    return own_continuation(reader, at, j, wi) * incident(g, k) * mis_weight(g, k, heuristic);
+    return own_continuation(reader, at, j, wi) * rgb(g.light_edges.Li, k) * mis_weight(g, k, heuristic);
 }
 
 std::size_t first_light_edge(const PathGraph& graph, std::size_t j) {
