@@ -26,20 +26,31 @@ Arena::~Arena() {
 std::span<std::byte> Arena::allocate(std::size_t n_bytes) {
     const std::size_t rounded = rounded_up(n_bytes, block_alignment);
     const std::lock_guard lock(mutex_);
-    if (rounded > free_.size()) {
-        // One huge page more, so that the blocks can begin at the border of one.
-        const std::size_t size = std::max(mapping_bytes, rounded_up(rounded, huge_page_bytes)) + huge_page_bytes;
-        mapped_.reserve(mapped_.size() + 1);
-        void* at = ::mmap(nullptr, size, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1, 0);
-        if (at == MAP_FAILED) throw std::bad_alloc();
-        ::madvise(at, size, MADV_HUGEPAGE);  // a wish: small pages do as well
-        mapped_.emplace_back(static_cast<std::byte*>(at), size);
-        const auto address = reinterpret_cast<std::uintptr_t>(at);
-        free_ = mapped_.back().subspan(rounded_up(address, huge_page_bytes) - address);
+    while (rounded > free_.size()) {
+        if (n_used_ == mapped_.size()) map(rounded);
+        const std::span<std::byte> mapping = mapped_[n_used_++];
+        const auto address = reinterpret_cast<std::uintptr_t>(mapping.data());
+        free_ = mapping.subspan(rounded_up(address, huge_page_bytes) - address);
     }
     const auto block = free_.first(n_bytes);
     free_ = free_.subspan(rounded);
     return block;
+}
+
+void Arena::reset() {
+    const std::lock_guard lock(mutex_);
+    n_used_ = 0;
+    free_ = {};
+}
+
+void Arena::map(std::size_t n_bytes) {
+    // One huge page more, so that the blocks can begin at the border of one.
+    const std::size_t size = std::max(mapping_bytes, rounded_up(n_bytes, huge_page_bytes)) + huge_page_bytes;
+    mapped_.reserve(mapped_.size() + 1);
+    void* at = ::mmap(nullptr, size, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1, 0);
+    if (at == MAP_FAILED) throw std::bad_alloc();
+    ::madvise(at, size, MADV_HUGEPAGE);  // a wish: small pages do as well
+    mapped_.emplace_back(static_cast<std::byte*>(at), size);
 }
 
 }  // namespace loom

@@ -1,4 +1,5 @@
 #pragma once
+#include <algorithm>
 #include <array>
 #include <cstddef>
 #include <span>
@@ -50,11 +51,24 @@ class Column {
     std::span<const T> view_;
 };
 
-/// One array that is still being filled.
+/// One array of known length that is being filled where it will stay; empty when it is not wanted.
 template <class T>
-struct GrowingColumn : std::vector<T> {
+struct PlacedColumn {
     using Element = T;
-    using std::vector<T>::vector;
+    bool wanted = true;
+    std::span<T> values;
+
+    /// Row `row` of a column as wide as there are numbers.
+    template <class... Numbers>
+    void put(std::size_t row, Numbers... numbers) const {
+        if (!wanted) return;
+        T* at = values.data() + row * sizeof...(numbers);
+        ((*at++ = numbers), ...);
+    }
+    template <std::size_t width>
+    void put(std::size_t row, const std::array<T, width>& numbers) const {
+        if (wanted) std::copy(numbers.begin(), numbers.end(), values.data() + row * width);
+    }
 };
 
 /// One array whose consecutive pieces lie apart, in memory that outlives it: what a writer takes without

@@ -79,8 +79,7 @@ struct Worker {
     PathBatch batch;
     std::vector<PathId> ids;
     std::vector<PathResult> results;
-    std::vector<PathRecord> records;
-    GraphRows rows;
+    PathRecords records;
     Worker(const Scene& scene, const PathOptions& path) : batch(scene, path) {}
 };
 
@@ -170,14 +169,13 @@ Image render_image(const Scene& scene, const PathOptions& path, const Work& work
 }
 
 PathGraphInPieces render_graph(const Scene& scene, const PathOptions& path, const Work& work,
-                               app::Report& report, Counts& counts) {
+                               app::Report& report, Counts& counts, std::shared_ptr<Arena> memory) {
     const std::uint64_t n_pixels = scene.sensor.n_pixels(), n_paths = n_pixels * work.spp;
-    GraphBuilder builder((n_paths + PathBatch::capacity - 1) / PathBatch::capacity);
+    GraphBuilder builder(scene, path, (n_paths + PathBatch::capacity - 1) / PathBatch::capacity, std::move(memory));
     NonfiniteLog nonfinite(report, scene, path);
     Totals totals;
     {
         app::Progress progress(report, "tracing", n_paths);
-        const bool roulette = path.roulette != Roulette::off;
         tbb::enumerable_thread_specific<Worker> workers([&] { return Worker(scene, path); });
         parallel_chunks(n_paths, PathBatch::capacity, work.threads,
                         [&](std::uint64_t chunk, std::uint64_t begin, std::uint64_t end) {
@@ -187,20 +185,18 @@ PathGraphInPieces render_graph(const Scene& scene, const PathOptions& path, cons
                             for (std::uint64_t i = begin; i < end; ++i)
                                 worker.ids[i - begin] = {i % n_pixels, work.first_sample + i / n_pixels};
                             worker.results.resize(worker.ids.size());
-                            worker.records.resize(PathBatch::capacity);
                             worker.batch.trace(worker.ids, worker.results, worker.records);
                             for (std::size_t k = 0; k < worker.ids.size(); ++k) {
                                 nonfinite.check(worker.results[k].L, worker.ids[k]);
-                                worker.rows.append(worker.records[k], scene, roulette);
                                 count(worker.results[k], mine);
                             }
-                            builder.set(chunk, worker.rows);
+                            builder.set(chunk, worker.records);
                             totals.add(mine);
                             progress.add(end - begin);
                         });
     }
     counts = {totals.rays, totals.vertices, nonfinite.count()};
-    return std::move(builder).finish(scene, path, work.first_sample, work.spp);
+    return std::move(builder).finish(work.first_sample, work.spp);
 }
 
 void declare(app::Command& command, Options& options) {
@@ -280,6 +276,7 @@ void run(const Options& options, app::Report& report) {
 
     // What reading the scene has cost, each pass carries a part of.
     const Cost loading = report.cost();
+    const auto memory = std::make_shared<Arena>();  // of a graph, reused by the next pass
     for (std::uint64_t pass = 0; pass < options.passes; ++pass) {
         const Cost before = report.cost();
         const std::string output = output_of_pass(options, pass);
@@ -296,7 +293,7 @@ void run(const Options& options, app::Report& report) {
             image.provenance = std::move(provenance);
             write_image(image, output);
         } else {
-            PathGraphInPieces graph = render_graph(*scene, path, work, report, counts);
+            PathGraphInPieces graph = render_graph(*scene, path, work, report, counts, memory);
             graph.provenance = std::move(provenance);
             write_path_graph(graph, output);
             std::uint64_t bytes = 0;

@@ -48,9 +48,9 @@ struct Counts {
 /// Path-traced image with auxiliary layers; keeps nothing but the film. Same values for any number of threads.
 Image render_image(const Scene& scene, const PathOptions& path, const Work& work, app::Report& report, Counts& counts);
 
-/// The same paths as a graph, to be written.
+/// The same paths as a graph, to be written, in the memory given: that of an earlier graph, which is gone then.
 PathGraphInPieces render_graph(const Scene& scene, const PathOptions& path, const Work& work, app::Report& report,
-                               Counts& counts);
+                               Counts& counts, std::shared_ptr<Arena> memory = std::make_shared<Arena>());
 
 void declare(app::Command& command, Options& options);
 

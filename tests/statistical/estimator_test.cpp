@@ -71,19 +71,19 @@ TEST_P(GraphAgainstImage, BatchEqualsPathsOneByOne) {
     std::vector<PathId> ids;
     for (std::uint64_t pixel = 0; pixel < PathBatch::capacity; ++pixel) ids.push_back({3 * pixel, pixel % 5});
     std::vector<PathResult> results(ids.size()), bare(ids.size());
-    std::vector<PathRecord> records(ids.size());
+    PathRecords records;
     batch.trace(ids, results, records);
     batch.trace(ids, bare);
     int differ = 0;
     for (std::size_t i = 0; i < ids.size(); ++i) {
-        PathRecord record;
+        PathRecords record;
         const PathResult one = trace_path(*scene, options, ids[i], record);
         EXPECT_EQ(bare[i].L, results[i].L);
         const float scale = std::max(max_channel(one.L), 0.01f);
         const Spectrum d = one.L - results[i].L;
         const bool same = std::abs(d.r) <= 1e-3f * scale && std::abs(d.g) <= 1e-3f * scale && std::abs(d.b) <= 1e-3f * scale &&
-                          record.vertices.size() == records[i].vertices.size() &&
-                          record.light_edges.size() == records[i].light_edges.size() && one.n_rays == results[i].n_rays;
+                          record.paths[0].n_vertices == records.paths[i].n_vertices &&
+                          record.paths[0].n_light_edges == records.paths[i].n_light_edges && one.n_rays == results[i].n_rays;
         differ += !same;
     }
     EXPECT_LE(differ, 2);

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cstddef>
+#include <cstdint>
 #include <span>
 #include <vector>
 
@@ -11,28 +12,45 @@
 
 namespace loom {
 
+/// Sums of n >= 1 non-negative weights up to each cell, 1 in all, in n + 1 numbers; and a guide, as long:
+/// guide[k] is the last cell that starts at or before k / n, so that a look-up is O(1) on average.
+struct CumulativeCells {
+    static double fill(std::span<const double> weights, float* cdf, std::uint32_t* guide) {
+        const std::size_t n = weights.size();
+        double sum = 0;
+        for (double w : weights) sum += w;
+        double running = 0;
+        for (std::size_t i = 0; i < n; ++i) {
+            cdf[i] = float(running / sum);
+            running += weights[i];
+        }
+        cdf[n] = 1.0f;
+        std::size_t cell = 0;
+        for (std::size_t k = 0; k <= n; ++k) {
+            while (cell + 1 < n && cdf[cell + 1] <= float(k) / float(n)) ++cell;
+            guide[k] = std::uint32_t(cell);
+        }
+        return sum;
+    }
+
+    /// Where in the guide a look-up begins.
+    static std::size_t guide_place(float u, std::size_t n) { return std::min(std::size_t(u * float(n)), n - 1); }
+
+    /// The cell that u lies in, from the guide's cell i on; u is replaced by its place inside, again uniform.
+    static std::size_t find(const float* cdf, std::size_t n, std::size_t i, float& u) {
+        while (i > 0 && cdf[i] > u) --i;
+        while (i + 1 < n && cdf[i + 1] <= u) ++i;
+        u = std::min((u - cdf[i]) / (cdf[i + 1] - cdf[i]), 0x1.fffffep-1f);
+        return i;
+    }
+};
+
 /// Discrete distribution over n >= 1 non-negative weights with a positive sum.
 class Distribution1 {
   public:
     Distribution1() = default;
-    explicit Distribution1(std::span<const double> weights) : cdf_(weights.size() + 1) {
-        double sum = 0;
-        for (double w : weights) sum += w;
-        double running = 0;
-        for (std::size_t i = 0; i < weights.size(); ++i) {
-            cdf_[i] = float(running / sum);
-            running += weights[i];
-        }
-        cdf_.back() = 1.0f;
-        sum_ = sum;
-        // guide_[k]: the last cell that starts at or before k / n, so that a look-up is O(1) on average.
-        const std::size_t n = weights.size();
-        guide_.resize(n + 1);
-        std::size_t cell = 0;
-        for (std::size_t k = 0; k <= n; ++k) {
-            while (cell + 1 < n && cdf_[cell + 1] <= float(k) / float(n)) ++cell;
-            guide_[k] = std::uint32_t(cell);
-        }
+    explicit Distribution1(std::span<const double> weights) : cdf_(weights.size() + 1), guide_(weights.size() + 1) {
+        sum_ = CumulativeCells::fill(weights, cdf_.data(), guide_.data());
     }
 
     std::size_t size() const { return guide_.empty() ? 0 : guide_.size() - 1; }
@@ -41,12 +59,7 @@ class Distribution1 {
 
     /// Index with probability pmf(index); u is replaced by its place inside the cell, again uniform.
     std::size_t sample(float& u) const {
-        const std::size_t n = size();
-        std::size_t i = guide_[std::min(std::size_t(u * float(n)), n - 1)];
-        while (i > 0 && cdf_[i] > u) --i;
-        while (i + 1 < n && cdf_[i + 1] <= u) ++i;
-        u = std::min((u - cdf_[i]) / (cdf_[i + 1] - cdf_[i]), 0x1.fffffep-1f);
-        return i;
+        return CumulativeCells::find(cdf_.data(), size(), guide_[CumulativeCells::guide_place(u, size())], u);
     }
 
   private:
@@ -60,43 +73,71 @@ class Distribution2 {
   public:
     Distribution2() = default;
     Distribution2(std::span<const double> weights, std::size_t width, std::size_t height)
-        : width_(width), height_(height) {
-        std::vector<double> row_sums(height);
-        rows_.reserve(height);
+        : width_(width), height_(height), cdf_((width + 1) * height), guide_((width + 1) * height) {
+        std::vector<double> row_sums(height), ones(width, 1.0);
         for (std::size_t y = 0; y < height; ++y) {
-            std::vector<double> row(weights.begin() + y * width, weights.begin() + (y + 1) * width);
-            double sum = 0;
-            for (double w : row) sum += w;
-            if (sum <= 0) std::fill(row.begin(), row.end(), 1.0);  // never chosen; keeps the row valid
-            rows_.emplace_back(row);
-            row_sums[y] = sum;
+            const auto row = weights.subspan(y * width, width);
+            for (double w : row) row_sums[y] += w;
+            // A row that is never chosen is kept valid.
+            CumulativeCells::fill(row_sums[y] > 0 ? row : std::span<const double>(ones), row_start(cdf_, y), row_start(guide_, y));
         }
         marginal_ = Distribution1(row_sums);
     }
 
     double sum() const { return marginal_.sum(); }
 
+    /// A look-up in steps, each of which asks for the memory that the next one reads: many look-ups, step by step,
+    /// wait for it together.
+    struct Search {
+        Point2f u;
+        std::size_t x = 0, y = 0;
+    };
+    Search begin(Point2f u) const {
+        Search s{u};
+        s.y = marginal_.sample(s.u.y);
+        __builtin_prefetch(row_start(guide_, s.y) + CumulativeCells::guide_place(u.x, width_));
+        return s;
+    }
+    void guess(Search& s) const {
+        s.x = row_start(guide_, s.y)[CumulativeCells::guide_place(s.u.x, width_)];
+        __builtin_prefetch(row_start(cdf_, s.y) + s.x);
+    }
+    Point2f finish(Search& s, float& pdf) const {
+        s.x = CumulativeCells::find(row_start(cdf_, s.y), width_, s.x, s.u.x);
+        pdf = density(s.x, s.y);
+        return {(float(s.x) + s.u.x) / float(width_), (float(s.y) + s.u.y) / float(height_)};
+    }
+
     /// in: u in [0,1)^2; out: point in [0,1)^2 and its density per unit of the square.
     Point2f sample(Point2f u, float& pdf) const {
-        const std::size_t y = marginal_.sample(u.y);
-        const std::size_t x = rows_[y].sample(u.x);
-        pdf = density(x, y);
-        return {(float(x) + u.x) / float(width_), (float(y) + u.y) / float(height_)};
+        Search s = begin(u);
+        guess(s);
+        return finish(s, pdf);
     }
 
-    float pdf(Point2f p) const {
-        return density(std::min(std::size_t(p.x * float(width_)), width_ - 1),
-                       std::min(std::size_t(p.y * float(height_)), height_ - 1));
+    /// The same in steps: the cell of a point, whose memory is asked for, then its density.
+    Search cell(Point2f p) const {
+        Search s{p, std::min(std::size_t(p.x * float(width_)), width_ - 1), std::min(std::size_t(p.y * float(height_)), height_ - 1)};
+        __builtin_prefetch(row_start(cdf_, s.y) + s.x);
+        return s;
     }
+    float pdf(const Search& cell) const { return density(cell.x, cell.y); }
+    float pdf(Point2f p) const { return pdf(cell(p)); }
 
   private:
+    template <class T>
+    T* row_start(std::vector<T>& rows, std::size_t y) const { return rows.data() + (width_ + 1) * y; }
+    template <class T>
+    const T* row_start(const std::vector<T>& rows, std::size_t y) const { return rows.data() + (width_ + 1) * y; }
     float density(std::size_t x, std::size_t y) const {
-        return marginal_.pmf(y) * rows_[y].pmf(x) * float(width_) * float(height_);
+        const float* cdf = row_start(cdf_, y) + x;
+        return marginal_.pmf(y) * (cdf[1] - cdf[0]) * float(width_) * float(height_);
     }
 
     std::size_t width_ = 0, height_ = 0;
     Distribution1 marginal_;
-    std::vector<Distribution1> rows_;
+    std::vector<float> cdf_;            // of the rows, one behind another
+    std::vector<std::uint32_t> guide_;
 };
 
 }  // namespace loom

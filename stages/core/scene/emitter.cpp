@@ -145,7 +145,17 @@ void sample_sphere_light(const Scene& scene, const Emitter& e, const Point3f& fr
     s.Li = e.radiance;
 }
 
-/// The same for an emitter that is already chosen.
+/// A direction found in the density of an environment map. out: where its radiance stands
+EnvironmentMap::Place place_on_map(const Emitter& e, Point2f st, float density, LightPoint& point) {
+    const Point2f uv{st.x + 0.5f / float(e.map->width), st.y};
+    const Vector3f local = sphere_direction(uv);
+    point.at_infinity = true;
+    point.y = Point3f(e.frame.to_world(local));
+    point.pdf_w = solid_angle_density(density, local);
+    return e.map->place({uv.x - std::floor(uv.x), uv.y});
+}
+
+/// A point on an emitter that is already chosen.
 bool sample_point_on(const Scene& scene, const Emitter& e, Point2f u, LightPoint& point) {
     switch (e.kind) {
         case EmitterKind::area:
@@ -161,12 +171,7 @@ bool sample_point_on(const Scene& scene, const Emitter& e, Point2f u, LightPoint
         case EmitterKind::envmap: {
             float density = 0;
             const Point2f st = e.map->density.sample(u, density);
-            const Point2f uv{st.x + 0.5f / float(e.map->width), st.y};
-            const Vector3f local = sphere_direction(uv);
-            point.at_infinity = true;
-            point.y = Point3f(e.frame.to_world(local));
-            point.pdf_w = solid_angle_density(density, local);
-            point.Li = e.map->eval({uv.x - std::floor(uv.x), uv.y});
+            point.Li = e.map->at(place_on_map(e, st, density, point));
             return true;
         }
         default:
@@ -185,15 +190,22 @@ std::size_t choose_emitter(const Scene& scene, float& u, float& pmf) {
 
 }  // namespace
 
-Spectrum EnvironmentMap::eval(Point2f uv) const {
+EnvironmentMap::Place EnvironmentMap::place(Point2f uv) const {
     float x = uv.x - 0.5f / float(width);
     x = (x - std::floor(x)) * float(width);
     const float y = clamp(uv.y, 0.0f, 1.0f) * float(height - 1);
     const int x0 = std::min(int(x), width - 1), y0 = std::min(int(y), std::max(height - 2, 0));
     const int x1 = x0 + 1 == width ? 0 : x0 + 1, y1 = std::min(y0 + 1, height - 1);
-    const float fx = x - float(x0), fy = y - float(y0);
-    auto at = [&](int i, int j) { return texels[std::size_t(j) * width + i]; };
-    return lerp(fy, lerp(fx, at(x0, y0), at(x1, y0)), lerp(fx, at(x0, y1), at(x1, y1)));
+    const auto at = [&](int i, int j) {
+        const std::size_t texel = std::size_t(j) * width + i;
+        __builtin_prefetch(&texels[texel]);
+        return texel;
+    };
+    return {{at(x0, y0), at(x1, y0), at(x0, y1), at(x1, y1)}, x - float(x0), y - float(y0)};
+}
+
+Spectrum EnvironmentMap::at(const Place& p) const {
+    return lerp(p.fy, lerp(p.fx, texels[p.at[0]], texels[p.at[1]]), lerp(p.fx, texels[p.at[2]], texels[p.at[3]]));
 }
 
 void EnvironmentMap::prepare() {
@@ -213,19 +225,89 @@ void EnvironmentMap::prepare() {
     density = Distribution2(weights, width, rows);
 }
 
-bool sample_light_point(const Scene& scene, Point2f u, LightPoint& point) {
-    const std::size_t index = choose_emitter(scene, u.x, point.pmf);
-    point.emitter = std::uint16_t(index);
-    return sample_point_on(scene, scene.emitters[index], u, point);
+void look_up_light(const Scene& scene, LightQuery& query) {
+    if (query.ask == LightQuery::Ask::environment) {
+        query.Le = environment(scene, query.d);
+        query.pdf_w = scene.environment < 0 ? 0.0f : pdf_environment_w(scene, query.d);
+    } else if (query.ask == LightQuery::Ask::point && !scene.emitters.empty()) {
+        const std::size_t index = choose_emitter(scene, query.u.x, query.point.pmf);
+        query.point.emitter = std::uint16_t(index);
+        query.placed = sample_point_on(scene, scene.emitters[index], query.u, query.point);
+    }
+}
+
+void look_up_lights(const Scene& scene, std::span<LightQuery> queries) {
+    using Ask = LightQuery::Ask;
+    const bool has_map = scene.environment >= 0 && scene.emitters[scene.environment].kind == EmitterKind::envmap;
+    if (!has_map) {
+        for (LightQuery& query : queries) look_up_light(scene, query);
+        return;
+    }
+    const Emitter& e = scene.emitters[scene.environment];
+    const EnvironmentMap& map = *e.map;
+    const float pmf = scene.emitters.size() > 1 ? scene.emitter_pmf.pmf(scene.environment) : 1.0f;
+    constexpr std::size_t block = 64;
+    Distribution2::Search searches[block];
+    EnvironmentMap::Place places[block];
+    std::uint8_t asking[block];
+    for (std::size_t begin = 0; begin < queries.size(); begin += block) {
+        LightQuery* const q = queries.data() + begin;
+        const std::size_t n = std::min(block, queries.size() - begin);
+        std::size_t n_asking = 0;
+        for (std::size_t k = 0; k < n; ++k) {
+            if (q[k].ask == Ask::nothing) continue;
+            if (q[k].ask == Ask::point) {
+                const std::size_t index = choose_emitter(scene, q[k].u.x, q[k].point.pmf);
+                q[k].point.emitter = std::uint16_t(index);
+                if (int(index) != scene.environment) {
+                    q[k].placed = sample_point_on(scene, scene.emitters[index], q[k].u, q[k].point);
+                    continue;
+                }
+                searches[k] = map.density.begin(q[k].u);
+            } else {
+                const Vector3f local = e.frame.to_local(q[k].d);
+                const Point2f uv = sphere_uv(local);
+                q[k].d = local;
+                searches[k] = map.density.cell(cell_point(map, uv));
+                places[k] = map.place(uv);
+            }
+            asking[n_asking++] = std::uint8_t(k);
+        }
+        const auto each = [&](auto&& step) {
+            for (std::size_t i = 0; i < n_asking; ++i) step(q[asking[i]], searches[asking[i]], places[asking[i]]);
+        };
+        each([&](const LightQuery& query, Distribution2::Search& search, EnvironmentMap::Place&) {
+            if (query.ask == Ask::point) map.density.guess(search);
+        });
+        each([&](LightQuery& query, Distribution2::Search& search, EnvironmentMap::Place& place) {
+            if (query.ask == Ask::environment) {
+                query.pdf_w = pmf * solid_angle_density(map.density.pdf(search), query.d);
+                return;
+            }
+            float density = 0;
+            const Point2f st = map.density.finish(search, density);
+            place = place_on_map(e, st, density, query.point);
+            query.placed = true;
+        });
+        each([&](LightQuery& query, const Distribution2::Search&, const EnvironmentMap::Place& place) {
+            (query.ask == Ask::point ? query.point.Li : query.Le) = map.at(place);
+        });
+    }
 }
 
 LightSample sample_light(const Scene& scene, const Point3f& from, Point2f u) {
+    LightQuery query;
+    query.u = u;
+    look_up_light(scene, query);
+    return sample_light(scene, from, query);
+}
+
+LightSample sample_light(const Scene& scene, const Point3f& from, const LightQuery& query) {
     if (scene.emitters.empty()) return {};
-    LightPoint point;
-    const std::size_t index = choose_emitter(scene, u.x, point.pmf);
+    if (query.placed) return seen_from(query.point, from);
+    const std::size_t index = query.point.emitter;
     const Emitter& e = scene.emitters[index];
-    point.emitter = std::uint16_t(index);
-    if (sample_point_on(scene, e, u, point)) return seen_from(point, from);
+    const Point2f u = query.u;
     LightSample s;
     s.emitter = std::uint16_t(index);
     if (e.kind == EmitterKind::area) {
@@ -246,7 +328,7 @@ LightSample sample_light(const Scene& scene, const Point3f& from, Point2f u) {
         s.Li = e.radiance / d2;
         if (e.kind == EmitterKind::spot) s.Li *= spot_falloff(scene, e, e.frame.to_local(-s.wi));
     }
-    s.pdf_w *= point.pmf;
+    s.pdf_w *= query.point.pmf;
     if (is_black(s.Li)) s.pdf_w = 0;
     return s;
 }

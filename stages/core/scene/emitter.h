@@ -1,6 +1,7 @@
 #pragma once
 #include <cstdint>
 #include <memory>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -21,7 +22,14 @@ struct EnvironmentMap {
     std::vector<Spectrum> texels;  // radiance, row by row
     Distribution2 density;         // over the bilinear cells
 
-    Spectrum eval(Point2f uv) const;
+    /// The four texels around a point, by number, and how much of the further ones counts.
+    struct Place {
+        std::size_t at[4];
+        float fx = 0, fy = 0;
+    };
+    Place place(Point2f uv) const;  // asks for their memory
+    Spectrum at(const Place& place) const;
+    Spectrum eval(Point2f uv) const { return at(place(uv)); }
     void prepare();  // fills density
 };
 
@@ -71,10 +79,6 @@ struct LightPoint {
     std::uint16_t emitter = 0;
 };
 
-/// Chooses an emitter by its weight and a point on it, as sample_light does from any point.
-/// out: false: which point, or what arrives from it, depends on what it lights (spheres, delta lights)
-bool sample_light_point(const Scene& scene, Point2f u, LightPoint& point);
-
 /// The light point as a surface point sees it.
 inline LightSample seen_from(const LightPoint& point, const Point3f& from) {
     const Vector3f d = point.y - from;
@@ -93,7 +97,25 @@ inline LightSample seen_from(const LightPoint& point, const Point3f& from) {
     return s;
 }
 
-/// Chooses an emitter by its weight and a point on it. pdf_w = 0 when nothing arrives.
+/// What a step of a path asks of the lights, whatever its surface is like: at a hit, an emitter by its weight and a
+/// point on it; at a miss, what shines from infinity.
+struct LightQuery {
+    enum class Ask : std::uint8_t { nothing, point, environment } ask = Ask::point;  // at a hit point, at a miss environment
+    Point2f u;          // of a hit; once an emitter is chosen, uniform again
+    Vector3f d;         // of a miss: unit direction of the ray
+    // out, for a hit
+    LightPoint point;
+    bool placed = false;  // false: which point, or what arrives from it, depends on what it lights (spheres, delta lights)
+    // out, for a miss
+    Spectrum Le;
+    float pdf_w = 0;    // sr^-1, with which a hit's query finds this direction
+};
+void look_up_light(const Scene& scene, LightQuery& query);
+/// Many at once: the same values, but the tables of an environment map are waited for together.
+void look_up_lights(const Scene& scene, std::span<LightQuery> queries);
+
+/// The light of an answered query as seen from a point; pdf_w = 0 when nothing arrives.
+LightSample sample_light(const Scene& scene, const Point3f& from, const LightQuery& query);
 LightSample sample_light(const Scene& scene, const Point3f& from, Point2f u);
 
 /// Density (sr^-1, choice of the emitter included) with which sample_light(from) finds the point `at` of an

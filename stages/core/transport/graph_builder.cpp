@@ -2,48 +2,30 @@
 
 #include <tbb/parallel_for.h>
 
-#include "formats/io/octahedral.h"
+#include <utility>
 
 namespace loom {
 namespace {
 
-template <class Kind>
-void push(GrowingColumn<float>& column, const Triple<float, Kind>& v) {
-    column.insert(column.end(), {v.x, v.y, v.z});
-}
-void push(GrowingColumn<float>& column, const Spectrum& v) { column.insert(column.end(), {v.r, v.g, v.b}); }
-void push(GrowingColumn<Half>& column, const Spectrum& v) {
-    column.insert(column.end(), {half_from_float(v.r), half_from_float(v.g), half_from_float(v.b)});
-}
-template <class Kind>
-void push_direction(GrowingColumn<std::int16_t>& column, const Triple<float, Kind>& v) {
-    const auto code = octahedral_from_unit(v.x, v.y, v.z);
-    column.insert(column.end(), code.begin(), code.end());
-}
-
-/// Bytes of all columns.
-struct RowsSize : FieldVisitor<RowsSize> {
+/// Places columns behind one another in a block: first their sizes are summed, then they get their places.
+struct RowsPlacer : FieldVisitor<RowsPlacer> {
+    std::size_t n_paths, n_vertices, n_light_edges;
     std::size_t n_bytes = 0;
-    template <class T>
-    void column_of(const Field&, const GrowingColumn<T>& column) {
-        n_bytes += padded(column.size() * sizeof(T));
-    }
-    /// Every column of a piece begins where any number may.
-    static std::size_t padded(std::size_t n) { return (n + 7) / 8 * 8; }
-};
-
-/// Moves columns behind one another into a block.
-struct RowsPacker : FieldVisitor<RowsPacker> {
-    std::span<std::byte> block;
+    std::span<std::byte> block;  // empty: sum only
     std::vector<std::span<std::byte>> columns;
-    explicit RowsPacker(std::span<std::byte> to) : block(to) {}
+
+    RowsPlacer(std::size_t paths, std::size_t vertices, std::size_t edges) : n_paths(paths), n_vertices(vertices), n_light_edges(edges) {}
+
     template <class T>
-    void column_of(const Field&, GrowingColumn<T>& column) {
-        const auto bytes = std::as_bytes(std::span(column));
-        std::copy(bytes.begin(), bytes.end(), block.begin());
-        columns.push_back(block.first(bytes.size()));
-        block = block.subspan(RowsSize::padded(bytes.size()));
-        column.clear();
+    void column_of(const Field& field, PlacedColumn<T>& column) {
+        const std::size_t rows = field.axes.starts_with("path") ? n_paths : field.axes.starts_with("vertex") ? n_vertices : n_light_edges;
+        const std::size_t n = column.wanted ? rows * field.row_size() : 0;
+        if (!block.empty()) {
+            const auto bytes = block.subspan(n_bytes, n * sizeof(T));
+            column.values = {reinterpret_cast<T*>(bytes.data()), n};
+            columns.push_back(bytes);
+        }
+        n_bytes += (n * sizeof(T) + 7) / 8 * 8;  // every column begins where any number may
     }
 };
 
@@ -136,74 +118,96 @@ void describe_scene(const Scene& scene, PathGraphHeader& g) {
 
 }  // namespace
 
-void GraphRows::append(const PathRecord& path, const Scene& scene, bool roulette) {
+GraphBuilder::GraphBuilder(const Scene& scene, const PathOptions& options, std::size_t n_pieces, std::shared_ptr<Arena> memory)
+    : scene_(scene), options_(options), pieces_(n_pieces), arena_(std::move(memory)) {
+    arena_->reset();
     const SceneFeatures& f = scene.features;
-    auto& v = vertices;
-    auto& e = light_edges;
-    const auto first = std::uint32_t(v.flags.size());
-    paths.first_vertex.push_back(first + path.vertices.size());
-    push(paths.Le, path.Le);
-    if (scene.sensor.kind != SensorKind::perspective) push(paths.origin, path.origin);
-    for (const VertexRecord& r : path.vertices) {
-        const ShadingPoint& at = r.at;
-        push(v.p, at.p);
-        push(v.wo, at.wo);
-        push_direction(v.ns, at.frame.n);
-        if (f.smooth_normals) push_direction(v.ng, at.ng);
-        if (f.perturbed_normals) push_direction(v.n_side, at.n_side);
-        if (f.anisotropic) push_direction(v.tangent, at.frame.s);
-        v.material.push_back(r.material);
-        v.shape.push_back(r.shape);
-        std::uint16_t bits = (r.attempted_nee ? vertex_flag::attempted_nee : 0) |
-                             (r.attempted_bsdf ? vertex_flag::attempted_bsdf : 0) |
-                             (r.continued ? vertex_flag::continued : 0);
-        v.flags.push_back(flags_with_ending(bits, r.ending));
-        v.lobe.push_back(std::uint8_t(r.lobe));
-        v.pdf_w.push_back(r.pdf_w);
-        if (roulette) v.q.push_back(r.q);
-        if (f.dielectric) v.eta.push_back(r.eta);
-        if (f.textured_diffuse) push(v.diffuse, at.bsdf.diffuse);
-        if (f.textured_specular) push(v.specular, at.bsdf.specular);
-        if (f.textured_transmittance) push(v.transmittance, at.bsdf.transmittance);
-        if (f.textured_alpha)
-            v.alpha.insert(v.alpha.end(), {half_from_float(at.bsdf.alpha_u), half_from_float(at.bsdf.alpha_v)});
-        if (f.textured_opacity) v.opacity.push_back(half_from_float(at.bsdf.opacity));
+    auto& v = wanted_.vertices;
+    wanted_.paths.origin.wanted = scene.sensor.kind != SensorKind::perspective;
+    v.ng.wanted = f.smooth_normals;
+    v.n_side.wanted = f.perturbed_normals;
+    v.tangent.wanted = f.anisotropic;
+    v.q.wanted = options.roulette != Roulette::off;
+    v.eta.wanted = wanted_.light_edges.eta.wanted = f.dielectric;
+    v.diffuse.wanted = f.textured_diffuse;
+    v.specular.wanted = f.textured_specular;
+    v.transmittance.wanted = f.textured_transmittance;
+    v.alpha.wanted = f.textured_alpha;
+    v.opacity.wanted = f.textured_opacity;
+}
+
+void GraphBuilder::set(std::size_t i, const PathRecords& records) {
+    RowsPlacer placer(records.paths.size(), records.vertices.size(), records.light_edges.size());
+    Rows rows = wanted_;
+    Rows::row_fields(rows, placer);
+    placer.block = arena_->allocate(std::exchange(placer.n_bytes, 0));
+    Rows::row_fields(rows, placer);
+    pieces_[i] = std::move(placer.columns);
+
+    // Records come depth by depth, rows go path by path.
+    std::vector<std::uint32_t> first_vertex, next_vertex, next_edge;
+    std::uint32_t vertex = 0, edge = 0;
+    for (std::size_t path = 0; path < records.paths.size(); ++path) {
+        const PathRecords::Path& r = records.paths[path];
+        first_vertex.push_back(vertex);
+        next_edge.push_back(edge);
+        vertex += r.n_vertices;
+        edge += r.n_light_edges;
+        rows.paths.first_vertex.put(path, vertex);
+        rows.paths.Le.put(path, r.Le.r, r.Le.g, r.Le.b);
+        rows.paths.origin.put(path, r.origin.x, r.origin.y, r.origin.z);
     }
-    for (const LightEdgeRecord& r : path.light_edges) {
-        e.vertex.push_back(first + r.vertex);
-        e.technique.push_back(std::uint8_t(r.technique));
-        push(e.y, r.y);
-        e.y.push_back(r.at_infinity ? 0.0f : 1.0f);
-        push_direction(e.n, r.n == Normal3f{} ? Normal3f{0, 0, 1} : r.n);
-        push(e.Li, r.Li);
-        e.pdf_nee_w.push_back(r.pdf_nee_w);
-        e.pdf_bsdf_w.push_back(r.pdf_bsdf_w);
-        e.emitter.push_back(r.emitter);
-        if (f.dielectric) e.eta.push_back(r.eta);
+    next_vertex = first_vertex;
+    const auto& v = rows.vertices;
+    for (const VertexRecord& r : records.vertices) {
+        const std::size_t row = next_vertex[r.path]++;
+        v.p.put(row, r.p.x, r.p.y, r.p.z);
+        v.wo.put(row, r.wo.x, r.wo.y, r.wo.z);
+        v.ns.put(row, r.ns);
+        v.ng.put(row, r.ng);
+        v.n_side.put(row, r.n_side);
+        v.tangent.put(row, r.tangent);
+        v.material.put(row, r.material);
+        v.shape.put(row, r.shape);
+        v.flags.put(row, r.flags);
+        v.lobe.put(row, std::uint8_t(r.lobe));
+        v.pdf_w.put(row, r.pdf_w);
+        v.q.put(row, r.q);
+        v.eta.put(row, r.eta);
+        v.diffuse.put(row, r.diffuse);
+        v.specular.put(row, r.specular);
+        v.transmittance.put(row, r.transmittance);
+        v.alpha.put(row, r.alpha);
+        v.opacity.put(row, r.opacity);
+    }
+    const auto& e = rows.light_edges;
+    for (const LightEdgeRecord& r : records.light_edges) {
+        const std::size_t row = next_edge[r.path]++;
+        e.vertex.put(row, first_vertex[r.path] + r.vertex);
+        e.technique.put(row, std::uint8_t(r.technique));
+        e.y.put(row, r.y.x, r.y.y, r.y.z, r.at_infinity ? 0.0f : 1.0f);
+        e.n.put(row, r.n);
+        e.Li.put(row, r.Li.r, r.Li.g, r.Li.b);
+        e.pdf_nee_w.put(row, r.pdf_nee_w);
+        e.pdf_bsdf_w.put(row, r.pdf_bsdf_w);
+        e.emitter.put(row, r.emitter);
+        e.eta.put(row, r.eta);
     }
 }
 
-void GraphBuilder::set(std::size_t i, GraphRows& rows) {
-    RowsSize size;
-    GraphRows::row_fields(rows, size);
-    RowsPacker packer(arena_->allocate(size.n_bytes));
-    GraphRows::row_fields(rows, packer);
-    pieces_[i] = std::move(packer.columns);
-}
-
-PathGraphInPieces GraphBuilder::finish(const Scene& scene, const PathOptions& options, std::uint64_t first_sample,
-                                       std::uint64_t samples) && {
+PathGraphInPieces GraphBuilder::finish(std::uint64_t first_sample, std::uint64_t samples) && {
     PathGraphInPieces g;
-    describe_scene(scene, g);
+    describe_scene(scene_, g);
     g.tracing.first_sample = first_sample;
     g.tracing.samples_per_pixel = samples;
-    g.tracing.max_depth = options.max_depth;
-    g.tracing.roulette = roulette_name(options.roulette);
-    g.tracing.roulette_depth = options.rr_depth;
-    g.tracing.sampler = sampler_name(options.sampler);
+    g.tracing.max_depth = options_.max_depth;
+    g.tracing.roulette = roulette_name(options_.roulette);
+    g.tracing.roulette_depth = options_.rr_depth;
+    g.tracing.sampler = sampler_name(options_.sampler);
 
-    const auto zero = arena_->allocate(sizeof(std::uint64_t));
-    g.paths.first_vertex.add({reinterpret_cast<std::uint64_t*>(zero.data()), 1});
+    auto* const zero = reinterpret_cast<std::uint64_t*>(arena_->allocate(sizeof(std::uint64_t)).data());
+    *zero = 0;
+    g.paths.first_vertex.add({zero, 1});
     RowsCollector collector(pieces_);
     PathGraphInPieces::row_fields(g, collector);
     std::vector<std::uint64_t> base(pieces_.size(), 0);  // vertices before each piece

@@ -12,26 +12,25 @@
 
 namespace loom {
 
-/// Columns of consecutive paths while a worker fills them; only those that the scene needs. Rows are numbered
-/// from the first of these paths, and `first_vertex` holds, for each path, where the next one begins.
-struct GraphRows : PathRows<GrowingColumn> {
-    void append(const PathRecord& path, const Scene& scene, bool roulette);
-};
-
-/// Collects the rows of all workers, packed tightly into huge pages, and numbers them through.
+/// Collects the paths of all workers in huge pages, column by column, and numbers their vertices through.
 class GraphBuilder {
   public:
-    explicit GraphBuilder(std::size_t n_pieces) : pieces_(n_pieces), arena_(std::make_shared<Arena>()) {}
+    /// in:      n_pieces  batches to come   memory  for their columns; what it held is gone
+    GraphBuilder(const Scene& scene, const PathOptions& options, std::size_t n_pieces, std::shared_ptr<Arena> memory);
 
-    /// Takes a worker's rows as the i-th piece and empties them. From any thread, once for each i.
-    void set(std::size_t i, GraphRows& rows);
+    /// Takes a batch as the i-th piece. From any thread, once for each i.
+    void set(std::size_t i, const PathRecords& records);
 
     /// The pieces, in their order, as a graph of `samples` samples per pixel, with what it says of the scene.
-    PathGraphInPieces finish(const Scene& scene, const PathOptions& options, std::uint64_t first_sample,
-                             std::uint64_t samples) &&;
+    PathGraphInPieces finish(std::uint64_t first_sample, std::uint64_t samples) &&;
 
   private:
+    using Rows = PathRows<PlacedColumn>;
     using Piece = std::vector<std::span<std::byte>>;  // columns in the order of their declaration
+
+    const Scene& scene_;
+    PathOptions options_;
+    Rows wanted_;
     std::vector<Piece> pieces_;
     std::shared_ptr<Arena> arena_;
 };

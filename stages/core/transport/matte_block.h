@@ -24,6 +24,10 @@ class MatteBlock {
             surface.two_sided = model.two_sided ? 1.0f : 0.0f;
             surface.side = shape.flip_normals ? -1.0f : 1.0f;
             surface.reflectance = model.diffuse;
+            surface.vertex.describe(Bsdf<float>(model), scene.features);
+            surface.vertex.shape = std::uint32_t(surfaces_.size() - 1);
+            surface.vertex.material = std::uint16_t(shape.material);
+            surface.vertex.flags = vertex_flag::attempted_bsdf | (scene.emitters.empty() ? 0 : vertex_flag::attempted_nee);
         }
     }
 
@@ -36,11 +40,11 @@ class MatteBlock {
 
     /// Takes a path whose ray, number `ray`, has met `hit`. false: it is one for arrive(), which does all that is not
     /// matte, emits, or is lit by a light that looks at what it lights.
-    bool add(std::uint32_t ray, const Hit& hit, const PathState& path, Point2f u_light, Point2f u_direction,
+    bool add(std::uint32_t ray, const Hit& hit, const PathState& path, const LightQuery& lights, Point2f u_direction,
              float u_roulette) {
         if (!hit || !surfaces_[hit.shape].matte) return false;
-        LightPoint light;
-        if (!scene_.emitters.empty() && !sample_light_point(scene_, u_light, light)) return false;
+        if (!scene_.emitters.empty() && !lights.placed) return false;
+        const LightPoint& light = lights.point;
         const Surface& surface = surfaces_[hit.shape];
         const Shape& shape = scene_.shapes[hit.shape];
         const TrianglePoint at = triangle_point(shape, hit, surface.textured);
@@ -75,24 +79,24 @@ class MatteBlock {
 
     /// What shade() has found for path m of the block; as arrive().
     template <bool recording>
-    Step finish(std::size_t m, int depth, const Hit& hit, PathState& path, ShadowRequest& shadow, PathRecord* record) const {
+    Step finish(std::size_t m, int depth, const Hit& hit, PathState& path, ShadowRequest& shadow, PathRecorder record) const {
         const MatteColumns& c = columns_;
         ++path.result.n_vertices;
         if (depth == 1) path.result.first = {c.albedo.get<Spectrum>(m), c.ns.get<Normal3f>(m), hit.t};
-        if constexpr (recording) record_vertex(m, depth, hit, path, *record);
+        if constexpr (recording) record_vertex(m, depth, hit, path, record);
         Step step = Step::ends;
         if (c.asks_shadow(m)) {
             step = Step::asks_shadow;
             shadow.ray = {c.shadow_o.get<Point3f>(m), c.shadow_d.get<Vector3f>(m), 0, c.shadow_t_max[m]};
             shadow.contribution = c.contribution.get<Spectrum>(m);
-            if constexpr (recording) record_light(m, path, *record, shadow.edge);
+            if constexpr (recording) record_light(m, path, record.last_number(), shadow.edge);
         }
         if (c.roulette_ends(m)) {
-            if constexpr (recording) record->vertices.back().ending = Ending::roulette;
+            if constexpr (recording) record.last().end(Ending::roulette);
             return step;
         }
         if (!c.has_next(m)) {
-            if constexpr (recording) record->vertices.back().ending = Ending::invalid_sample;
+            if constexpr (recording) record.last().end(Ending::invalid_sample);
             return step;
         }
         path.lobe = Lobe::diffuse;
@@ -101,48 +105,42 @@ class MatteBlock {
         path.beta = c.next_beta.get<Spectrum>(m);
         path.ray = {c.next_o.get<Point3f>(m), c.next_d.get<Vector3f>(m), 0, INFINITY};
         if constexpr (recording) {
-            record->vertices.back().lobe = path.lobe;
-            record->vertices.back().pdf_w = path.pdf_w;
+            record.last().lobe = path.lobe;
+            record.last().pdf_w = path.pdf_w;
         }
         return step | Step::goes_on;
     }
 
   private:
-    /// What `add` asks of a shape, in one place.
+    /// What `add` asks of a shape, in one place, and what all of its vertices have in common.
     struct Surface {
         bool matte = false, textured = false;
         float two_sided = 0, side = 1;
         Spectrum reflectance;
+        VertexRecord vertex;
     };
 
-    void record_vertex(std::size_t m, int depth, const Hit& hit, const PathState& path, PathRecord& record) const {
+    void record_vertex(std::size_t m, int depth, const Hit& hit, const PathState& path, PathRecorder record) const {
         const MatteColumns& c = columns_;
-        if (depth > 1) record.vertices.back().continued = true;
-        VertexRecord& vertex = record.vertices.emplace_back();
-        const std::uint32_t material = scene_.shapes[hit.shape].material;
-        vertex.at.p = c.p.get<Point3f>(m);
-        vertex.at.wo = c.wo.get<Vector3f>(m);
-        vertex.at.frame = Framef(c.ns.get<Normal3f>(m));
-        vertex.at.wo_local = vertex.at.frame.to_local(vertex.at.wo);
-        vertex.at.ng = c.ng.get<Normal3f>(m);
-        vertex.at.n_side = vertex.at.frame.n;
-        vertex.at.bsdf = Bsdf<float>(scene_.materials[material].model);
-        vertex.at.bsdf.diffuse = c.reflectance.get<Spectrum>(m);
-        vertex.shape = hit.shape;
-        vertex.material = std::uint16_t(material);
+        if (depth > 1) record.last().flags |= vertex_flag::continued;
+        VertexRecord& vertex = record.add(surfaces_[hit.shape].vertex);
+        vertex.p = c.p.get<Point3f>(m);
+        vertex.wo = c.wo.get<Vector3f>(m);
+        vertex.ns = vertex.n_side = normal_code(c.ns.get<Normal3f>(m));
+        if (scene_.features.smooth_normals) vertex.ng = normal_code(c.ng.get<Normal3f>(m));
+        if (scene_.features.textured_diffuse) vertex.diffuse = half_color(c.reflectance.get<Spectrum>(m));
         vertex.eta = path.media.index();
         vertex.q = c.q[m];
-        vertex.attempted_nee = !scene_.emitters.empty();
-        vertex.attempted_bsdf = true;
     }
 
-    void record_light(std::size_t m, const PathState& path, const PathRecord& record, LightEdgeRecord& edge) const {
+    void record_light(std::size_t m, const PathState& path, std::uint32_t vertex, LightEdgeRecord& edge) const {
         const MatteColumns& c = columns_;
         edge = {};
-        edge.vertex = std::uint32_t(record.vertices.size() - 1);
+        edge.vertex = vertex;
         edge.at_infinity = c.light_at_infinity[m] != 0;
         edge.y = c.light_y.get<Point3f>(m);
-        edge.n = c.light_n.get<Normal3f>(m);
+        const auto n = c.light_n.get<Normal3f>(m);
+        edge.n = normal_code(n == Normal3f{} ? Normal3f{0, 0, 1} : n);
         edge.Li = c.light_Li.get<Spectrum>(m);
         edge.pdf_nee_w = c.shadow_pdf_w[m];
         edge.pdf_bsdf_w = c.shadow_pdf_bsdf_w[m];

@@ -1,50 +1,121 @@
 #pragma once
-// One path as the tracer records it, vertex by vertex; GraphBuilder turns records into columns.
+// Paths as the tracer records them: vertices and light edges in the order in which they come to be, which for many
+// paths side by side is depth by depth. GraphBuilder sorts them by path, into columns.
 
+#include <array>
 #include <cstdint>
 #include <vector>
 
+#include "formats/io/octahedral.h"
 #include "formats/path_graph.h"
-#include "stages/core/scattering/bsdf.h"
+#include "stages/core/scene/scene.h"
 #include "stages/core/transport/shading.h"
 
 namespace loom {
 
+/// Unit vector and colour as columns hold them.
+using NormalCode = std::array<std::int16_t, 2>;
+using HalfColor = std::array<Half, 3>;
+
+template <class Kind>
+NormalCode normal_code(const Triple<float, Kind>& v) {
+    return octahedral_from_unit(v.x, v.y, v.z);
+}
+inline HalfColor half_color(const Spectrum& v) {
+    return {half_from_float(v.r), half_from_float(v.g), half_from_float(v.b)};
+}
+
+/// In the types of the columns; those that the scene does not call for stay as they are.
 struct VertexRecord {
-    ShadingPoint at;
-    std::uint32_t shape = 0;
-    std::uint16_t material = 0;
-    bool attempted_nee = false, attempted_bsdf = false, continued = false;
-    Ending ending = Ending::none;
+    Point3f p;
+    Vector3f wo;
+    NormalCode ns{}, ng{}, n_side{}, tangent{};
+    HalfColor diffuse{}, specular{}, transmittance{};
+    std::array<Half, 2> alpha{};
+    Half opacity{};
+    std::uint16_t material = 0, flags = 0;
     Lobe lobe = Lobe::none;
+    std::uint32_t shape = 0, path = 0;
     float pdf_w = 0;  // of the BSDF sample, roulette folded in
     float q = 1;      // survival probability of roulette
     float eta = 1;    // absolute index of the segment that arrives here
+
+    void end(Ending ending) { flags = flags_with_ending(flags, ending); }
+    /// What a shading point tells of itself.
+    void describe(const ShadingPoint& at, const SceneFeatures& features) {
+        p = at.p;
+        wo = at.wo;
+        ns = normal_code(at.frame.n);
+        if (features.smooth_normals) ng = normal_code(at.ng);
+        if (features.perturbed_normals) n_side = normal_code(at.n_side);
+        if (features.anisotropic) tangent = normal_code(at.frame.s);
+        describe(at.bsdf, features);
+    }
+    void describe(const Bsdf<float>& bsdf, const SceneFeatures& features) {
+        if (features.textured_diffuse) diffuse = half_color(bsdf.diffuse);
+        if (features.textured_specular) specular = half_color(bsdf.specular);
+        if (features.textured_transmittance) transmittance = half_color(bsdf.transmittance);
+        if (features.textured_alpha) alpha = {half_from_float(bsdf.alpha_u), half_from_float(bsdf.alpha_v)};
+        if (features.textured_opacity) opacity = half_from_float(bsdf.opacity);
+    }
 };
 
 struct LightEdgeRecord {
-    std::uint32_t vertex = 0;  // within the path
+    std::uint32_t path = 0, vertex = 0;  // within the path
     LightTechnique technique = LightTechnique::next_event;
-    Point3f y;                 // or the direction towards it
     bool at_infinity = false;
-    Normal3f n;
+    std::uint16_t emitter = 0;
+    Point3f y;  // or the direction towards it
+    NormalCode n{};
     Spectrum Li;
     float pdf_nee_w = 0, pdf_bsdf_w = 0;
-    std::uint16_t emitter = 0;
     float eta = 1;
 };
 
-struct PathRecord {
-    Point3f origin;
-    Spectrum Le;  // seen directly
+struct PathRecords {
+    struct Path {
+        Point3f origin;
+        Spectrum Le;  // seen directly
+        std::uint32_t n_vertices = 0, n_light_edges = 0;
+        std::uint32_t last = 0;  // vertex so far
+    };
+    std::vector<Path> paths;
     std::vector<VertexRecord> vertices;
     std::vector<LightEdgeRecord> light_edges;
 
-    void clear() {
-        Le = Spectrum(0);
+    void start(std::size_t n_paths) {
+        paths.assign(n_paths, {});
         vertices.clear();
         light_edges.clear();
     }
+};
+
+/// One path's part of the records.
+class PathRecorder {
+  public:
+    PathRecorder() = default;
+    PathRecorder(PathRecords& records, std::uint32_t path) : records_(&records), path_(path) {}
+
+    PathRecords::Path& path() const { return records_->paths[path_]; }
+    VertexRecord& last() const { return records_->vertices[path().last]; }
+    std::uint32_t last_number() const { return path().n_vertices - 1; }
+
+    VertexRecord& add(const VertexRecord& like) const {
+        PathRecords::Path& mine = path();
+        mine.last = std::uint32_t(records_->vertices.size());
+        ++mine.n_vertices;
+        VertexRecord& vertex = records_->vertices.emplace_back(like);
+        vertex.path = path_;
+        return vertex;
+    }
+    void add(const LightEdgeRecord& edge) const {
+        ++path().n_light_edges;
+        records_->light_edges.emplace_back(edge).path = path_;
+    }
+
+  private:
+    PathRecords* records_ = nullptr;
+    std::uint32_t path_ = 0;
 };
 
 }  // namespace loom

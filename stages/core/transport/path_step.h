@@ -49,31 +49,32 @@ constexpr Step operator|(Step a, Step b) { return Step(std::uint8_t(a) | std::ui
 /// Light found by the ray that has just arrived, weighted against next-event estimation.
 /// in: pdf_nee   density of next-event estimation for the same light point, 0 where it has none
 template <bool recording>
-void add_arrived_light(PathState& path, PathRecord* record, const Spectrum& Li, float pdf_nee, int emitter,
+void add_arrived_light(PathState& path, PathRecorder record, const Spectrum& Li, float pdf_nee, int emitter,
                        bool at_infinity, const SurfacePoint* at) {
     path.result.L += path.beta * Li * power_heuristic(path.pdf_w, pdf_nee);
     if constexpr (recording) {
-        LightEdgeRecord& edge = record->light_edges.emplace_back();
-        edge.vertex = std::uint32_t(record->vertices.size() - 1);
+        LightEdgeRecord edge;
+        edge.vertex = record.last_number();
         edge.technique = LightTechnique::bsdf_hit;
         // Along the very direction of the sample from the vertex itself: the ray started off the surface, and the
         // point that it hit lies in a direction that differs by that offset over the distance.
         edge.y = at_infinity ? Point3f(path.ray.d) : path.from + path.ray.d * dot(at->p - path.from, path.ray.d);
         edge.at_infinity = at_infinity;
-        if (!at_infinity) edge.n = at->ng;
+        edge.n = normal_code(at_infinity ? Normal3f{0, 0, 1} : at->ng);
         edge.Li = Li;
         edge.pdf_nee_w = pdf_nee;
         edge.pdf_bsdf_w = path.pdf_w;
         edge.emitter = std::uint16_t(emitter);
         edge.eta = path.media.index();
+        record.add(edge);
     }
 }
 
 /// Next-event estimation from `here`. True when a shadow ray is to decide.
 template <bool recording>
 bool sample_next_event(const Scene& scene, const PathState& path, const ShadingPoint& here, std::uint32_t shape, float q,
-                       Point2f u, ShadowRequest& shadow, std::uint32_t vertex) {
-    const LightSample light = sample_light(scene, here.p, u);
+                       const LightQuery& lights, ShadowRequest& shadow, std::uint32_t vertex) {
+    const LightSample light = sample_light(scene, here.p, lights);
     if (!(light.pdf_w > 0)) return false;
     const BsdfValue<float> value = f_cos_pdf(here, light.wi);
     if (is_black(value.f_cos)) return false;
@@ -87,7 +88,7 @@ bool sample_next_event(const Scene& scene, const PathState& path, const ShadingP
         edge.vertex = vertex;
         edge.y = light.y;
         edge.at_infinity = light.at_infinity;
-        edge.n = light.n;
+        edge.n = normal_code(light.n == Normal3f{} ? Normal3f{0, 0, 1} : light.n);
         edge.Li = light.Li;
         edge.pdf_nee_w = light.pdf_w;
         edge.pdf_bsdf_w = pdf_bsdf;
@@ -103,24 +104,24 @@ bool sample_next_event(const Scene& scene, const PathState& path, const ShadingP
 
 /// The ray of `path` has met `hit` (or nothing) as its edge number `depth`: adds emission, samples a light and
 /// the next direction.
+/// in:  lights  answered for this hit or miss
 /// out: path.ray is the next ray when the path goes on; shadow is filled when asked for
 template <bool recording>
-Step arrive(const Scene& scene, const PathOptions& options, int depth, const Hit& hit, Point2f u_light, Point2f u_direction,
-            PathState& path, ShadowRequest& shadow, PathRecord* record) {
-    auto last = [&]() -> VertexRecord& { return record->vertices.back(); };
+Step arrive(const Scene& scene, const PathOptions& options, int depth, const Hit& hit, const LightQuery& lights, Point2f u_direction,
+            PathState& path, ShadowRequest& shadow, PathRecorder record) {
     const Vector3f wo = -path.ray.d;
     const bool mis = depth > 1 && !is_delta(path.lobe);
     if (!hit) {
-        const Spectrum Le = environment(scene, path.ray.d);
+        const Spectrum Le = lights.Le;
         if (depth == 1) {
             path.result.L = Le;
-            if constexpr (recording) record->Le = Le;
+            if constexpr (recording) record.path().Le = Le;
             return Step::ends;
         }
         if (!is_black(Le))
-            add_arrived_light<recording>(path, record, Le, mis ? pdf_environment_w(scene, path.ray.d) : 0.0f,
+            add_arrived_light<recording>(path, record, Le, mis ? lights.pdf_w : 0.0f,
                                          scene.environment, true, nullptr);
-        if constexpr (recording) last().ending = Ending::escaped;
+        if constexpr (recording) record.last().end(Ending::escaped);
         return Step::ends;
     }
     const bool last_vertex = options.max_depth >= 0 && depth >= options.max_depth;
@@ -134,20 +135,20 @@ Step arrive(const Scene& scene, const PathOptions& options, int depth, const Hit
         const Spectrum Le = emitted(scene, at, wo);
         if (depth == 1) {
             path.result.L = Le;
-            if constexpr (recording) record->Le = Le;
+            if constexpr (recording) record.path().Le = Le;
         } else {
             if (!is_black(Le))
                 add_arrived_light<recording>(path, record, Le, mis ? pdf_light_w(scene, path.from, at) : 0.0f, emitter,
                                              false, &at);
             // An emitter that reflects nothing ends the path as a light point.
             if (scene.materials[at.material].black()) {
-                if constexpr (recording) last().ending = Ending::hit_emitter;
+                if constexpr (recording) record.last().end(Ending::hit_emitter);
                 return Step::ends;
             }
         }
     }
     if constexpr (recording)
-        if (depth > 1) last().continued = true;
+        if (depth > 1) record.last().flags |= vertex_flag::continued;
 
     ++path.result.n_vertices;
     ShadingPoint here;
@@ -162,14 +163,14 @@ Step arrive(const Scene& scene, const PathOptions& options, int depth, const Hit
     const BsdfModel& model = *here.bsdf.model;
     if (depth == 1) path.result.first = {albedo(here.bsdf, here.wo_local), here.frame.n, hit.t};
     if constexpr (recording) {
-        VertexRecord& vertex = record->vertices.emplace_back();
-        vertex.at = here;
+        VertexRecord& vertex = record.add(VertexRecord{});
+        vertex.describe(here, scene.features);
         vertex.shape = at.shape;
         vertex.material = std::uint16_t(at.material);
         vertex.eta = path.media.index();
     }
     if (last_vertex) {
-        if constexpr (recording) last().ending = Ending::max_depth;
+        if constexpr (recording) record.last().end(Ending::max_depth);
         return Step::ends;
     }
 
@@ -181,17 +182,16 @@ Step arrive(const Scene& scene, const PathOptions& options, int depth, const Hit
     }
     Step step = Step::ends;
     const bool next_event = !scene.emitters.empty() && has_smooth_lobe(here.bsdf);
-    if (next_event && sample_next_event<recording>(scene, path, here, at.shape, q, u_light, shadow,
-                                                   recording ? std::uint32_t(record->vertices.size() - 1) : 0))
+    if (next_event && sample_next_event<recording>(scene, path, here, at.shape, q, lights, shadow,
+                                                   recording ? record.last_number() : 0))
         step = Step::asks_shadow;
     if constexpr (recording) {
-        last().q = q;
-        last().attempted_nee = next_event;
-        last().attempted_bsdf = true;
+        record.last().q = q;
+        record.last().flags |= vertex_flag::attempted_bsdf | (next_event ? vertex_flag::attempted_nee : 0);
     }
 
     if (q < 1 && path.sampler.pair(dimension(depth, Place::roulette)).x >= q) {
-        if constexpr (recording) last().ending = Ending::roulette;
+        if constexpr (recording) record.last().end(Ending::roulette);
         return step;
     }
     const bool one_lobe = model.kind == BsdfKind::diffuse && here.bsdf.opacity == 1;
@@ -200,7 +200,7 @@ Step arrive(const Scene& scene, const PathOptions& options, int depth, const Hit
     const Vector3f wi = here.frame.to_world(s.wi);
     if (here.perturbed && s.lobe != Lobe::none && s.lobe != Lobe::null) s.weight *= bump_shadowing(here, wi, s.wi.z);
     if (s.lobe == Lobe::none || is_black(s.weight)) {
-        if constexpr (recording) last().ending = Ending::invalid_sample;
+        if constexpr (recording) record.last().end(Ending::invalid_sample);
         return step;
     }
     path.lobe = s.lobe;
@@ -214,17 +214,17 @@ Step arrive(const Scene& scene, const PathOptions& options, int depth, const Hit
     }
     path.ray = spawn_ray(here.p, here.ng, wi);
     if constexpr (recording) {
-        last().lobe = s.lobe;
-        last().pdf_w = path.pdf_w;
+        record.last().lobe = s.lobe;
+        record.last().pdf_w = path.pdf_w;
     }
     return step | Step::goes_on;
 }
 
 /// The shadow ray of a step is through: the light is seen.
 template <bool recording>
-void add_next_event(PathState& path, const ShadowRequest& shadow, PathRecord* record) {
+void add_next_event(PathState& path, const ShadowRequest& shadow, PathRecorder record) {
     path.result.L += shadow.contribution;
-    if constexpr (recording) record->light_edges.push_back(shadow.edge);
+    if constexpr (recording) record.add(shadow.edge);
 }
 
 }  // namespace loom

@@ -8,20 +8,36 @@
 
 namespace loom {
 
-PathResult trace_path(const Scene& scene, const PathOptions& options, PathId id, PathRecord& record) {
+namespace {
+
+/// in: last  no light is sampled from a hit
+LightQuery light_query(const Hit& hit, const Ray& ray, Point2f u, bool last) {
+    LightQuery query;
+    query.ask = !hit ? LightQuery::Ask::environment : last ? LightQuery::Ask::nothing : LightQuery::Ask::point;
+    query.u = u;
+    query.d = ray.d;
+    return query;
+}
+
+}  // namespace
+
+PathResult trace_path(const Scene& scene, const PathOptions& options, PathId id, PathRecords& records) {
     const Sampler sampler(options.sampler, options.seed, id.pixel, id.sample);
     PathState path(scene, sampler, id, sampler.pair(film_pair));
-    record.clear();
-    record.origin = path.ray.o;
+    records.start(1);
+    records.paths[0].origin = path.ray.o;
+    const PathRecorder record(records, 0);
     for (int depth = 1;; ++depth) {
         const Hit hit = scene.intersect(path.ray);
         ++path.result.n_rays;
         ShadowRequest shadow;
-        const Step step = arrive<true>(scene, options, depth, hit, path.sampler.pair(dimension(depth, Place::light)),
-                                       path.sampler.pair(dimension(depth, Place::direction)), path, shadow, &record);
+        LightQuery lights = light_query(hit, path.ray, path.sampler.pair(dimension(depth, Place::light)), depth == options.max_depth);
+        look_up_light(scene, lights);
+        const Step step = arrive<true>(scene, options, depth, hit, lights,
+                                       path.sampler.pair(dimension(depth, Place::direction)), path, shadow, record);
         if (has(step, Step::asks_shadow)) {
             ++path.result.n_rays;
-            if (!scene.occluded(shadow.ray)) add_next_event<true>(path, shadow, &record);
+            if (!scene.occluded(shadow.ray)) add_next_event<true>(path, shadow, record);
         }
         if (!has(step, Step::goes_on)) return path.result;
     }
@@ -34,6 +50,7 @@ struct PathBatch::Impl {
     std::vector<PathState> paths;
     std::vector<ShadowRequest> shadows;
     std::vector<Hit> hits;
+    std::vector<LightQuery> lights;
     std::vector<const Ray*> rays;
     std::vector<std::uint32_t> active, waiting;  // paths under way; paths whose shadow ray is asked for
     std::unique_ptr<bool[]> blocked{new bool[capacity]};
@@ -48,6 +65,7 @@ struct PathBatch::Impl {
         paths.reserve(capacity);
         shadows.resize(capacity);
         hits.resize(capacity);
+        lights.resize(capacity);
         rays.resize(capacity);
         for (auto* column : {&key_lo, &key_hi, &index}) column->resize(capacity);
         for (auto* column : {&light_x, &light_y, &direction_x, &direction_y, &roulette_x, &unused})
@@ -56,7 +74,9 @@ struct PathBatch::Impl {
     }
 
     template <bool recording>
-    void trace(std::span<const PathId> ids, std::span<PathResult> results, PathRecord* records) {
+    void trace(std::span<const PathId> ids, std::span<PathResult> results, PathRecords* records) {
+        const auto recorder = [records](std::uint32_t i) { return recording ? PathRecorder(*records, i) : PathRecorder(); };
+        if constexpr (recording) records->start(ids.size());
         paths.clear();
         samplers.clear();
         active.clear();
@@ -71,10 +91,7 @@ struct PathBatch::Impl {
         for (std::size_t i = 0; i < ids.size(); ++i) {
             paths.emplace_back(scene, samplers[i], ids[i], Point2f{light_x[i], light_y[i]});
             active.push_back(std::uint32_t(i));
-            if constexpr (recording) {
-                records[i].clear();
-                records[i].origin = paths[i].ray.o;
-            }
+            if constexpr (recording) records->paths[i].origin = paths[i].ray.o;
         }
         for (int depth = 1; !active.empty(); ++depth) {
             const std::size_t n = active.size();
@@ -87,6 +104,8 @@ struct PathBatch::Impl {
             if (matte.roulette(depth) != Roulette::off)
                 sampler_pairs(options.sampler, key_lo.data(), key_hi.data(), index.data(), dimension(depth, Place::roulette),
                               n, roulette_x.data(), unused.data());
+            for (std::size_t k = 0; k < n; ++k) lights[k] = light_query(hits[k], *rays[k], {light_x[k], light_y[k]}, depth == options.max_depth);
+            look_up_lights(scene, {lights.data(), n});
             // Matte surfaces by column, a block at a time; all else vertex by vertex.
             const bool by_column = options.max_depth < 0 || depth < options.max_depth;
             const auto shade = [&] {
@@ -94,7 +113,7 @@ struct PathBatch::Impl {
                 for (std::size_t m = 0; m < matte.size(); ++m) {
                     const std::uint32_t k = matte.ray(m), i = active[k];
                     steps[k] = matte.finish<recording>(m, depth, hits[k], paths[i], shadows[i],
-                                                       recording ? records + i : nullptr);
+                                                       recorder(i));
                 }
                 matte.clear();
             };
@@ -102,12 +121,12 @@ struct PathBatch::Impl {
                 const std::uint32_t i = active[k];
                 PathState& path = paths[i];
                 ++path.result.n_rays;
-                const Point2f u_light{light_x[k], light_y[k]}, u_direction{direction_x[k], direction_y[k]};
-                if (by_column && matte.add(std::uint32_t(k), hits[k], path, u_light, u_direction, roulette_x[k])) {
+                const Point2f u_direction{direction_x[k], direction_y[k]};
+                if (by_column && matte.add(std::uint32_t(k), hits[k], path, lights[k], u_direction, roulette_x[k])) {
                     if (matte.full()) shade();
                 } else {
-                    steps[k] = arrive<recording>(scene, options, depth, hits[k], u_light, u_direction, path, shadows[i],
-                                                 recording ? records + i : nullptr);
+                    steps[k] = arrive<recording>(scene, options, depth, hits[k], lights[k], u_direction, path, shadows[i],
+                                                 recorder(i));
                 }
             }
             shade();
@@ -132,7 +151,7 @@ struct PathBatch::Impl {
             for (std::size_t k = 0; k < waiting.size(); ++k) {
                 const std::uint32_t i = waiting[k];
                 ++paths[i].result.n_rays;
-                if (!blocked[k]) add_next_event<recording>(paths[i], shadows[i], recording ? records + i : nullptr);
+                if (!blocked[k]) add_next_event<recording>(paths[i], shadows[i], recorder(i));
             }
             active.resize(going);
         }
@@ -148,8 +167,8 @@ void PathBatch::trace(std::span<const PathId> ids, std::span<PathResult> results
     impl_->trace<false>(ids, results, nullptr);
 }
 
-void PathBatch::trace(std::span<const PathId> ids, std::span<PathResult> results, std::span<PathRecord> records) {
-    impl_->trace<true>(ids, results, records.data());
+void PathBatch::trace(std::span<const PathId> ids, std::span<PathResult> results, PathRecords& records) {
+    impl_->trace<true>(ids, results, &records);
 }
 
 }  // namespace loom

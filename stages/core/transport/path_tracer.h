@@ -61,7 +61,7 @@ class PathBatch {
     /// in: ids, at most `capacity`; out: results, of the same length
     void trace(std::span<const PathId> ids, std::span<PathResult> results);
     /// The same paths, with all of their vertices and light edges.
-    void trace(std::span<const PathId> ids, std::span<PathResult> results, std::span<PathRecord> records);
+    void trace(std::span<const PathId> ids, std::span<PathResult> results, PathRecords& records);
 
     static constexpr std::size_t capacity = 1024;
 
@@ -71,6 +71,6 @@ class PathBatch {
 };
 
 /// One path alone, ray by ray: the plain twin of PathBatch, and what a replay runs.
-PathResult trace_path(const Scene& scene, const PathOptions& options, PathId id, PathRecord& record);
+PathResult trace_path(const Scene& scene, const PathOptions& options, PathId id, PathRecords& records);
 
 }  // namespace loom
