@@ -1,5 +1,7 @@
 #include "stages/core/scene/scene.h"
 
+#include <span>
+
 #include "formats/io/half.h"
 #include "stages/core/scene/embree.h"
 
@@ -55,6 +57,40 @@ Normal3f perturbed_normal(const Scene& scene, const Material& m, const Framef& b
 
 Hit Scene::intersect(const Ray& ray) const { return rays->intersect(ray); }
 bool Scene::occluded(const Ray& ray) const { return rays->occluded(ray); }
+
+void Scene::prefetch_triangle(const Hit& hit) const {
+    if (!hit || shapes[hit.shape].kind != ShapeKind::mesh) return;
+    const Shape& shape = shapes[hit.shape];
+    __builtin_prefetch(&shape.triangles[hit.primitive]);
+    __builtin_prefetch(&shape.mesh.indices[3 * std::size_t(hit.primitive)]);
+}
+
+void Scene::prefetch_corners(const Hit& hit) const {
+    if (!hit || shapes[hit.shape].kind != ShapeKind::mesh) return;
+    const Mesh& mesh = shapes[hit.shape].mesh;
+    const std::uint32_t* i = &mesh.indices[3 * std::size_t(hit.primitive)];
+    for (int corner = 0; corner < 3; ++corner) {
+        if (!mesh.normals.empty()) __builtin_prefetch(&mesh.normals[i[corner]]);
+        if (!mesh.uvs.empty()) __builtin_prefetch(&mesh.uvs[i[corner]]);
+    }
+}
+
+void Scene::prefetch_texels(const Hit& hit) const {
+    if (!hit || shapes[hit.shape].kind != ShapeKind::mesh) return;
+    const Shape& shape = shapes[hit.shape];
+    const Material& material = materials[shape.material];
+    if (material.diffuse >= 0) textures[material.diffuse].prefetch(triangle_point(shape, hit, true).uv);
+}
+
+std::size_t Scene::table_bytes() const {
+    std::size_t n = 0;
+    for (const Shape& shape : shapes)
+        n += std::span(shape.triangles).size_bytes() + std::span(shape.mesh.indices).size_bytes() +
+             std::span(shape.mesh.normals).size_bytes() + std::span(shape.mesh.uvs).size_bytes();
+    for (const Texture& texture : textures)
+        if (texture.image) n += texture.image->bytes.size() + std::span(texture.image->floats).size_bytes();
+    return n;
+}
 
 SurfacePoint Scene::surface(const Ray& ray, const Hit& hit) const {
     const Shape& shape = shapes[hit.shape];

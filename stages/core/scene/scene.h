@@ -133,6 +133,13 @@ struct Scene {
     SurfacePoint surface(const Ray& ray, const Hit& hit) const;
     /// Of the diffuse lobe, as bsdf() says.
     Spectrum diffuse(const Material& material, Point2f uv) const;
+    /// Ask for the memory of what surface() and bsdf() will read, in three steps of which each reads what the one
+    /// before has asked for: many hits, step by step, wait for it together.
+    void prefetch_triangle(const Hit& hit) const;
+    void prefetch_corners(const Hit& hit) const;
+    void prefetch_texels(const Hit& hit) const;
+    /// Of what these ask for; below the size of a cache they only cost time.
+    std::size_t table_bytes() const;
     /// The BSDF with its textures evaluated at a point, parameters rounded as the path graph stores them.
     Bsdf<float> bsdf(const SurfacePoint& at) const;
 };

@@ -118,6 +118,17 @@ Spectrum Texture::eval(Point2f uv) const {
     return look_up<Spectrum>(*this, uv, [](const auto& v) { return as_spectrum(v); });
 }
 
+void Texture::prefetch(Point2f uv) const {
+    if (kind == TextureKind::checkerboard) return;
+    const Footprint f = footprint(*image, transformed(to_uv, uv), wrap);
+    const auto ask = [&](const auto* pixels, std::size_t width) {
+        __builtin_prefetch(pixels + width * f.p00);
+        __builtin_prefetch(pixels + width * f.p01);
+    };
+    if (!image->bytes.empty()) ask(image->bytes.data(), image->grey ? 1 : 4);
+    else ask(image->floats.data(), image->grey ? 1 : 3);
+}
+
 float Texture::eval_float(Point2f uv) const {
     uv = transformed(to_uv, uv);
     if (kind == TextureKind::checkerboard) return luminance(checker(*this, uv));

@@ -51,6 +51,8 @@ struct Texture {
     std::string id;
 
     Spectrum eval(Point2f uv) const;
+    /// Asks for the memory of the pixels that eval() will read.
+    void prefetch(Point2f uv) const;
     /// Luminance of a colour texture, the value of a grey one.
     float eval_float(Point2f uv) const;
     /// d eval_float / d(u, v) of the bilinear interpolant; 0 for `nearest` and the checkerboard.

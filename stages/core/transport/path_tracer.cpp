@@ -59,8 +59,12 @@ struct PathBatch::Impl {
     std::vector<float> light_x, light_y, direction_x, direction_y, roulette_x, unused;
     std::vector<Step> steps;
     MatteBlock matte;
+    bool prefetches;
 
-    Impl(const Scene& s, const PathOptions& o) : scene(s), options(o), matte(s, o) {
+    static constexpr std::size_t cache_bytes = std::size_t(1) << 20;  // of the second level
+
+    Impl(const Scene& s, const PathOptions& o)
+        : scene(s), options(o), matte(s, o), prefetches(s.table_bytes() > cache_bytes) {
         samplers.reserve(capacity);
         paths.reserve(capacity);
         shadows.resize(capacity);
@@ -104,8 +108,15 @@ struct PathBatch::Impl {
             if (matte.roulette(depth) != Roulette::off)
                 sampler_pairs(options.sampler, key_lo.data(), key_hi.data(), index.data(), dimension(depth, Place::roulette),
                               n, roulette_x.data(), unused.data());
+            const auto ask = [&](void (Scene::*prefetch)(const Hit&) const) {
+                if (prefetches)
+                    for (std::size_t k = 0; k < n; ++k) (scene.*prefetch)(hits[k]);
+            };
+            ask(&Scene::prefetch_triangle);
             for (std::size_t k = 0; k < n; ++k) lights[k] = light_query(hits[k], *rays[k], {light_x[k], light_y[k]}, depth == options.max_depth);
+            ask(&Scene::prefetch_corners);
             look_up_lights(scene, {lights.data(), n});
+            ask(&Scene::prefetch_texels);
             // Matte surfaces by column, a block at a time; all else vertex by vertex.
             const bool by_column = options.max_depth < 0 || depth < options.max_depth;
             const auto shade = [&] {
