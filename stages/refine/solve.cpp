@@ -1,6 +1,7 @@
 #include "stages/refine/solve.h"
 
 #include <algorithm>
+#include <bit>
 #include <cmath>
 
 #include "stages/core/transport/parallel.h"
@@ -10,15 +11,33 @@ namespace {
 
 constexpr std::uint64_t clusters_per_chunk = 512;
 
+/// Residuals below go up and down by themselves.
+constexpr double rounding = 1e-6;
+
+/// All four numbers of a Light at once.
+using Quad = float __attribute__((vector_size(sizeof(Light))));
+Quad quad(const Light& L) { return std::bit_cast<Quad>(L); }
+Light light(const Quad& q) { return std::bit_cast<Light>(q); }
+
+float magnitude(const Quad& q) {
+    return std::fabs(q[0]) + std::fabs(q[1]) + std::fabs(q[2]);
+}
+
 struct Sums {
     double change = 0, total = 0, given = 0, taken = 0;
+
+    Sums& operator+=(const Sums& other) {
+        change += other.change, total += other.total, given += other.given, taken += other.taken;
+        return *this;
+    }
 };
 
-float magnitude(const Light& L) {
-    return std::fabs(L.r) + std::fabs(L.g) + std::fabs(L.b);
-}
-float distance(const Light& a, const Light& b) {
-    return std::fabs(a.r - b.r) + std::fabs(a.g - b.g) + std::fabs(a.b - b.b);
+struct AllSums {
+    Sums all, image;
+};
+
+double ratio(double over, double under) {
+    return under > 0 ? over / under : over > 0 ? HUGE_VAL : 0;
 }
 
 /// Factor that keeps a cluster from giving more than (1 - epsilon) of what it takes in; one for all channels, so that
@@ -31,96 +50,302 @@ float cluster_factor(const float* given, const float* taken_in, float epsilon) {
     return factor;
 }
 
+/// What is left of the system when flat clusters are solved for the light S that each passes on, X_k = B_k + albedo_k S:
+/// far fewer unknowns Y, all flat clusters' S and then the X of all other vertices.
+///
+///   S_c = sum_e weight_e X_end = sum_e weight_e B_end + sum_e (weight_e albedo_end) S_end
+///
+/// Of an end that is not flat the light comes as it is. Steps Y <- base + gain Y are the very steps of X.
+class Reduced {
+  public:
+    Reduced(const System& s, std::span<const std::uint32_t> first_hits, const SolveOptions& options);
+
+    /// Y from a start X, and sums of the step.
+    AllSums first_step(const HugeArray<Light>& X);
+    /// The next Y; it becomes the present one by accept().
+    AllSums step();
+    void accept() { std::swap(Y_, next_); }
+    void expand(HugeArray<Light>& X) const;
+
+  private:
+    struct Edges {
+        alignas(64) float L[3 * max_lanes], base[3 * max_lanes], out[3 * (max_lanes + lane_block)], base_out[3 * (max_lanes + lane_block)];
+        float taken_in[3];
+    };
+
+    template <class Body>
+    void for_clusters(Body&& body) const {
+        parallel_chunks(s_.n_clusters, clusters_per_chunk, options_.threads, body);
+    }
+    std::size_t n_chunks() const { return std::size_t((s_.n_clusters + clusters_per_chunk - 1) / clusters_per_chunk); }
+    int size(std::size_t c) const { return int(s_.first[c + 1] - s_.first[c]); }
+    /// Row of Y of the first vertex of a cluster that is not flat.
+    std::size_t rows(std::size_t c) const { return s_.n_clusters + general_[c]; }
+
+    float clamp(std::size_t c, const float* taken_in, const float* out, Sums& sums) const;
+    AllSums sums_of_step() const;
+    static AllSums added(const std::vector<AllSums>& parts);
+
+    const System& s_;
+    const SolveOptions& options_;
+    decltype(ClusterKernels::apply_block) apply_;
+    std::vector<std::uint32_t> general_;  // by cluster: vertices of clusters before it that are not flat
+    std::vector<std::uint8_t> first_hit_;  // by unknown
+    HugeArray<std::uint32_t> home_;       // by unknown: row of Y
+    HugeArray<std::uint32_t> from_;       // by slot: row of Y that the light comes from
+    HugeArray<Light> gain_;               // by slot
+    std::vector<std::uint32_t> private_from_;
+    std::vector<Light> private_gain_;
+    HugeArray<Light> Y_, next_, base_;
+    // Of flat clusters: sums of albedos, over all vertices and over first hits; and of all their B.
+    HugeArray<Light> albedo_sum_, image_albedo_sum_;
+    AllSums flat_base_;
+};
+
+Reduced::Reduced(const System& s, std::span<const std::uint32_t> first_hits, const SolveOptions& options)
+    : s_(s), options_(options), apply_(cluster_kernels().apply_block), general_(s.n_clusters + 1), first_hit_(s.n_unknowns), home_(s.n_unknowns) {
+    for (std::size_t c = 0; c < s.n_clusters; ++c) general_[c + 1] = general_[c] + (s.flat[c] ? 0u : s.first[c + 1] - s.first[c]);
+    const std::size_t n_members = s.first.back(), n_solitary = s.n_unknowns - n_members;
+    const std::size_t n_rows = s.n_clusters + general_.back() + n_solitary;
+    for_clusters([&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
+        for (std::uint64_t c = begin; c < end; ++c)
+            for (std::uint32_t k = s.first[c]; k < s.first[c + 1]; ++k)
+                home_[k] = std::uint32_t(s.flat[c] ? c : rows(c) + (k - s.first[c]));
+    });
+    for (std::size_t k = n_members; k < s.n_unknowns; ++k) home_[k] = std::uint32_t(n_rows - (s.n_unknowns - k));
+    for (const std::uint32_t k : first_hits) first_hit_[k] = 1;
+    from_ = HugeArray<std::uint32_t>(n_members);
+    gain_ = HugeArray<Light>(n_members);
+    Y_ = HugeArray<Light>(n_rows), next_ = HugeArray<Light>(n_rows), base_ = HugeArray<Light>(n_rows);
+    albedo_sum_ = HugeArray<Light>(s.n_clusters), image_albedo_sum_ = HugeArray<Light>(s.n_clusters);
+}
+
+/// Clamp::cluster: the factor on what cluster c gives.
+float Reduced::clamp(std::size_t c, const float* taken_in, const float* out, Sums& sums) const {
+    float given[3] = {};
+    const int lanes = padded_lanes(size(c));
+    for (int l = 0; l < size(c); ++l)
+        for (int channel = 0; channel < 3; ++channel) given[channel] += out[channel * lanes + l] * s_.inv_eta2[s_.first[c] + std::size_t(l)];
+    const float factor = cluster_factor(given, taken_in, options_.epsilon);
+    const double all = double(given[0]) + given[1] + given[2];
+    sums.given += all;
+    sums.taken += all * (1 - factor);
+    return factor;
+}
+
+AllSums Reduced::added(const std::vector<AllSums>& parts) {
+    AllSums sum;
+    for (const AllSums& part : parts) sum.all += part.all, sum.image += part.image;
+    return sum;
+}
+
+AllSums Reduced::first_step(const HugeArray<Light>& X) {
+    const System& s = s_;
+    const std::size_t n_members = s.first.back();
+    std::vector<AllSums> clamped(n_chunks());
+    for_clusters([&](std::uint64_t chunk, std::uint64_t begin, std::uint64_t end) {
+        Edges edges;
+        for (std::uint64_t c = begin; c < end; ++c) {
+            const std::uint32_t first = s.first[c];
+            const int n = size(c), lanes = padded_lanes(n), n_edges = s.n_edges[c];
+            const bool flat = s.flat[c];
+            if (c + 2 < end)
+                for (std::uint32_t slot = s.first[c + 2], i = 0; i < s.n_edges[c + 2]; ++i) {
+                    const std::uint32_t k = s.edge_end[slot + i];
+                    __builtin_prefetch(&home_[k]);
+                    __builtin_prefetch(&X[k]);
+                    __builtin_prefetch(&s.B[k]);
+                    __builtin_prefetch(&s.albedo[k]);
+                }
+            Quad S{}, S_base{};
+            std::fill_n(edges.taken_in, 3, 0.0f);
+            for (int e = 0; e < n_edges; ++e) {
+                const std::size_t slot = first + std::size_t(e);
+                const std::uint32_t k = s.edge_end[slot], from = home_[k];
+                const float w = flat ? s.edge_weight[slot] : 0.0f;
+                const Quad weight = flat ? Quad{w, w, w, 0} : quad(s.edge_scale[s.row[c] + std::size_t(e)]);
+                const bool end_is_flat = from < s.n_clusters;
+                from_[slot] = from;
+                gain_[slot] = light(end_is_flat ? weight * quad(s.albedo[k]) : weight);
+                const Quad in = weight * quad(X[k]), base = end_is_flat ? weight * quad(s.B[k]) : Quad{};
+                if (flat) {
+                    S += in, S_base += base;
+                } else {
+                    for (int channel = 0; channel < 3; ++channel) edges.L[3 * e + channel] = in[channel], edges.base[3 * e + channel] = base[channel];
+                    if (options_.clamp == Clamp::cluster)
+                        for (int channel = 0; channel < 3; ++channel) edges.taken_in[channel] += quad(X[k])[channel] / s.edge_survival[slot];
+                }
+            }
+            if (flat) {
+                Y_[c] = light(S), base_[c] = light(S_base);
+                continue;
+            }
+            apply_(s.coefficients.data() + s.block[c], edges.L, n_edges, lanes, edges.out);
+            apply_(s.coefficients.data() + s.block[c], edges.base, n_edges, lanes, edges.base_out);
+            const float factor = options_.clamp == Clamp::cluster ? clamp(c, edges.taken_in, edges.out, clamped[chunk].all) : 1.0f;
+            for (int l = 0; l < n; ++l) {
+                const Light& B = s.B[first + std::size_t(l)];
+                const float *out = edges.out + l, *base = edges.base_out + l;
+                Y_[rows(c) + std::size_t(l)] = {B.r + out[0] * factor, B.g + out[lanes] * factor, B.b + out[2 * lanes] * factor};
+                base_[rows(c) + std::size_t(l)] = {B.r + base[0], B.g + base[lanes], B.b + base[2 * lanes]};
+            }
+        }
+    });
+    for (std::size_t k = n_members; k < s.n_unknowns; ++k) Y_[home_[k]] = base_[home_[k]] = s.B[k];
+    private_from_.resize(s.privates.size());
+    private_gain_.resize(s.privates.size());
+    parallel_chunks(s.privates.size(), 65536, options_.threads, [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
+        for (std::uint64_t i = begin; i < end; ++i) {
+            const System::Private& p = s.privates[i];
+            const std::uint32_t from = home_[p.end], to = home_[p.unknown];
+            const Quad weight{p.weight.r, p.weight.g, p.weight.b, 0};
+            const bool end_is_flat = from < s.n_clusters;
+            private_from_[i] = from;
+            private_gain_[i] = light(end_is_flat ? weight * quad(s.albedo[p.end]) : weight);
+            if (end_is_flat) base_[to] = light(quad(base_[to]) + weight * quad(s.B[p.end]));
+            Y_[to] = light(quad(Y_[to]) + weight * quad(X[p.end]));
+        }
+    });
+
+    // Against X vertex by vertex, as it has no S; and what later steps need for the same sums from S alone.
+    std::vector<AllSums> parts(n_chunks() + 1), bases(n_chunks());
+    const auto compare = [&](AllSums& sums, std::size_t k, const Quad& now) {
+        const double change = magnitude(now - quad(X[k])), total = magnitude(now);
+        sums.all.change += change, sums.all.total += total;
+        if (first_hit_[k]) sums.image.change += change, sums.image.total += total;
+    };
+    for_clusters([&](std::uint64_t chunk, std::uint64_t begin, std::uint64_t end) {
+        for (std::uint64_t c = begin; c < end; ++c) {
+            const Quad S = quad(Y_[c]);
+            Quad albedo_sum{}, image_albedo_sum{};
+            for (std::uint32_t k = s.first[c]; k < s.first[c + 1]; ++k) {
+                if (!s.flat[c]) {
+                    compare(parts[chunk], k, quad(Y_[home_[k]]));
+                    continue;
+                }
+                const Quad albedo = quad(s.albedo[k]), B = quad(s.B[k]);
+                compare(parts[chunk], k, B + albedo * S);
+                albedo_sum += albedo;
+                bases[chunk].all.total += magnitude(B);
+                if (first_hit_[k]) image_albedo_sum += albedo, bases[chunk].image.total += magnitude(B);
+            }
+            if (s.flat[c]) albedo_sum_[c] = light(albedo_sum), image_albedo_sum_[c] = light(image_albedo_sum);
+        }
+    });
+    for (std::size_t k = n_members; k < s.n_unknowns; ++k) compare(parts.back(), k, quad(Y_[home_[k]]));
+    flat_base_ = added(bases);
+    AllSums sums = added(parts);
+    sums.all += added(clamped).all;
+    return sums;
+}
+
+AllSums Reduced::step() {
+    const System& s = s_;
+    std::vector<AllSums> clamped(n_chunks());
+    for_clusters([&](std::uint64_t chunk, std::uint64_t begin, std::uint64_t end) {
+        Edges edges;
+        for (std::uint64_t c = begin; c < end; ++c) {
+            const std::uint32_t first = s.first[c];
+            const int n = size(c), lanes = padded_lanes(n), n_edges = s.n_edges[c];
+            if (c + 2 < end)
+                for (std::uint32_t slot = s.first[c + 2], i = 0; i < s.n_edges[c + 2]; ++i) __builtin_prefetch(&Y_[from_[slot + i]]);
+            if (s.flat[c]) {
+                Quad S = quad(base_[c]);
+                for (int e = 0; e < n_edges; ++e) S += quad(gain_[first + std::size_t(e)]) * quad(Y_[from_[first + std::size_t(e)]]);
+                next_[c] = light(S);
+                continue;
+            }
+            std::fill_n(edges.taken_in, 3, 0.0f);
+            for (int e = 0; e < n_edges; ++e) {
+                const std::size_t slot = first + std::size_t(e);
+                const Quad Y = quad(Y_[from_[slot]]), in = quad(gain_[slot]) * Y;
+                for (int channel = 0; channel < 3; ++channel) edges.L[3 * e + channel] = in[channel];
+                if (options_.clamp == Clamp::cluster)
+                    for (int channel = 0; channel < 3; ++channel) edges.taken_in[channel] += Y[channel] / s.edge_survival[slot];
+            }
+            apply_(s.coefficients.data() + s.block[c], edges.L, n_edges, lanes, edges.out);
+            const float factor = options_.clamp == Clamp::cluster ? clamp(c, edges.taken_in, edges.out, clamped[chunk].all) : 1.0f;
+            for (int l = 0; l < n; ++l) {
+                const Light& base = base_[rows(c) + std::size_t(l)];
+                const float* out = edges.out + l;
+                next_[rows(c) + std::size_t(l)] = {base.r + out[0] * factor, base.g + out[lanes] * factor, base.b + out[2 * lanes] * factor};
+            }
+        }
+    });
+    for (std::size_t k = s.first.back(); k < s.n_unknowns; ++k) next_[home_[k]] = base_[home_[k]];
+    parallel_chunks(s.privates.size(), 65536, options_.threads, [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
+        for (std::uint64_t i = begin; i < end; ++i) {
+            const std::uint32_t to = home_[s.privates[i].unknown];
+            next_[to] = light(quad(next_[to]) + quad(private_gain_[i]) * quad(Y_[private_from_[i]]));
+        }
+    });
+    AllSums sums = sums_of_step();
+    sums.all += added(clamped).all;
+    return sums;
+}
+
+/// Sums over all vertices, of which those of flat clusters need not be looked at: all that they are made of is positive.
+AllSums Reduced::sums_of_step() const {
+    const System& s = s_;
+    std::vector<AllSums> parts(n_chunks() + 1);
+    const auto compare = [&](AllSums& sums, std::size_t k, std::size_t row) {
+        const double change = magnitude(quad(next_[row]) - quad(Y_[row])), total = magnitude(quad(next_[row]));
+        sums.all.change += change, sums.all.total += total;
+        if (first_hit_[k]) sums.image.change += change, sums.image.total += total;
+    };
+    for_clusters([&](std::uint64_t chunk, std::uint64_t begin, std::uint64_t end) {
+        AllSums& sums = parts[chunk];
+        for (std::uint64_t c = begin; c < end; ++c) {
+            if (s.flat[c]) {
+                const Quad S = quad(next_[c]), change = S - quad(Y_[c]);
+                sums.all.change += magnitude(change * quad(albedo_sum_[c])), sums.all.total += magnitude(S * quad(albedo_sum_[c]));
+                sums.image.change += magnitude(change * quad(image_albedo_sum_[c])), sums.image.total += magnitude(S * quad(image_albedo_sum_[c]));
+                continue;
+            }
+            for (std::uint32_t k = s.first[c]; k < s.first[c + 1]; ++k) compare(sums, k, rows(c) + (k - s.first[c]));
+        }
+    });
+    for (std::size_t k = s.first.back(); k < s.n_unknowns; ++k) compare(parts.back(), k, home_[k]);
+    AllSums sums = added(parts);
+    sums.all += flat_base_.all, sums.image += flat_base_.image;
+    return sums;
+}
+
+void Reduced::expand(HugeArray<Light>& X) const {
+    for_clusters([&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
+        for (std::uint64_t c = begin; c < end; ++c) {
+            const std::uint32_t first = s_.first[c];
+            if (!s_.flat[c]) {
+                std::copy_n(Y_.data() + rows(c), size(c), X.data() + first);
+                continue;
+            }
+            const Quad S = quad(Y_[c]);
+            for (std::uint32_t k = first; k < s_.first[c + 1]; ++k) X[k] = light(quad(s_.B[k]) + quad(s_.albedo[k]) * S);
+        }
+    });
+    for (std::size_t k = s_.first.back(); k < s_.n_unknowns; ++k) X[k] = Y_[home_[k]];
+}
+
 }  // namespace
 
 std::vector<Iteration> solve(const System& s, std::span<const std::uint32_t> first_hits, const SolveOptions& options,
                              HugeArray<Light>& X, const std::function<void(const Iteration&)>& step) {
-    const auto apply = cluster_kernels().apply_block;
-    const std::size_t n_members = s.first.back();
-    HugeArray<Light> next(s.n_unknowns);
     std::vector<Iteration> log;
+    if (options.iterations <= 0) return log;
+    Reduced reduced(s, first_hits, options);
     double least = HUGE_VAL;
-    const std::uint64_t n_chunks = (s.n_clusters + clusters_per_chunk - 1) / clusters_per_chunk;
     for (int i = 0; i < options.iterations; ++i) {
-        std::vector<Sums> sums(n_chunks);
-        parallel_chunks(s.n_clusters, clusters_per_chunk, options.threads, [&](std::uint64_t chunk, std::uint64_t begin, std::uint64_t end) {
-            alignas(64) float L[3 * max_lanes], out[3 * (max_lanes + lane_block)];
-            Sums local;
-            for (std::uint64_t c = begin; c < end; ++c) {
-                const std::uint32_t first = s.first[c];
-                const int n = int(s.first[c + 1] - first), lanes = padded_lanes(n), n_edges = s.n_edges[c];
-                if (c + 2 < end)
-                    for (std::uint32_t slot = s.first[c + 2], k = 0; k < s.n_edges[c + 2]; ++k) __builtin_prefetch(&X[s.edge_end[slot + k]]);
-                float taken_in[3] = {};
-                for (int e = 0; e < n_edges; ++e) {
-                    const Light in = X[s.edge_end[first + e]];
-                    const Light scale = s.edge_scale[first + e];
-                    L[3 * e] = in.r * scale.r, L[3 * e + 1] = in.g * scale.g, L[3 * e + 2] = in.b * scale.b;
-                    if (options.clamp == Clamp::cluster) {
-                        const float inv_q = 1 / s.edge_survival[first + e];
-                        taken_in[0] += in.r * inv_q, taken_in[1] += in.g * inv_q, taken_in[2] += in.b * inv_q;
-                    }
-                }
-                apply(s.coefficients.data() + s.block[c], L, n_edges, lanes, out);
-                float factor = 1;
-                if (options.clamp == Clamp::cluster) {
-                    float given[3] = {};
-                    for (int l = 0; l < n; ++l)
-                        for (int channel = 0; channel < 3; ++channel) given[channel] += out[channel * lanes + l] * s.inv_eta2[first + l];
-                    factor = cluster_factor(given, taken_in, options.epsilon);
-                    const double all = double(given[0]) + given[1] + given[2];
-                    local.given += all;
-                    local.taken += all * (1 - factor);
-                }
-                for (int l = 0; l < n; ++l) {
-                    const Light& B = s.B[first + l];
-                    next[first + l] = {B.r + out[l] * factor, B.g + out[lanes + l] * factor, B.b + out[2 * lanes + l] * factor};
-                }
-            }
-            sums[chunk] = local;
-        });
-        for (std::size_t k = n_members; k < s.n_unknowns; ++k) next[k] = s.B[k];
-        parallel_chunks(s.privates.size(), 65536, options.threads, [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
-            for (std::uint64_t k = begin; k < end; ++k) {
-                const System::Private& p = s.privates[k];
-                const Light& in = X[p.end];
-                Light& out = next[p.unknown];
-                out.r += p.weight.r * in.r, out.g += p.weight.g * in.g, out.b += p.weight.b * in.b;
-            }
-        });
-
-        constexpr std::uint64_t block = 1 << 16;
-        std::vector<Sums> all((s.n_unknowns + block - 1) / block), image((first_hits.size() + block - 1) / block);
-        parallel_chunks(s.n_unknowns, block, options.threads, [&](std::uint64_t chunk, std::uint64_t begin, std::uint64_t end) {
-            for (std::uint64_t k = begin; k < end; ++k) {
-                all[chunk].change += distance(next[k], X[k]);
-                all[chunk].total += magnitude(next[k]);
-            }
-        });
-        parallel_chunks(first_hits.size(), block, options.threads, [&](std::uint64_t chunk, std::uint64_t begin, std::uint64_t end) {
-            for (std::uint64_t k = begin; k < end; ++k) {
-                image[chunk].change += distance(next[first_hits[k]], X[first_hits[k]]);
-                image[chunk].total += magnitude(next[first_hits[k]]);
-            }
-        });
-        const auto ratio = [](const std::vector<Sums>& parts, double Sums::*a, double Sums::*b) {
-            double over = 0, under = 0;
-            for (const Sums& part : parts) over += part.*a, under += part.*b;
-            return under > 0 ? over / under : over > 0 ? HUGE_VAL : 0;
-        };
-        Iteration iteration;
-        iteration.residual = ratio(all, &Sums::change, &Sums::total);
-        iteration.image_change = ratio(image, &Sums::change, &Sums::total);
-        iteration.clamped_share = ratio(sums, &Sums::taken, &Sums::given);
+        const AllSums sums = i == 0 ? reduced.first_step(X) : reduced.step();
+        const Iteration iteration{ratio(sums.all.change, sums.all.total), ratio(sums.image.change, sums.image.total),
+                                  ratio(sums.all.taken, sums.all.given)};
         if (!std::isfinite(iteration.residual)) break;
-        std::swap(X, next);
+        if (i > 0) reduced.accept();
         log.push_back(iteration);
         if (step) step(iteration);
-        double change = 0;
-        for (const Sums& part : all) change += part.change;
-        if (change > 3 * least) break;
-        least = std::min(least, change);
+        if (sums.all.change > 3 * least && iteration.residual > rounding) break;
+        least = std::min(least, sums.all.change);
     }
+    if (!log.empty()) reduced.expand(X);
     return log;
 }
 

@@ -19,7 +19,7 @@ struct SolveOptions {
 };
 
 /// Jacobi steps X <- M X + B, a fixed number of them; same result for any number of threads.
-/// in:   first_hits  unknowns of the first vertices of paths
+/// in:   first_hits  unknowns of the first vertices of paths, each once
 ///       X           start; replaced by the result
 ///       step        called after each iteration
 /// out:  one entry per iteration; fewer when the iteration diverged: sum |X' - X| grew threefold over its least (the

@@ -1,15 +1,16 @@
 #include "stages/refine/system.h"
 
 #include <algorithm>
+#include <atomic>
 #include <cmath>
-#include <mutex>
 
 #include "stages/core/transport/parallel.h"
+#include "stages/refine/flat_cluster.h"
 
 namespace loom::refine {
 namespace {
 
-constexpr std::uint64_t clusters_per_chunk = 256;
+constexpr std::uint64_t clusters_per_chunk = 1024;
 
 struct Lanes {
     alignas(64) float r[max_lanes + lane_block], g[max_lanes + lane_block], b[max_lanes + lane_block];
@@ -31,6 +32,8 @@ struct Builder {
     const SystemOptions& options;
     std::span<const std::uint32_t> offsets;  // of light edges
     System& system;
+    std::atomic<std::uint64_t> n_coefficients = 0;
+    std::atomic<std::uint32_t> n_rows = 0;
 
     float survival(std::size_t j) const { return graph.vertices.q.empty() ? 1.0f : graph.vertices.q[j]; }
     /// Squared index of the medium between vertex j and the one before it.
@@ -38,7 +41,7 @@ struct Builder {
 
     /// One column of a block: f_j cos_j / rho at all vertices of the cluster, in 16 bits of its largest value.
     /// in:  inv_eta2  of each lane   edge_eta2  of the medium that the light comes through
-    void add_column(const ClusterShading& shading, const float* inv_eta2, float edge_eta2, std::size_t slot, std::uint16_t* out,
+    void add_column(const ClusterShading& shading, const float* inv_eta2, float edge_eta2, std::size_t row, std::uint16_t* out,
                     float inv_rho, float q, ChunkResult& result) {
         float scale[3], sum[3];
         shading.fix_row(out, scale, sum);
@@ -51,7 +54,13 @@ struct Builder {
             sum[channel] *= inv_rho;
             scale[channel] *= inv_rho * (1.0f / 65535.0f);
         }
-        const float most = std::max({sum[0], sum[1], sum[2]}), total = sum[0] + sum[1] + sum[2];
+        const float factor = clamped({sum[0], sum[1], sum[2]}, q, result);
+        system.edge_scale[row] = {scale[0] * factor, scale[1] * factor, scale[2] * factor, 0};
+    }
+
+    /// Factor of a column with these sums of basic radiance.
+    float clamped(const Spectrum& sum, float q, ChunkResult& result) const {
+        const float most = std::max({sum.r, sum.g, sum.b}), total = sum.r + sum.g + sum.b;
         // An edge that survived roulette with q stands for 1 / q of its kind.
         const float bound = (1 - options.epsilon) / q;
         float factor = 1;
@@ -63,7 +72,7 @@ struct Builder {
         ++result.n_columns;
         result.sum += total;
         result.largest = std::max(result.largest, most * q);
-        system.edge_scale[slot] = {scale[0] * factor, scale[1] * factor, scale[2] * factor, 0};
+        return factor;
     }
 
     /// What vertex j alone makes of samples that no neighbour can use.
@@ -82,6 +91,35 @@ struct Builder {
         result.privates.push_back({unknown, std::uint32_t(j + 1), weight});
     }
 
+    void add_flat_cluster(std::size_t c, FlatCluster& flat, ChunkResult& result) {
+        const std::uint32_t begin = system.first[c];
+        system.flat[c] = 1;
+        flat.gather_lights(offsets);
+        const float per_attempt = flat.survival_sum() > 0 ? 1 / flat.survival_sum() : 0.0f;
+        Spectrum passed(0);  // by a continuation, as basic radiance but for its own eta^2
+        for (int l = 0; l < flat.size(); ++l) passed += flat.albedo(l) * (per_attempt / eta2(flat.vertex(l)));
+        int n_edges = 0;
+        for (int l = 0; l < flat.size(); ++l) {
+            const std::uint32_t j = flat.vertex(l), k = begin + std::uint32_t(l);
+            system.vertex[k] = j;
+            system.unknown[j] = k;
+            const Spectrum direct = flat.direct(l), &albedo = flat.albedo(l), own = flat.own_direct(l);
+            system.B[k] = {direct.r, direct.g, direct.b};
+            system.albedo[k] = {albedo.r, albedo.g, albedo.b};
+            Spectrum own_weight(0);
+            if (continues_shared(graph, j)) {
+                const float cos = dot(continuation_direction(graph, j), flat.normal()), q = survival(j);
+                const bool above = cos > 0;
+                const std::size_t slot = begin + std::size_t(n_edges++);
+                if (above) own_weight = albedo * (cos * inv_pi<float> / graph.vertices.pdf_w[j]);
+                system.edge_weight[slot] = clamped(passed * (above ? eta2(j + 1) : 0.0f), q, result) * (above ? per_attempt : 0.0f);
+                system.edge_end[slot] = j + 1;
+            }
+            system.own[j] = {{own.r, own.g, own.b}, {own_weight.r, own_weight.g, own_weight.b}};
+        }
+        system.n_edges[c] = std::uint16_t(n_edges);
+    }
+
     void add_cluster(std::size_t c, ClusterShading& shading, Lanes& direct, ChunkResult& result) {
         const std::uint32_t begin = system.first[c];
         shading.load(clusters.member.values().subspan(begin, system.first[c + 1] - begin));
@@ -97,15 +135,19 @@ struct Builder {
             direct.r[l] = own.r, direct.g[l] = own.g, direct.b[l] = own.b;
             own_light_of[l] = own, own_weight[l] = weight;
         }
+        const auto continues = [&](std::uint32_t j) { return continues_shared(graph, j); };
+        const auto most_edges = std::uint32_t(std::ranges::count_if(clusters.member.values().subspan(begin, std::size_t(shading.size())), continues));
+        system.block[c] = n_coefficients.fetch_add(std::uint64_t(most_edges) * 3 * std::uint64_t(lanes));
+        system.row[c] = n_rows.fetch_add(most_edges);
         std::uint16_t* column = system.coefficients.data() + system.block[c];
         int n_edges = 0;
         for_each_indirect_edge(shading, graph, options.sharing, [&](int lane, std::uint32_t end, float inv_rho) {
-            const std::size_t slot = begin + n_edges;
+            const std::size_t slot = begin + std::size_t(n_edges);
             const std::size_t j = shading.vertex(lane);
             const float q = survival(j), back = shading.to_solid_angle(lane);
             own_weight[lane] = back > 0 ? shading.f(lane, back / graph.vertices.pdf_w[j])
                                         : own_continuation(reader, reader.vertex(j), j, continuation_direction(graph, j));
-            add_column(shading, direct.inv_eta2, eta2(end), slot, column, inv_rho, q, result);
+            add_column(shading, direct.inv_eta2, eta2(end), system.row[c] + std::size_t(n_edges), column, inv_rho, q, result);
             system.edge_end[slot] = end;
             if (!system.edge_survival.empty()) system.edge_survival[slot] = q * eta2(end);
             column += 3 * lanes;
@@ -148,29 +190,40 @@ System build_system(const PathGraph& graph, const Clusters& clusters, const Syst
     s.own = HugeArray<System::Own>(s.n_unknowns);
     s.first.assign(clusters.first.begin(), clusters.first.end());
     s.n_edges.resize(s.n_clusters);
-    s.block.resize(s.n_clusters + 1);
+    s.flat.resize(s.n_clusters);
+    s.block.resize(s.n_clusters);
+    s.row.resize(s.n_clusters);
+    // Memory is taken where it is used: clusters that need a block take the next piece of what is reserved for all.
+    std::uint64_t most_coefficients = 0;
     for (std::size_t c = 0; c < s.n_clusters; ++c) {
         const int n = int(s.first[c + 1] - s.first[c]);
-        s.block[c + 1] = s.block[c] + std::uint64_t(padded_lanes(n)) * 3 * std::uint64_t(n);
+        most_coefficients += std::uint64_t(padded_lanes(n)) * 3 * std::uint64_t(n);
     }
     const std::size_t n_members = s.first.back();
     s.edge_end = HugeArray<std::uint32_t>(n_members);
+    s.edge_weight = HugeArray<float>(n_members);
+    s.albedo = HugeArray<Light>(n_members);
     s.edge_scale = HugeArray<Light>(n_members);
     if (options.clamp == Clamp::cluster) {
         s.edge_survival = HugeArray<float>(n_members);
         s.inv_eta2 = HugeArray<float>(n_members);
     }
-    s.coefficients = HugeArray<std::uint16_t>(s.block.back());
+    s.coefficients = HugeArray<std::uint16_t>(most_coefficients);
 
     Builder builder{graph, reader, clusters, options, offsets, s};
+    // What is of rank one for a direction is not for a point, nor where successes are counted; the clamp by cluster
+    // wants the light of each edge by itself.
+    const bool rank_one = options.sharing.reuse == Reuse::directions && !options.sharing.as_printed && options.clamp != Clamp::cluster;
     std::vector<ChunkResult> results((s.n_clusters + clusters_per_chunk - 1) / clusters_per_chunk + 1);
     parallel_chunks(s.n_clusters, clusters_per_chunk, options.threads, [&](std::uint64_t chunk, std::uint64_t begin, std::uint64_t end) {
         const auto shading = std::make_unique<ClusterShading>(reader);
+        const auto flat = std::make_unique<FlatCluster>(reader);
         const auto direct = std::make_unique<Lanes>();
         const auto members = [&](std::uint64_t c) { return clusters.member.values().subspan(s.first[c], s.first[c + 1] - s.first[c]); };
         for (std::uint64_t c = begin; c < end; ++c) {
             if (c + 1 < end) shading->prefetch(members(c + 1));
-            builder.add_cluster(c, *shading, *direct, results[chunk]);
+            if (rank_one && flat->load(members(c))) builder.add_flat_cluster(c, *flat, results[chunk]);
+            else builder.add_cluster(c, *shading, *direct, results[chunk]);
         }
     });
 
@@ -213,6 +266,17 @@ System build_system(const PathGraph& graph, const Clusters& clusters, const Syst
             for (std::uint32_t slot = s.first[c]; slot < s.first[c] + s.n_edges[c]; ++slot) s.edge_end[slot] = s.unknown[s.edge_end[slot]];
     });
     return s;
+}
+
+Spectrum System::coefficient(std::size_t c, int i, int lane) const {
+    if (flat[c]) {
+        const Light& a = albedo[first[c] + std::size_t(lane)];
+        return Spectrum{a.r, a.g, a.b} * edge_weight[first[c] + std::size_t(i)];
+    }
+    const Light& scale = edge_scale[row[c] + std::size_t(i)];
+    const std::size_t lanes = std::size_t(padded_lanes(int(first[c + 1] - first[c])));
+    const std::uint16_t* fixed = coefficients.data() + block[c] + 3 * std::size_t(i) * lanes + std::size_t(lane);
+    return {fixed[0] * scale.r, fixed[lanes] * scale.g, fixed[2 * lanes] * scale.b};
 }
 
 PathRadiance path_radiance(const System& system, const PathGraph& g, int threads) {

@@ -4,7 +4,8 @@
 //                              PG section 4
 //
 // Clusters pool their samples: M is never built, but as one block of coefficients per cluster (a row for each vertex,
-// a column for each continuation), followed by the step along each continuation.
+// a column for each continuation), followed by the step along each continuation. The block of a flat matte cluster is
+// of rank one (flat_columns.h): an albedo for each vertex times a weight for each continuation.
 
 #include "formats/clusters.h"
 #include "stages/core/transport/cluster_edges.h"
@@ -44,9 +45,15 @@ struct System {
     // Clusters. Cluster c has unknowns first[c] to first[c+1]; its edge i is in slot first[c] + i.
     std::vector<std::uint32_t> first;
     std::vector<std::uint16_t> n_edges;
-    std::vector<std::uint64_t> block;         // first coefficient
+    std::vector<std::uint8_t> flat;           // 1: of rank one
     HugeArray<std::uint32_t> edge_end;        // by slot: unknown that the light comes from
-    HugeArray<Light> edge_scale;           // by slot: of a fixed-point coefficient
+    // Flat ones
+    HugeArray<float> edge_weight;             // by slot
+    HugeArray<Light> albedo;                  // by unknown
+    // The others. Where a cluster's share of these lies differs from run to run.
+    std::vector<std::uint64_t> block;         // first coefficient
+    std::vector<std::uint32_t> row;           // edge i is in row[c] + i
+    HugeArray<Light> edge_scale;              // by row: of a fixed-point coefficient
     HugeArray<float> edge_survival;           // by slot, times eta^2 of the edge; empty unless the clamp asks for it
     HugeArray<float> inv_eta2;                // by unknown, on the side of wo; empty unless the clamp asks for it
     HugeArray<std::uint16_t> coefficients;    // [edge][rgb][padded lane]
@@ -68,6 +75,9 @@ struct System {
     std::uint64_t n_clamped = 0, n_columns = 0;
     double clamped_share = 0;
     float largest_column_sum = 0;  // before the clamp, of basic radiance, survival counted: the bound of the spectrum
+
+    /// What the vertex in a lane of cluster c reflects of the light of edge i.
+    Spectrum coefficient(std::size_t c, int i, int lane) const;
 };
 
 /// Evaluates all clusters once: direct light and blocks.
