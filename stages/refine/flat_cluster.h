@@ -1,31 +1,30 @@
 #pragma once
 #include <span>
-#include <vector>
 
-#include "stages/core/transport/cluster_edges.h"
 #include "stages/refine/flat_columns.h"
+#include "stages/refine/flat_rows.h"
 
 namespace loom::refine {
 
 /// The vertices of a flat matte cluster (flat_columns.h). Reused from cluster to cluster.
 class FlatCluster {
   public:
-    explicit FlatCluster(const GraphReader& reader);
+    explicit FlatCluster(const GraphReader& reader) : reader_(reader), kernels_(flat_kernels()) {}
 
-    /// Lanes are in the order of `vertices`. false: this is not a flat matte cluster.
-    /// needs:   at most max_lanes vertices
-    bool load(std::span<const std::uint32_t> vertices);
+    /// Lanes are in the order of the rows. false: this is not a flat matte cluster.
+    /// needs:   at most max_lanes rows
+    bool load(std::span<const VertexRow> rows);
 
     int size() const { return columns_.n; }
-    std::uint32_t vertex(int lane) const { return vertices_[std::size_t(lane)]; }
+    const VertexRow& row(int lane) const { return rows_[std::size_t(lane)]; }
     const Spectrum& albedo(int lane) const { return albedo_[lane]; }
     const Normal3f& normal() const { return columns_.normal; }
     /// Attempts to continue, each with its probability; a continuation above the surface passes albedo / this.
     float survival_sum() const { return survival_sum_; }
 
     /// Takes the light edges of all vertices.
-    /// in:      offsets  of light edges, by vertex
-    void gather_lights(std::span<const std::uint32_t> offsets);
+    /// in:      first  offsets into lights, by lane, and one more
+    void gather_lights(std::span<const LightRow> lights, const std::uint32_t* first);
     // Afterwards: light that a lane reflects, pooled, and by its own samples.
     Spectrum direct(int lane) const;
     Spectrum own_direct(int lane) const { return albedo_[lane] * own_white_[lane]; }
@@ -37,14 +36,13 @@ class FlatCluster {
         Spectrum Li[FlatLights::capacity];
     };
 
-    void add_far_light(int lane, std::uint32_t edge, bool delta);
-    void add_near_light(Batch& batch, int lane, std::uint32_t edge, decltype(FlatKernels::area) kernel);
+    void add_far_light(int lane, const LightRow& light, bool delta);
+    void add_near_light(Batch& batch, int lane, const LightRow& light, decltype(FlatKernels::area) kernel);
     void flush(Batch& batch, decltype(FlatKernels::area) kernel);
 
     const GraphReader& reader_;
     const FlatKernels& kernels_;
-    std::vector<bool> matte_;  // by material
-    std::span<const std::uint32_t> vertices_;
+    std::span<const VertexRow> rows_;
     FlatColumns columns_{};
     Batch area_{}, point_{};
     float survival_sum_ = 0, nee_sum_ = 0;

@@ -91,31 +91,31 @@ struct Builder {
         result.privates.push_back({unknown, std::uint32_t(j + 1), weight});
     }
 
-    void add_flat_cluster(std::size_t c, FlatCluster& flat, ChunkResult& result) {
+    void add_flat_cluster(std::size_t c, FlatCluster& flat, const FlatRows& rows, ChunkResult& result) {
         const std::uint32_t begin = system.first[c];
         system.flat[c] = 1;
-        flat.gather_lights(offsets);
+        flat.gather_lights(rows.lights, rows.first_light.data() + begin);
         const float per_attempt = flat.survival_sum() > 0 ? 1 / flat.survival_sum() : 0.0f;
         Spectrum passed(0);  // by a continuation, as basic radiance but for its own eta^2
-        for (int l = 0; l < flat.size(); ++l) passed += flat.albedo(l) * (per_attempt / eta2(flat.vertex(l)));
+        for (int l = 0; l < flat.size(); ++l) passed += flat.albedo(l) * (per_attempt / eta2(flat.row(l).vertex));
         int n_edges = 0;
         for (int l = 0; l < flat.size(); ++l) {
-            const std::uint32_t j = flat.vertex(l), k = begin + std::uint32_t(l);
-            system.vertex[k] = j;
-            system.unknown[j] = k;
+            const VertexRow& row = flat.row(l);
+            const std::uint32_t k = begin + std::uint32_t(l);
+            system.vertex[k] = row.vertex;
             const Spectrum direct = flat.direct(l), &albedo = flat.albedo(l), own = flat.own_direct(l);
             system.B[k] = {direct.r, direct.g, direct.b};
             system.albedo[k] = {albedo.r, albedo.g, albedo.b};
             Spectrum own_weight(0);
-            if (continues_shared(graph, j)) {
-                const float cos = dot(continuation_direction(graph, j), flat.normal()), q = survival(j);
+            if (row.flags & vertex_flag::continued) {
+                const float cos = dot(row.next, flat.normal());
                 const bool above = cos > 0;
                 const std::size_t slot = begin + std::size_t(n_edges++);
-                if (above) own_weight = albedo * (cos * inv_pi<float> / graph.vertices.pdf_w[j]);
-                system.edge_weight[slot] = clamped(passed * (above ? eta2(j + 1) : 0.0f), q, result) * (above ? per_attempt : 0.0f);
-                system.edge_end[slot] = j + 1;
+                if (above) own_weight = albedo * (cos * inv_pi<float> / row.pdf_w);
+                system.edge_weight[slot] = clamped(passed * (above ? eta2(row.vertex + 1) : 0.0f), row.q, result) * (above ? per_attempt : 0.0f);
+                system.edge_end[slot] = row.vertex + 1;
             }
-            system.own[j] = {{own.r, own.g, own.b}, {own_weight.r, own_weight.g, own_weight.b}};
+            system.own[row.vertex] = {{own.r, own.g, own.b}, {own_weight.r, own_weight.g, own_weight.b}};
         }
         system.n_edges[c] = std::uint16_t(n_edges);
     }
@@ -214,15 +214,24 @@ System build_system(const PathGraph& graph, const Clusters& clusters, const Syst
     // What is of rank one for a direction is not for a point, nor where successes are counted; the clamp by cluster
     // wants the light of each edge by itself.
     const bool rank_one = options.sharing.reuse == Reuse::directions && !options.sharing.as_printed && options.clamp != Clamp::cluster;
+    // Places by cluster; a cluster that is not flat sorts its own once more.
+    if (n_members < s.n_unknowns) std::fill_n(s.unknown.data(), s.n_unknowns, System::nothing);
+    parallel_chunks(n_members, 1 << 16, options.threads, [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
+        for (std::uint64_t k = begin; k < end; ++k) s.unknown[clusters.member[k]] = std::uint32_t(k);
+    });
+    const FlatRows rows(reader, s.unknown, rank_one ? n_members : 0, offsets, options.threads);
+    const auto rows_of = [&](std::uint64_t c) { return std::span(rows.vertices.data() + s.first[c], s.first[c + 1] - s.first[c]); };
+    const auto members = [&](std::uint64_t c) { return clusters.member.values().subspan(s.first[c], s.first[c + 1] - s.first[c]); };
     std::vector<ChunkResult> results((s.n_clusters + clusters_per_chunk - 1) / clusters_per_chunk + 1);
     parallel_chunks(s.n_clusters, clusters_per_chunk, options.threads, [&](std::uint64_t chunk, std::uint64_t begin, std::uint64_t end) {
         const auto shading = std::make_unique<ClusterShading>(reader);
         const auto flat = std::make_unique<FlatCluster>(reader);
         const auto direct = std::make_unique<Lanes>();
-        const auto members = [&](std::uint64_t c) { return clusters.member.values().subspan(s.first[c], s.first[c + 1] - s.first[c]); };
         for (std::uint64_t c = begin; c < end; ++c) {
-            if (c + 1 < end) shading->prefetch(members(c + 1));
-            if (rank_one && flat->load(members(c))) builder.add_flat_cluster(c, *flat, results[chunk]);
+            if (c + 1 < end && !(rank_one && rows_of(c + 1)[0].matte)) shading->prefetch(members(c + 1));
+            if (rank_one)
+                for (const VertexRow& row : rows_of(c)) __builtin_prefetch(&s.own[row.vertex], 1);
+            if (rank_one && flat->load(rows_of(c))) builder.add_flat_cluster(c, *flat, rows, results[chunk]);
             else builder.add_cluster(c, *shading, *direct, results[chunk]);
         }
     });
@@ -230,10 +239,8 @@ System build_system(const PathGraph& graph, const Clusters& clusters, const Syst
     // Solitary vertices: those that no cluster has.
     std::uint32_t next = std::uint32_t(n_members);
     if (n_members < s.n_unknowns) {
-        std::vector<bool> member(s.n_unknowns);
-        for (std::uint32_t j : clusters.member) member[j] = true;
         for (std::size_t j = 0; j < s.n_unknowns; ++j)
-            if (!member[j]) {
+            if (s.unknown[j] == System::nothing) {
                 s.vertex[next] = std::uint32_t(j);
                 s.unknown[j] = next++;
             }
