@@ -27,7 +27,7 @@ V triple(const Column<float>& column, std::size_t j, std::size_t width = 3) {
 
 FlatRows::FlatRows(const GraphReader& reader, std::span<const std::uint32_t> place, std::size_t n_places,
                    std::span<const std::uint32_t> offsets, int threads)
-    : vertices(n_places), first_light(n_places + 1) {
+    : vertices(place.size()), first_light(n_places + 1) {
     const PathGraph& g = reader.graph();
     const auto& v = g.vertices;
     const auto& m = g.materials;

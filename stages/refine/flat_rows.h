@@ -31,7 +31,7 @@ struct LightRow {
 /// Vertices and their light edges in the order of clusters, to be read from front to back. Rows of vertices that are
 /// not plain matte are left zero: they are in no flat matte cluster.
 struct FlatRows {
-    HugeArray<VertexRow> vertices;
+    HugeArray<VertexRow> vertices;           // as many as there are vertices at all
     std::vector<std::uint32_t> first_light;  // vertex+1 offsets into lights
     HugeArray<LightRow> lights;
 

@@ -100,12 +100,12 @@ Radiance refine_radiance(const PathGraph& graph, const Clusters& clusters, const
 
     std::vector<double> residual, image_change;
     Radiance result;
-    auto [X, indirect] = path_radiance(system, graph, options.threads);
+    HugeArray<Light> indirect = path_radiance(system, graph, options.threads);
     result.indirect_path = interleaved(indirect.size(), options.threads, [&](std::size_t i) { return indirect[i]; });
-    if (plan.start == Start::zero) std::copy_n(system.B.data(), system.n_unknowns, X.data());
-    system.own = {};  // it has done its work, and is the largest table but for the coefficients
+    if (plan.start == Start::zero)
+        for (std::size_t k = 0; k < system.n_unknowns; ++k) system.at[k].X = system.at[k].B;
     indirect = {};
-    const auto log = solve(system, first_hits, {plan.iterations, options.clamp, options.epsilon, options.threads}, X, [&](const Iteration& i) {
+    const auto log = solve(system, first_hits, {plan.iterations, options.clamp, options.epsilon, options.threads}, radiance_of(system), [&](const Iteration& i) {
         residual.push_back(i.residual);
         image_change.push_back(i.image_change);
         result.clamped_share = i.clamped_share;
@@ -117,8 +117,8 @@ Radiance refine_radiance(const PathGraph& graph, const Clusters& clusters, const
     if (options.clamp == Clamp::column) result.clamped_share = system.clamped_share;
 
     result.graph_vertices = system.n_unknowns;
-    result.L = interleaved(system.n_unknowns, options.threads, [&](std::size_t j) { return X[system.unknown[j]]; });
-    result.direct = of_first_vertices(graph, options.threads, [&](std::size_t j) { return system.B[system.unknown[j]]; });
+    result.L = interleaved(system.n_unknowns, options.threads, [&](std::size_t j) { return system.at[system.unknown[j]].X; });
+    result.direct = of_first_vertices(graph, options.threads, [&](std::size_t j) { return system.at[system.unknown[j]].B; });
     result.residual = std::move(residual);
     result.image_change = std::move(image_change);
     result.settings = {"fixed-point",

@@ -61,11 +61,11 @@ class Reduced {
     Reduced(const System& s, std::span<const std::uint32_t> first_hits, const SolveOptions& options);
 
     /// Y from a start X, and sums of the step.
-    AllSums first_step(const HugeArray<Light>& X);
+    AllSums first_step(LightColumn X);
     /// The next Y; it becomes the present one by accept().
     AllSums step();
     void accept() { std::swap(Y_, next_); }
-    void expand(HugeArray<Light>& X) const;
+    void expand(LightColumn X) const;
 
   private:
     struct Edges {
@@ -139,7 +139,7 @@ AllSums Reduced::added(const std::vector<AllSums>& parts) {
     return sum;
 }
 
-AllSums Reduced::first_step(const HugeArray<Light>& X) {
+AllSums Reduced::first_step(LightColumn X) {
     const System& s = s_;
     const std::size_t n_members = s.first.back();
     std::vector<AllSums> clamped(n_chunks());
@@ -154,8 +154,7 @@ AllSums Reduced::first_step(const HugeArray<Light>& X) {
                     const std::uint32_t k = s.edge_end[slot + i];
                     __builtin_prefetch(&home_[k]);
                     __builtin_prefetch(&X[k]);
-                    __builtin_prefetch(&s.B[k]);
-                    __builtin_prefetch(&s.albedo[k]);
+                    __builtin_prefetch(&s.at[k]);
                 }
             Quad S{}, S_base{};
             std::fill_n(edges.taken_in, 3, 0.0f);
@@ -166,8 +165,8 @@ AllSums Reduced::first_step(const HugeArray<Light>& X) {
                 const Quad weight = flat ? Quad{w, w, w, 0} : quad(s.edge_scale[s.row[c] + std::size_t(e)]);
                 const bool end_is_flat = from < s.n_clusters;
                 from_[slot] = from;
-                gain_[slot] = light(end_is_flat ? weight * quad(s.albedo[k]) : weight);
-                const Quad in = weight * quad(X[k]), base = end_is_flat ? weight * quad(s.B[k]) : Quad{};
+                gain_[slot] = light(end_is_flat ? weight * quad(s.at[k].albedo) : weight);
+                const Quad in = weight * quad(X[k]), base = end_is_flat ? weight * quad(s.at[k].B) : Quad{};
                 if (flat) {
                     S += in, S_base += base;
                 } else {
@@ -184,14 +183,14 @@ AllSums Reduced::first_step(const HugeArray<Light>& X) {
             apply_(s.coefficients.data() + s.block[c], edges.base, n_edges, lanes, edges.base_out);
             const float factor = options_.clamp == Clamp::cluster ? clamp(c, edges.taken_in, edges.out, clamped[chunk].all) : 1.0f;
             for (int l = 0; l < n; ++l) {
-                const Light& B = s.B[first + std::size_t(l)];
+                const Light& B = s.at[first + std::size_t(l)].B;
                 const float *out = edges.out + l, *base = edges.base_out + l;
                 Y_[rows(c) + std::size_t(l)] = {B.r + out[0] * factor, B.g + out[lanes] * factor, B.b + out[2 * lanes] * factor};
                 base_[rows(c) + std::size_t(l)] = {B.r + base[0], B.g + base[lanes], B.b + base[2 * lanes]};
             }
         }
     });
-    for (std::size_t k = n_members; k < s.n_unknowns; ++k) Y_[home_[k]] = base_[home_[k]] = s.B[k];
+    for (std::size_t k = n_members; k < s.n_unknowns; ++k) Y_[home_[k]] = base_[home_[k]] = s.at[k].B;
     private_from_.resize(s.privates.size());
     private_gain_.resize(s.privates.size());
     parallel_chunks(s.privates.size(), 65536, options_.threads, [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
@@ -201,8 +200,8 @@ AllSums Reduced::first_step(const HugeArray<Light>& X) {
             const Quad weight{p.weight.r, p.weight.g, p.weight.b, 0};
             const bool end_is_flat = from < s.n_clusters;
             private_from_[i] = from;
-            private_gain_[i] = light(end_is_flat ? weight * quad(s.albedo[p.end]) : weight);
-            if (end_is_flat) base_[to] = light(quad(base_[to]) + weight * quad(s.B[p.end]));
+            private_gain_[i] = light(end_is_flat ? weight * quad(s.at[p.end].albedo) : weight);
+            if (end_is_flat) base_[to] = light(quad(base_[to]) + weight * quad(s.at[p.end].B));
             Y_[to] = light(quad(Y_[to]) + weight * quad(X[p.end]));
         }
     });
@@ -223,7 +222,7 @@ AllSums Reduced::first_step(const HugeArray<Light>& X) {
                     compare(parts[chunk], k, quad(Y_[home_[k]]));
                     continue;
                 }
-                const Quad albedo = quad(s.albedo[k]), B = quad(s.B[k]);
+                const Quad albedo = quad(s.at[k].albedo), B = quad(s.at[k].B);
                 compare(parts[chunk], k, B + albedo * S);
                 albedo_sum += albedo;
                 bases[chunk].all.total += magnitude(B);
@@ -311,16 +310,16 @@ AllSums Reduced::sums_of_step() const {
     return sums;
 }
 
-void Reduced::expand(HugeArray<Light>& X) const {
+void Reduced::expand(LightColumn X) const {
     for_clusters([&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
         for (std::uint64_t c = begin; c < end; ++c) {
             const std::uint32_t first = s_.first[c];
             if (!s_.flat[c]) {
-                std::copy_n(Y_.data() + rows(c), size(c), X.data() + first);
+                for (int l = 0; l < size(c); ++l) X[first + std::size_t(l)] = Y_[rows(c) + std::size_t(l)];
                 continue;
             }
             const Quad S = quad(Y_[c]);
-            for (std::uint32_t k = first; k < s_.first[c + 1]; ++k) X[k] = light(quad(s_.B[k]) + quad(s_.albedo[k]) * S);
+            for (std::uint32_t k = first; k < s_.first[c + 1]; ++k) X[k] = light(quad(s_.at[k].B) + quad(s_.at[k].albedo) * S);
         }
     });
     for (std::size_t k = s_.first.back(); k < s_.n_unknowns; ++k) X[k] = Y_[home_[k]];
@@ -329,7 +328,7 @@ void Reduced::expand(HugeArray<Light>& X) const {
 }  // namespace
 
 std::vector<Iteration> solve(const System& s, std::span<const std::uint32_t> first_hits, const SolveOptions& options,
-                             HugeArray<Light>& X, const std::function<void(const Iteration&)>& step) {
+                             LightColumn X, const std::function<void(const Iteration&)>& step) {
     std::vector<Iteration> log;
     if (options.iterations <= 0) return log;
     Reduced reduced(s, first_hits, options);

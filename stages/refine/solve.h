@@ -18,6 +18,20 @@ struct SolveOptions {
     int threads = 0;
 };
 
+/// A light of each unknown: an array, or a column of the system's rows.
+struct LightColumn {
+    Light* first;
+    std::size_t stride;  // in lights
+
+    LightColumn(HugeArray<Light>& array) : first(array.data()), stride(1) {}
+    LightColumn(Light* first_, std::size_t stride_) : first(first_), stride(stride_) {}
+    Light& operator[](std::size_t k) const { return first[k * stride]; }
+};
+/// X in the rows of a system.
+inline LightColumn radiance_of(System& system) {
+    return {&system.at.data()->X, sizeof(System::Row) / sizeof(Light)};
+}
+
 /// Jacobi steps X <- M X + B, a fixed number of them; same result for any number of threads.
 /// in:   first_hits  unknowns of the first vertices of paths, each once
 ///       X           start; replaced by the result
@@ -26,6 +40,6 @@ struct SolveOptions {
 ///       residual, relative to what grows as fast, need not grow), or a value stopped being finite, in which case X
 ///       is the last iterate before that
 std::vector<Iteration> solve(const System& system, std::span<const std::uint32_t> first_hits, const SolveOptions& options,
-                             HugeArray<Light>& X, const std::function<void(const Iteration&)>& step = {});
+                             LightColumn X, const std::function<void(const Iteration&)>& step = {});
 
 }  // namespace loom::refine

@@ -100,12 +100,10 @@ struct Builder {
         for (int l = 0; l < flat.size(); ++l) passed += flat.albedo(l) * (per_attempt / eta2(flat.row(l).vertex));
         int n_edges = 0;
         for (int l = 0; l < flat.size(); ++l) {
-            const VertexRow& row = flat.row(l);
+            const VertexRow row = flat.row(l);  // a copy: its place is taken by the result
             const std::uint32_t k = begin + std::uint32_t(l);
             system.vertex[k] = row.vertex;
             const Spectrum direct = flat.direct(l), &albedo = flat.albedo(l), own = flat.own_direct(l);
-            system.B[k] = {direct.r, direct.g, direct.b};
-            system.albedo[k] = {albedo.r, albedo.g, albedo.b};
             Spectrum own_weight(0);
             if (row.flags & vertex_flag::continued) {
                 const float cos = dot(row.next, flat.normal());
@@ -115,7 +113,7 @@ struct Builder {
                 system.edge_weight[slot] = clamped(passed * (above ? eta2(row.vertex + 1) : 0.0f), row.q, result) * (above ? per_attempt : 0.0f);
                 system.edge_end[slot] = row.vertex + 1;
             }
-            system.own[row.vertex] = {{own.r, own.g, own.b}, {own_weight.r, own_weight.g, own_weight.b}};
+            new (&system.at[k]) System::Row{{direct.r, direct.g, direct.b}, {albedo.r, albedo.g, albedo.b}, {own.r, own.g, own.b}, {own_weight.r, own_weight.g, own_weight.b}};
         }
         system.n_edges[c] = std::uint16_t(n_edges);
     }
@@ -169,9 +167,8 @@ struct Builder {
         });
         if (!system.inv_eta2.empty()) std::copy_n(direct.inv_eta2, shading.size(), system.inv_eta2.data() + begin);
         for (int l = 0; l < shading.size(); ++l) {
-            system.B[begin + l] = {direct.r[l], direct.g[l], direct.b[l]};
             const Spectrum &own = own_light_of[l], &weight = own_weight[l];
-            system.own[shading.vertex(l)] = {{own.r, own.g, own.b}, {weight.r, weight.g, weight.b}};
+            new (&system.at[begin + l]) System::Row{{direct.r[l], direct.g[l], direct.b[l]}, {}, {own.r, own.g, own.b}, {weight.r, weight.g, weight.b}};
         }
     }
 };
@@ -186,8 +183,6 @@ System build_system(const PathGraph& graph, const Clusters& clusters, const Syst
     s.n_unknowns = graph.n_vertices();
     s.vertex = HugeArray<std::uint32_t>(s.n_unknowns);
     s.unknown = HugeArray<std::uint32_t>(s.n_unknowns);
-    s.B = HugeArray<Light>(s.n_unknowns);
-    s.own = HugeArray<System::Own>(s.n_unknowns);
     s.first.assign(clusters.first.begin(), clusters.first.end());
     s.n_edges.resize(s.n_clusters);
     s.flat.resize(s.n_clusters);
@@ -202,7 +197,6 @@ System build_system(const PathGraph& graph, const Clusters& clusters, const Syst
     const std::size_t n_members = s.first.back();
     s.edge_end = HugeArray<std::uint32_t>(n_members);
     s.edge_weight = HugeArray<float>(n_members);
-    s.albedo = HugeArray<Light>(n_members);
     s.edge_scale = HugeArray<Light>(n_members);
     if (options.clamp == Clamp::cluster) {
         s.edge_survival = HugeArray<float>(n_members);
@@ -219,8 +213,10 @@ System build_system(const PathGraph& graph, const Clusters& clusters, const Syst
     parallel_chunks(n_members, 1 << 16, options.threads, [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
         for (std::uint64_t k = begin; k < end; ++k) s.unknown[clusters.member[k]] = std::uint32_t(k);
     });
-    const FlatRows rows(reader, s.unknown, rank_one ? n_members : 0, offsets, options.threads);
-    const auto rows_of = [&](std::uint64_t c) { return std::span(rows.vertices.data() + s.first[c], s.first[c + 1] - s.first[c]); };
+    FlatRows rows(reader, s.unknown, rank_one ? n_members : 0, offsets, options.threads);
+    const VertexRow* vertex_rows = rows.vertices.data();
+    s.at = std::move(rows.vertices).reused<System::Row>();
+    const auto rows_of = [&](std::uint64_t c) { return std::span(vertex_rows + s.first[c], s.first[c + 1] - s.first[c]); };
     const auto members = [&](std::uint64_t c) { return clusters.member.values().subspan(s.first[c], s.first[c + 1] - s.first[c]); };
     std::vector<ChunkResult> results((s.n_clusters + clusters_per_chunk - 1) / clusters_per_chunk + 1);
     parallel_chunks(s.n_clusters, clusters_per_chunk, options.threads, [&](std::uint64_t chunk, std::uint64_t begin, std::uint64_t end) {
@@ -229,8 +225,6 @@ System build_system(const PathGraph& graph, const Clusters& clusters, const Syst
         const auto direct = std::make_unique<Lanes>();
         for (std::uint64_t c = begin; c < end; ++c) {
             if (c + 1 < end && !(rank_one && rows_of(c + 1)[0].matte)) shading->prefetch(members(c + 1));
-            if (rank_one)
-                for (const VertexRow& row : rows_of(c)) __builtin_prefetch(&s.own[row.vertex], 1);
             if (rank_one && flat->load(rows_of(c))) builder.add_flat_cluster(c, *flat, rows, results[chunk]);
             else builder.add_cluster(c, *shading, *direct, results[chunk]);
         }
@@ -249,8 +243,8 @@ System build_system(const PathGraph& graph, const Clusters& clusters, const Syst
             for (std::uint64_t i = n_members + begin; i < n_members + end; ++i) {
                 Spectrum direct(0), weight(0);
                 builder.add_private(s.vertex[i], std::uint32_t(i), true, direct, weight, solitary[chunk]);
-                s.B[i] = {direct.r, direct.g, direct.b};
-                s.own[s.vertex[i]] = {s.B[i], {weight.r, weight.g, weight.b}};
+                const Light light{direct.r, direct.g, direct.b};
+                new (&s.at[i]) System::Row{light, {}, light, {weight.r, weight.g, weight.b}};
             }
         });
         results.insert(results.end(), std::make_move_iterator(solitary.begin()), std::make_move_iterator(solitary.end()));
@@ -277,7 +271,7 @@ System build_system(const PathGraph& graph, const Clusters& clusters, const Syst
 
 Spectrum System::coefficient(std::size_t c, int i, int lane) const {
     if (flat[c]) {
-        const Light& a = albedo[first[c] + std::size_t(lane)];
+        const Light& a = at[first[c] + std::size_t(lane)].albedo;
         return Spectrum{a.r, a.g, a.b} * edge_weight[first[c] + std::size_t(i)];
     }
     const Light& scale = edge_scale[row[c] + std::size_t(i)];
@@ -286,21 +280,25 @@ Spectrum System::coefficient(std::size_t c, int i, int lane) const {
     return {fixed[0] * scale.r, fixed[lanes] * scale.g, fixed[2 * lanes] * scale.b};
 }
 
-PathRadiance path_radiance(const System& system, const PathGraph& g, int threads) {
-    PathRadiance out{HugeArray<Light>(system.n_unknowns), HugeArray<Light>(g.n_paths())};
+HugeArray<Light> path_radiance(System& system, const PathGraph& g, int threads) {
+    HugeArray<Light> indirect(g.n_paths());
+    constexpr std::uint64_t ahead = 32;
     parallel_chunks(g.n_paths(), 4096, threads, [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
+        std::uint64_t asked = g.paths.first_vertex[begin];
         for (std::uint64_t i = begin; i < end; ++i) {
-            Light L, indirect;
+            for (const std::uint64_t to = std::min(g.paths.first_vertex[i + 1] + ahead, g.paths.first_vertex[end]); asked < to; ++asked)
+                __builtin_prefetch(&system.at[system.unknown[asked]], 1);
+            Light L, along;
             for (std::uint64_t j = g.paths.first_vertex[i + 1]; j-- > g.paths.first_vertex[i];) {
-                const auto& [light, weight] = system.own[j];
-                indirect = {weight.r * L.r, weight.g * L.g, weight.b * L.b};
-                L = {light.r + indirect.r, light.g + indirect.g, light.b + indirect.b};
-                out.X[system.unknown[j]] = L;
+                System::Row& row = system.at[system.unknown[j]];
+                along = {row.weight.r * L.r, row.weight.g * L.g, row.weight.b * L.b};
+                L = {row.X.r + along.r, row.X.g + along.g, row.X.b + along.b};
+                row.X = L;
             }
-            out.indirect[i] = indirect;
+            indirect[i] = along;
         }
     });
-    return out;
+    return indirect;
 }
 
 HugeArray<Light> path_radiance(const GraphReader& reader, int threads, Heuristic heuristic) {

@@ -40,16 +40,22 @@ struct System {
     std::size_t n_unknowns = 0, n_clusters = 0;
     HugeArray<std::uint32_t> vertex;    // of an unknown
     HugeArray<std::uint32_t> unknown;   // of a vertex
-    HugeArray<Light> B;              // by unknown
+    /// Of an unknown, in one line of the cache.
+    struct alignas(64) Row {
+        Light B;
+        Light albedo;  // in flat clusters
+        Light X;       // what path tracing knows: of light by its own samples; then, by path_radiance(), of all
+        Light weight;  // of its own continuation
+    };
+    HugeArray<Row> at;
 
     // Clusters. Cluster c has unknowns first[c] to first[c+1]; its edge i is in slot first[c] + i.
     std::vector<std::uint32_t> first;
     std::vector<std::uint16_t> n_edges;
     std::vector<std::uint8_t> flat;           // 1: of rank one
     HugeArray<std::uint32_t> edge_end;        // by slot: unknown that the light comes from
-    // Flat ones
+    // Flat ones, with the albedo of each unknown
     HugeArray<float> edge_weight;             // by slot
-    HugeArray<Light> albedo;                  // by unknown
     // The others. Where a cluster's share of these lies differs from run to run.
     std::vector<std::uint64_t> block;         // first coefficient
     std::vector<std::uint32_t> row;           // edge i is in row[c] + i
@@ -65,12 +71,6 @@ struct System {
     };
     std::vector<Private> privates;
 
-    /// What path tracing knows of a vertex: light by its own samples, and the weight of its own continuation.
-    struct Own {
-        Light light, weight;
-    };
-    HugeArray<Own> own;  // by vertex
-
     /// Columns that the clamp scaled, and the share of the coefficients' sum that it took.
     std::uint64_t n_clamped = 0, n_columns = 0;
     double clamped_share = 0;
@@ -84,12 +84,10 @@ struct System {
 /// needs:   clusters of this graph, of at most max_lanes vertices
 System build_system(const PathGraph& graph, const Clusters& clusters, const SystemOptions& options);
 
-/// What each vertex reflects along its path by that path's own samples: all that path tracing knows.
-struct PathRadiance {
-    HugeArray<Light> X;         // by unknown
-    HugeArray<Light> indirect;  // by path: of the first vertex, without the light that reaches it straight
-};
-PathRadiance path_radiance(const System& system, const PathGraph& graph, int threads);
+/// Makes each X what the vertex reflects along its path by that path's own samples: all that path tracing knows.
+/// out:     by path: of the first vertex, without the light that reaches it straight
+/// needs:   to be called once
+HugeArray<Light> path_radiance(System& system, const PathGraph& graph, int threads);
 
 /// The same by vertex, evaluated path by path.
 HugeArray<Light> path_radiance(const GraphReader& reader, int threads, Heuristic heuristic = Heuristic::power);

@@ -132,12 +132,13 @@ class FlatSystem : public ::testing::TestWithParam<const char*> {};
 TEST_P(FlatSystem, StepsAreThoseOfAllVertices) {
     const auto scene = testing::own_scene(GetParam(), 32, 24);
     const PathGraph graph = testing::trace_graph(*scene, testing::path_options(*scene, 12), 2);
-    const System s = refine::build_system(graph, testing::clusters_of(graph, 16, 1), {});
+    System s = refine::build_system(graph, testing::clusters_of(graph, 16, 1), {});
     std::vector<std::uint32_t> first_hits;
     for (std::size_t i = 0; i < graph.n_paths(); ++i)
         if (graph.paths.first_vertex[i] < graph.paths.first_vertex[i + 1]) first_hits.push_back(s.unknown[graph.paths.first_vertex[i]]);
 
-    HugeArray<Light> X = refine::path_radiance(s, graph, 0).X;
+    refine::path_radiance(s, graph, 0);
+    const refine::LightColumn X = refine::radiance_of(s);
     using Rgbd = Rgb<double>;
     const auto wide = [](const Light& L) { return Rgbd(L.r, L.g, L.b); };
     std::vector<Rgbd> plain, next(s.n_unknowns);
@@ -149,7 +150,7 @@ TEST_P(FlatSystem, StepsAreThoseOfAllVertices) {
     for (std::size_t c = 0; c < s.n_clusters; ++c) n_flat += s.flat[c];
     EXPECT_GT(n_flat, 0u);
     for (int i = 0; i < steps; ++i) {
-        for (std::size_t k = 0; k < s.n_unknowns; ++k) next[k] = wide(s.B[k]);
+        for (std::size_t k = 0; k < s.n_unknowns; ++k) next[k] = wide(s.at[k].B);
         for (std::size_t c = 0; c < s.n_clusters; ++c)
             for (int e = 0; e < s.n_edges[c]; ++e)
                 for (std::uint32_t k = s.first[c]; k < s.first[c + 1]; ++k)

@@ -236,7 +236,7 @@ TEST_P(SystemTwin, CoefficientsAndDirectLight) {
                 for (const std::uint32_t end : seen) n_strays += !twin.columns.contains(end);
                 for (const auto& [end, column] : twin.columns) n_strays += !seen.contains(end);
                 for (std::size_t k = 0; k < member.size(); ++k) {
-                    const Light B = s.B[s.unknown[member[k]]];
+                    const Light B = s.at[s.unknown[member[k]]].B;
                     const Rgbd ours(B.r, B.g, B.b);
                     for (int channel = 0; channel < 3; ++channel) {
                         ASSERT_NEAR(ours[channel], twin.direct[k][channel], param.tolerance * (twin.direct[k][channel] + 0.1 * max_channel_of(brightest)))
@@ -295,7 +295,7 @@ TEST_P(SystemTwin, PrivateEdgesAndSolitaryVertices) {
         Spectrum own(0);
         for (std::size_t k = first_light_edge(graph, j); k < graph.n_light_edges() && graph.light_edges.vertex[k] == j; ++k)
             own += own_light(reader, at, j, k);
-        const Light B = s.B[s.unknown[j]];
+        const Light B = s.at[s.unknown[j]].B;
         EXPECT_EQ(Spectrum(B.r, B.g, B.b), own);
     }
     EXPECT_EQ(s.privates.size(), expected);
@@ -308,9 +308,9 @@ INSTANTIATE_TEST_SUITE_P(Scenes, SystemTwin,
                                            TwinCase{"mask.xml", 1e-5, 16, 0}, TwinCase{"environment-map.xml", 1e-5, 16, 0}),
                          [](const auto& info) { return name_of(info.param.scene) + "_k" + std::to_string(info.param.k); });
 
-HugeArray<Light> copy_of(const HugeArray<Light>& in) {
-    HugeArray<Light> out(in.size());
-    std::copy_n(in.data(), in.size(), out.data());
+HugeArray<Light> direct_of(const System& s) {
+    HugeArray<Light> out(s.n_unknowns);
+    for (std::size_t k = 0; k < s.n_unknowns; ++k) out[k] = s.at[k].B;
     return out;
 }
 
@@ -360,7 +360,7 @@ TEST_P(SystemOfOne, IsPathTracing) {
     const System s = build_system(graph, singles, {{}, Clamp::none, 0, 0});
     const int steps = longest_path(graph) - 1;
     ASSERT_GE(steps, 1);
-    HugeArray<Light> X = copy_of(s.B);
+    HugeArray<Light> X = direct_of(s);
     refine::solve(s, {}, {steps, Clamp::none, 0, 0}, X);
     const HugeArray<Light> balance = by_unknown(s, path_radiance(reader, 0, Heuristic::balance));
     const Difference from_zero = difference(X, balance);
@@ -399,7 +399,7 @@ TEST_P(SystemOfOne, FromDarknessDepthIsCounted) {
         EXPECT_LT(sum, 5e-6 * level) << depth;
         if (depth == 2) continue;
         const System s = build_system(graph, singles, {{}, Clamp::none, 0, 0});
-        HugeArray<Light> X = copy_of(s.B);
+        HugeArray<Light> X = direct_of(s);
         refine::solve(s, {}, {depth - 3, Clamp::none, 0, 0}, X);
         if (GetParam() == std::string("cornell-box.xml") || GetParam() == std::string("glossy-box.xml")) {
             EXPECT_GT(difference(X, by_unknown(s, balance)).mean, 1e-3);
@@ -419,7 +419,7 @@ TEST_P(SystemSolve, BothStartsMeet) {
     const PathGraph graph = trace_graph(*scene, path_options(*scene, 9), 1);
     const Clusters clusters = clusters_of(graph, 16, 1);
     const System s = build_system(graph, clusters, {});
-    HugeArray<Light> zero = copy_of(s.B), paths = by_unknown(s, path_radiance(GraphReader(graph), 0));
+    HugeArray<Light> zero = direct_of(s), paths = by_unknown(s, path_radiance(GraphReader(graph), 0));
     EXPECT_GT(difference(zero, paths).mean, 0.1);
     const auto log = refine::solve(s, {}, {200}, zero);
     refine::solve(s, {}, {200}, paths);
@@ -439,7 +439,7 @@ TEST_P(SystemSolve, ThreadsDoNotMatter) {
             const System s = build_system(graph, clusters_of(graph, 16), {{}, clamp, 1e-3f, threads});
             std::vector<std::uint32_t> first_hits;
             for (std::size_t k = 0; k < s.n_unknowns; k += 3) first_hits.push_back(std::uint32_t(k));
-            X[threads - 1] = copy_of(s.B);
+            X[threads - 1] = direct_of(s);
             log[threads - 1] = refine::solve(s, first_hits, {5, clamp, 1e-3f, threads}, X[threads - 1]);
         }
         ASSERT_EQ(X[0].size(), X[1].size());
@@ -455,7 +455,7 @@ TEST_P(SystemSolve, ThreadsDoNotMatter) {
 
 /// Growth of light per step when no more comes in: the spectral radius of M, from below in the long run.
 double spectral_radius(System& s, int steps) {
-    for (std::size_t k = 0; k < s.n_unknowns; ++k) s.B[k] = {};
+    for (std::size_t k = 0; k < s.n_unknowns; ++k) s.at[k].B = {};
     HugeArray<Light> X(s.n_unknowns);
     for (std::size_t k = 0; k < s.n_unknowns; ++k) X[k] = {1, 1, 1, 0};
     double growth = 0, before = 3.0 * double(s.n_unknowns);
@@ -535,14 +535,14 @@ System ring(std::uint32_t n, float gain, float survival = 1) {
     System s;
     s.n_unknowns = n, s.n_clusters = 1;
     s.vertex = HugeArray<std::uint32_t>(n), s.unknown = HugeArray<std::uint32_t>(n);
-    s.B = HugeArray<Light>(n), s.edge_end = HugeArray<std::uint32_t>(n), s.edge_scale = HugeArray<Light>(n);
+    s.at = HugeArray<System::Row>(n), s.edge_end = HugeArray<std::uint32_t>(n), s.edge_scale = HugeArray<Light>(n);
     s.edge_survival = HugeArray<float>(n), s.inv_eta2 = HugeArray<float>(n);
     s.first = {0, n}, s.n_edges = {std::uint16_t(n)}, s.flat = {0}, s.block = {0}, s.row = {0};
-    s.albedo = HugeArray<Light>(n), s.edge_weight = HugeArray<float>(n);
+    s.edge_weight = HugeArray<float>(n);
     s.coefficients = HugeArray<std::uint16_t>(3ull * n * padded_lanes(int(n)));
     for (std::uint32_t j = 0; j < n; ++j) {
         s.vertex[j] = s.unknown[j] = j;
-        s.B[j] = {1, 0.5f, 0.25f, 0};
+        s.at[j].B = {1, 0.5f, 0.25f, 0};
         s.edge_end[j] = (j + 1) % n;
         s.edge_scale[j] = {gain / 65535, gain / 65535, gain / 65535, 0};
         s.edge_survival[j] = survival;
@@ -570,7 +570,7 @@ TEST(SystemByHand, HasItsClosedForm) {
 // Column sums of 1.5 make more light of light at each step: found out within a few, long before anything overflows.
 TEST(SystemByHand, DivergenceIsDetected) {
     const System s = ring(5, 1.5f);
-    HugeArray<Light> X = copy_of(s.B);
+    HugeArray<Light> X = direct_of(s);
     const auto log = refine::solve(s, {}, {100, Clamp::none}, X);
     EXPECT_LT(log.size(), 8u);
     for (std::size_t k = 0; k < 5; ++k) EXPECT_TRUE(std::isfinite(X[k].r));
@@ -579,7 +579,7 @@ TEST(SystemByHand, DivergenceIsDetected) {
 // What comes in may not grow, whatever the coefficients say: 1 - epsilon of it goes on, and the log says how much did not.
 TEST(SystemByHand, ClusterClampTamesIt) {
     const System s = ring(5, 1.5f);
-    HugeArray<Light> X = copy_of(s.B);
+    HugeArray<Light> X = direct_of(s);
     const auto log = refine::solve(s, {}, {2000, Clamp::cluster, 0.1f}, X);
     ASSERT_EQ(log.size(), 2000u);
     for (std::size_t i = 1; i < 100; ++i) EXPECT_LT(log[i].residual, log[i - 1].residual) << i;
@@ -590,7 +590,7 @@ TEST(SystemByHand, ClusterClampTamesIt) {
 // An edge that survived roulette with q stands for 1 / q of its kind: that much may come in.
 TEST(SystemByHand, ClusterClampKnowsRoulette) {
     const System s = ring(5, 1.5f, 0.5f);
-    HugeArray<Light> X = copy_of(s.B);
+    HugeArray<Light> X = direct_of(s);
     const auto log = refine::solve(s, {}, {3, Clamp::cluster, 0.1f}, X);
     for (const auto& i : log) EXPECT_EQ(i.clamped_share, 0);
 }

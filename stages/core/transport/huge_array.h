@@ -42,7 +42,19 @@ class HugeArray {
     const T& operator[](std::size_t i) const { return data_[i]; }
     operator std::span<const T>() const { return {data_, size_}; }
 
+    /// The same memory for values of another type: fresh pages cost more than what is written to them. Of the old
+    /// values those can still be read in whose place no new one has been put.
+    template <class U>
+    HugeArray<U> reused() && {
+        static_assert(sizeof(U) == sizeof(T));
+        return HugeArray<U>(reinterpret_cast<U*>(std::exchange(data_, nullptr)), std::exchange(size_, 0), std::exchange(bytes_, 0));
+    }
+
   private:
+    template <class>
+    friend class HugeArray;
+    HugeArray(T* data, std::size_t size, std::size_t bytes) : data_(data), size_(size), bytes_(bytes) {}
+
     static constexpr std::size_t page = std::size_t{2} << 20;
 
     T* data_ = nullptr;
