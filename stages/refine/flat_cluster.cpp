@@ -15,7 +15,7 @@ bool FlatCluster::load(std::span<const VertexRow> rows) {
     c.n = int(rows.size());
     const std::uint32_t code = rows[0].ns;
     for (const VertexRow& row : rows)
-        if (!row.matte || row.ns != code) return false;
+        if (!(row.bits & vertex_bit::matte) || row.ns != code) return false;
     const auto unit = unit_from_octahedral(std::int16_t(code & 0xffffu), std::int16_t(code >> 16));
     const Normal3f n{unit[0], unit[1], unit[2]};
     const float side = dot(rows[0].wo, n) > 0 ? 1.0f : -1.0f;
@@ -27,8 +27,8 @@ bool FlatCluster::load(std::span<const VertexRow> rows) {
         const bool textured = reader_.graph().materials.textured[row.material] & textured_parameter::diffuse;
         albedo_[l] = textured ? Spectrum{float_from_half(row.diffuse[0]), float_from_half(row.diffuse[1]), float_from_half(row.diffuse[2])} : model.diffuse;
         c.px[l] = row.p.x, c.py[l] = row.p.y, c.pz[l] = row.p.z;
-        c.survival[l] = (row.flags & vertex_flag::attempted_bsdf) ? row.q : 0.0f;
-        c.nee[l] = (row.flags & vertex_flag::attempted_nee) && albedo_[l].r + albedo_[l].g + albedo_[l].b > 0 ? 1.0f : 0.0f;
+        c.survival[l] = (row.bits & vertex_flag::attempted_bsdf) ? row.q : 0.0f;
+        c.nee[l] = (row.bits & vertex_flag::attempted_nee) && albedo_[l].r + albedo_[l].g + albedo_[l].b > 0 ? 1.0f : 0.0f;
         survival_sum_ += c.survival[l];
         nee_sum_ += c.nee[l];
     }
@@ -47,9 +47,7 @@ void FlatCluster::add_far_light(int lane, const LightRow& light, bool delta) {
     const float f = cos * inv_pi<float>;
     const float rho = light.pdf_nee * nee_sum_ + (delta ? 0.0f : f * survival_sum_);
     if (rho > 0) far_ += light.Li * (f / rho);
-    const bool next_event = light.technique == LightTechnique::next_event;
-    const float pdf = next_event ? light.pdf_nee : light.pdf_bsdf, other = next_event ? light.pdf_bsdf : light.pdf_nee;
-    own_white_[lane] += light.Li * (f * power_heuristic(pdf, other) / (next_event ? pdf : row(lane).pdf_w));
+    own_white_[lane] += own_light(light, Spectrum(f), row(lane).pdf_w);
 }
 
 void FlatCluster::add_near_light(Batch& batch, int lane, const LightRow& light, decltype(FlatKernels::area) kernel) {

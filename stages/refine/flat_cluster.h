@@ -1,8 +1,8 @@
 #pragma once
 #include <span>
 
+#include "stages/core/transport/cluster_rows.h"
 #include "stages/refine/flat_columns.h"
-#include "stages/refine/flat_rows.h"
 
 namespace loom::refine {
 

@@ -32,12 +32,16 @@ struct Builder {
     const SystemOptions& options;
     std::span<const std::uint32_t> offsets;  // of light edges
     System& system;
-    std::atomic<std::uint64_t> n_coefficients = 0;
+    std::atomic<std::uint64_t> n_coefficients = 0;  // taken
     std::atomic<std::uint32_t> n_rows = 0;
 
-    float survival(std::size_t j) const { return graph.vertices.q.empty() ? 1.0f : graph.vertices.q[j]; }
-    /// Squared index of the medium between vertex j and the one before it.
-    float eta2(std::size_t j) const { return graph.vertices.eta.empty() ? 1.0f : graph.vertices.eta[j] * graph.vertices.eta[j]; }
+    std::span<const std::uint32_t> members(std::size_t c) const {
+        return clusters.member.values().subspan(system.first[c], system.first[c + 1] - system.first[c]);
+    }
+    /// Squared index of the medium in which the path goes on from vertex j.
+    float eta2_of_next(const VertexRow& row, std::size_t j) const {
+        return sqr(row.bits & vertex_bit::other_medium ? graph.vertices.eta[j + 1] : row.eta);
+    }
 
     /// One column of a block: f_j cos_j / rho at all vertices of the cluster, in 16 bits of its largest value.
     /// in:  inv_eta2  of each lane   edge_eta2  of the medium that the light comes through
@@ -91,72 +95,75 @@ struct Builder {
         result.privates.push_back({unknown, std::uint32_t(j + 1), weight});
     }
 
-    void add_flat_cluster(std::size_t c, FlatCluster& flat, const FlatRows& rows, ChunkResult& result) {
+    void add_flat_cluster(std::size_t c, FlatCluster& flat, const ClusterRows& rows, ChunkResult& result) {
         const std::uint32_t begin = system.first[c];
         system.flat[c] = 1;
         flat.gather_lights(rows.lights, rows.first_light.data() + begin);
+        const auto vertex = members(c);
         const float per_attempt = flat.survival_sum() > 0 ? 1 / flat.survival_sum() : 0.0f;
         Spectrum passed(0);  // by a continuation, as basic radiance but for its own eta^2
-        for (int l = 0; l < flat.size(); ++l) passed += flat.albedo(l) * (per_attempt / eta2(flat.row(l).vertex));
+        for (int l = 0; l < flat.size(); ++l) passed += flat.albedo(l) * (per_attempt / sqr(flat.row(l).eta));
         int n_edges = 0;
         for (int l = 0; l < flat.size(); ++l) {
             const VertexRow row = flat.row(l);  // a copy: its place is taken by the result
             const std::uint32_t k = begin + std::uint32_t(l);
-            system.vertex[k] = row.vertex;
+            const std::uint32_t j = vertex[std::size_t(l)];
+            system.vertex[k] = j;
             const Spectrum direct = flat.direct(l), &albedo = flat.albedo(l), own = flat.own_direct(l);
             Spectrum own_weight(0);
-            if (row.flags & vertex_flag::continued) {
+            if (row.bits & vertex_flag::continued) {
                 const float cos = dot(row.next, flat.normal());
                 const bool above = cos > 0;
                 const std::size_t slot = begin + std::size_t(n_edges++);
                 if (above) own_weight = albedo * (cos * inv_pi<float> / row.pdf_w);
-                system.edge_weight[slot] = clamped(passed * (above ? eta2(row.vertex + 1) : 0.0f), row.q, result) * (above ? per_attempt : 0.0f);
-                system.edge_end[slot] = row.vertex + 1;
+                system.edge_weight[slot] = clamped(passed * (above ? eta2_of_next(row, j) : 0.0f), row.q, result) * (above ? per_attempt : 0.0f);
+                system.edge_end[slot] = j + 1;
             }
             new (&system.at[k]) System::Row{{direct.r, direct.g, direct.b}, {albedo.r, albedo.g, albedo.b}, {own.r, own.g, own.b}, {own_weight.r, own_weight.g, own_weight.b}};
         }
         system.n_edges[c] = std::uint16_t(n_edges);
     }
 
-    void add_cluster(std::size_t c, ClusterShading& shading, Lanes& direct, ChunkResult& result) {
+    void add_cluster(std::size_t c, ClusterShading& shading, Lanes& direct, const ClusterRows& rows, std::span<const VertexRow> vertex_rows,
+                     ChunkResult& result) {
         const std::uint32_t begin = system.first[c];
-        shading.load(clusters.member.values().subspan(begin, system.first[c + 1] - begin));
+        shading.load(members(c), vertex_rows);
         const int lanes = shading.padded();
         for (int l = 0; l < lanes; ++l) direct.r[l] = direct.g[l] = direct.b[l] = 0;
-        for (int l = 0; l < lanes; ++l) direct.inv_eta2[l] = l < shading.size() ? 1 / eta2(shading.vertex(l)) : 1.0f;
+        for (int l = 0; l < lanes; ++l) direct.inv_eta2[l] = l < shading.size() ? 1 / sqr(shading.row(l).eta) : 1.0f;
         Spectrum own_light_of[max_lanes], own_weight[max_lanes];
         for (int l = 0; l < shading.size(); ++l) {
             system.vertex[begin + l] = shading.vertex(l);
             system.unknown[shading.vertex(l)] = begin + l;
             Spectrum own(0), weight(0);
-            add_private(shading.vertex(l), begin + l, false, own, weight, result);
+            if (shading.row(l).bits & vertex_bit::delta) add_private(shading.vertex(l), begin + l, false, own, weight, result);
             direct.r[l] = own.r, direct.g[l] = own.g, direct.b[l] = own.b;
             own_light_of[l] = own, own_weight[l] = weight;
         }
-        const auto continues = [&](std::uint32_t j) { return continues_shared(graph, j); };
-        const auto most_edges = std::uint32_t(std::ranges::count_if(clusters.member.values().subspan(begin, std::size_t(shading.size())), continues));
-        system.block[c] = n_coefficients.fetch_add(std::uint64_t(most_edges) * 3 * std::uint64_t(lanes));
-        system.row[c] = n_rows.fetch_add(most_edges);
+        const auto n_rows_here = std::uint32_t(std::ranges::count_if(vertex_rows, &VertexRow::continues_shared));
+        system.block[c] = n_coefficients.fetch_add(std::uint64_t(n_rows_here) * 3 * std::uint64_t(lanes));
+        system.row[c] = n_rows.fetch_add(n_rows_here);
         std::uint16_t* column = system.coefficients.data() + system.block[c];
         int n_edges = 0;
         for_each_indirect_edge(shading, graph, options.sharing, [&](int lane, std::uint32_t end, float inv_rho) {
             const std::size_t slot = begin + std::size_t(n_edges);
             const std::size_t j = shading.vertex(lane);
-            const float q = survival(j), back = shading.to_solid_angle(lane);
-            own_weight[lane] = back > 0 ? shading.f(lane, back / graph.vertices.pdf_w[j])
-                                        : own_continuation(reader, reader.vertex(j), j, continuation_direction(graph, j));
-            add_column(shading, direct.inv_eta2, eta2(end), system.row[c] + std::size_t(n_edges), column, inv_rho, q, result);
+            const VertexRow& row = shading.row(lane);
+            const float q = row.q, back = shading.to_solid_angle(lane), end_eta2 = eta2_of_next(row, j);
+            own_weight[lane] = back > 0 ? shading.f(lane, back / row.pdf_w) : own_continuation(reader, reader.vertex(j), j, row.next);
+            add_column(shading, direct.inv_eta2, end_eta2, system.row[c] + std::size_t(n_edges), column, inv_rho, q, result);
             system.edge_end[slot] = end;
-            if (!system.edge_survival.empty()) system.edge_survival[slot] = q * eta2(end);
+            if (!system.edge_survival.empty()) system.edge_survival[slot] = q * end_eta2;
             column += 3 * lanes;
             ++n_edges;
         });
         system.n_edges[c] = std::uint16_t(n_edges);
-        for_each_light_edge(shading, graph, offsets, options.sharing, [&](int lane, std::uint32_t edge, const Spectrum& light, float inv_rho) {
+        const auto lights = [&](const ClusterShading&, int lane) { return rows.lights_of(begin + shading.place(lane)); };
+        for_each_light_edge(shading, options.sharing, lights, [&](int lane, const LightRow& edge, const Spectrum& light, float inv_rho) {
             const std::size_t j = shading.vertex(lane);
             const float back = shading.to_solid_angle(lane);
-            own_light_of[lane] += back > 0 ? own_light(graph, shading.f(lane, back), j, edge, Heuristic::power)
-                                           : own_light(reader, reader.vertex(j), j, edge);
+            own_light_of[lane] += back > 0 ? own_light(edge, shading.f(lane, back), shading.row(lane).pdf_w)
+                                           : own_light(reader, reader.vertex(j), j, edge.edge);
             const Spectrum w = light * inv_rho;
             const float *r = shading.f(0), *g = shading.f(1), *b = shading.f(2);
             for (int l = 0; l < lanes; ++l) {
@@ -213,20 +220,18 @@ System build_system(const PathGraph& graph, const Clusters& clusters, const Syst
     parallel_chunks(n_members, 1 << 16, options.threads, [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
         for (std::uint64_t k = begin; k < end; ++k) s.unknown[clusters.member[k]] = std::uint32_t(k);
     });
-    FlatRows rows(reader, s.unknown, rank_one ? n_members : 0, offsets, options.threads);
+    ClusterRows rows(reader, s.unknown, n_members, offsets, options.threads);
     const VertexRow* vertex_rows = rows.vertices.data();
     s.at = std::move(rows.vertices).reused<System::Row>();
     const auto rows_of = [&](std::uint64_t c) { return std::span(vertex_rows + s.first[c], s.first[c + 1] - s.first[c]); };
-    const auto members = [&](std::uint64_t c) { return clusters.member.values().subspan(s.first[c], s.first[c + 1] - s.first[c]); };
     std::vector<ChunkResult> results((s.n_clusters + clusters_per_chunk - 1) / clusters_per_chunk + 1);
     parallel_chunks(s.n_clusters, clusters_per_chunk, options.threads, [&](std::uint64_t chunk, std::uint64_t begin, std::uint64_t end) {
         const auto shading = std::make_unique<ClusterShading>(reader);
         const auto flat = std::make_unique<FlatCluster>(reader);
         const auto direct = std::make_unique<Lanes>();
         for (std::uint64_t c = begin; c < end; ++c) {
-            if (c + 1 < end && !(rank_one && rows_of(c + 1)[0].matte)) shading->prefetch(members(c + 1));
             if (rank_one && flat->load(rows_of(c))) builder.add_flat_cluster(c, *flat, rows, results[chunk]);
-            else builder.add_cluster(c, *shading, *direct, results[chunk]);
+            else builder.add_cluster(c, *shading, *direct, rows, rows_of(c), results[chunk]);
         }
     });
 

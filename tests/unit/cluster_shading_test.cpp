@@ -89,6 +89,7 @@ PathGraph make_graph_of_all_bsdfs() {
     v.p = p, v.wo = wo, v.ns = ns, v.ng = ng, v.n_side = n_side, v.tangent = tangent, v.material = material;
     v.flags = flags, v.q = q, v.diffuse = v_diffuse, v.specular = v_specular, v.transmittance = v_transmittance;
     v.alpha = v_alpha, v.opacity = v_opacity;
+    v.pdf_w = std::vector<float>(flags.size(), 1.0f), v.lobe = std::vector<std::uint8_t>(flags.size());
     return g;
 }
 

@@ -19,8 +19,4 @@ Normal3f facing_normal(const PathGraph& graph, std::size_t j) {
     return dot(n, Vector3f{v.wo[3 * j], v.wo[3 * j + 1], v.wo[3 * j + 2]}) < 0 ? -n : n;
 }
 
-Normal3f light_normal(const PathGraph& graph, std::size_t edge) {
-    return unit_vector<Normal3f>(graph.light_edges.n, edge);
-}
-
 }  // namespace loom

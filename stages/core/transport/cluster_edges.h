@@ -31,15 +31,26 @@ struct SharingOptions {
 /// First light edge of each vertex, and one more entry.
 std::vector<std::uint32_t> light_edge_offsets(const PathGraph& graph);
 
-inline bool continues_shared(const PathGraph& graph, std::size_t j) {
-    return (graph.vertices.flags[j] & vertex_flag::continued) && !is_delta(Lobe(graph.vertices.lobe[j]));
-}
-
 /// Normal at vertex j, on the side that light leaves from.
 Normal3f facing_normal(const PathGraph& graph, std::size_t j);
 
-/// Normal at the light point of an edge to an area light.
-Normal3f light_normal(const PathGraph& graph, std::size_t edge);
+/// Light edges of the vertices that a shading has loaded, made from the graph one vertex at a time.
+class LightsOfGraph {
+  public:
+    LightsOfGraph(const GraphReader& reader, std::span<const std::uint32_t> offsets) : make_(reader), offsets_(offsets) {}
+    /// Valid until the next call.
+    std::span<const LightRow> operator()(const ClusterShading& shading, int lane) {
+        const std::size_t j = shading.vertex(lane);
+        rows_.clear();
+        for (std::uint32_t i = offsets_[j]; i < offsets_[j + 1]; ++i) rows_.push_back(make_.light(i));
+        return rows_;
+    }
+
+  private:
+    RowMaker make_;
+    std::span<const std::uint32_t> offsets_;
+    std::vector<LightRow> rows_;
+};
 
 /// Calls sink(lane, vertex, inv_rho) for each continuation, whose end is `vertex`; shading then answers for its light.
 /// An edge that nobody could have sampled, by rounding, has inv_rho 0.
@@ -47,71 +58,70 @@ template <class Sink>
 void for_each_indirect_edge(ClusterShading& shading, const PathGraph& graph, const SharingOptions& options, Sink&& sink) {
     for (int lane = 0; lane < shading.size(); ++lane) {
         const std::size_t j = shading.vertex(lane);
-        if (!continues_shared(graph, j)) continue;
+        const VertexRow& row = shading.row(lane);
+        if (!row.continues_shared()) continue;
         if (options.reuse == Reuse::points) {
             const float* y = graph.vertices.p.data() + 3 * (j + 1);
             shading.light_point({y[0], y[1], y[2]}, facing_normal(graph, j + 1));
         } else {
-            shading.light_direction(continuation_direction(graph, j));
+            shading.light_direction(row.next);
         }
         float rho = shading.pdf_bsdf_sum();
         if (options.as_printed) {
             rho = 0;
             for (int k = 0; k < shading.size(); ++k)
-                if (graph.vertices.flags[shading.vertex(k)] & vertex_flag::continued) rho += shading.pdf_bsdf(k);
+                if (shading.row(k).bits & vertex_flag::continued) rho += shading.pdf_bsdf(k);
         }
         sink(lane, std::uint32_t(j + 1), rho > 0 ? 1 / rho : 0.0f);
     }
 }
 
-/// Calls sink(lane, edge, light, inv_rho) for each light edge; shading then answers for its light. inv_rho as above.
-template <class Sink>
-void for_each_light_edge(ClusterShading& shading, const PathGraph& graph, std::span<const std::uint32_t> offsets,
-                         const SharingOptions& options, Sink&& sink) {
-    const auto& e = graph.light_edges;
+/// Calls sink(lane, edge, light, inv_rho) for each light edge, light being that of the edge in the measure that is
+/// shared; shading then answers for it. inv_rho as above.
+/// in:      lights(shading, lane)  LightRows of a lane
+template <class Lights, class Sink>
+void for_each_light_edge(ClusterShading& shading, const SharingOptions& options, Lights&& lights, Sink&& sink) {
     // As printed: lanes whose own attempt found a light.
     bool found_nee[max_lanes], found_bsdf[max_lanes];
     if (options.as_printed)
         for (int k = 0; k < shading.size(); ++k) {
             found_nee[k] = found_bsdf[k] = false;
-            for (std::uint32_t i = offsets[shading.vertex(k)]; i < offsets[shading.vertex(k) + 1]; ++i)
-                (LightTechnique(e.technique[i]) == LightTechnique::next_event ? found_nee : found_bsdf)[k] = true;
+            for (const LightRow& e : lights(shading, k)) (e.technique == LightTechnique::next_event ? found_nee : found_bsdf)[k] = true;
         }
     for (int lane = 0; lane < shading.size(); ++lane) {
-        const std::size_t j = shading.vertex(lane);
-        for (std::uint32_t i = offsets[j]; i < offsets[j + 1]; ++i) {
-            const bool next_event = LightTechnique(e.technique[i]) == LightTechnique::next_event;
-            if (!next_event && is_delta(Lobe(graph.vertices.lobe[j]))) continue;
-            Spectrum light = rgb(e.Li, i);
-            const Point3f y{e.y[4 * i], e.y[4 * i + 1], e.y[4 * i + 2]};
-            const float* p = graph.vertices.p.data() + 3 * j;
-            float pdf_nee = e.pdf_nee_w[i];
+        const VertexRow& row = shading.row(lane);
+        for (const LightRow& e : lights(shading, lane)) {
+            const bool next_event = e.technique == LightTechnique::next_event;
+            if (!next_event && (row.bits & vertex_bit::delta)) continue;
+            Spectrum light = e.Li;
+            float pdf_nee = e.pdf_nee;
             bool delta = false;
-            switch (EmitterKind(graph.emitters.kind[e.emitter[i]])) {
+            switch (e.kind) {
                 case EmitterKind::area: {
                     // To the measure of the light's area, in which all vertices of the cluster agree.
-                    const Vector3f d = y - Point3f{p[0], p[1], p[2]};
-                    Normal3f n = light_normal(graph, i);
+                    const Vector3f d = e.y - row.p;
+                    const auto unit = unit_from_octahedral(std::int16_t(e.n & 0xffffu), std::int16_t(e.n >> 16));
+                    Normal3f n{unit[0], unit[1], unit[2]};
                     if (dot(n, d) > 0) n = -n;
                     const float d2 = length2(d);
                     pdf_nee *= -dot(n, d) / (d2 * std::sqrt(d2));
-                    shading.light_point(y, n);
+                    shading.light_point(e.y, n);
                     break;
                 }
                 case EmitterKind::point:
                 case EmitterKind::spot:
-                    light *= length2(y - Point3f{p[0], p[1], p[2]});
+                    light *= length2(e.y - row.p);
                     delta = true;
-                    shading.light_delta_point(y);
+                    shading.light_delta_point(e.y);
                     break;
                 case EmitterKind::directional: delta = true; [[fallthrough]];
                 case EmitterKind::constant:
-                case EmitterKind::envmap: shading.light_direction(Vector3f(y)); break;
+                case EmitterKind::envmap: shading.light_direction(Vector3f(e.y)); break;
             }
             float rho = pdf_nee * float(shading.n_next_event()) + (delta ? 0.0f : shading.pdf_bsdf_sum());
             if (options.as_printed) {
-                const float own = next_event ? e.pdf_nee_w[i] : e.pdf_bsdf_w[i];
-                light *= power_heuristic(own, next_event ? e.pdf_bsdf_w[i] : e.pdf_nee_w[i]);
+                const float own = next_event ? e.pdf_nee : e.pdf_bsdf;
+                light *= power_heuristic(own, next_event ? e.pdf_bsdf : e.pdf_nee);
                 rho = 0;
                 for (int k = 0; k < shading.size(); ++k)
                     if (next_event)
@@ -119,7 +129,7 @@ void for_each_light_edge(ClusterShading& shading, const PathGraph& graph, std::s
                     else
                         rho += found_bsdf[k] ? shading.pdf_bsdf(k) : 0.0f;
             }
-            sink(lane, i, light, rho > 0 ? 1 / rho : 0.0f);
+            sink(lane, e, light, rho > 0 ? 1 / rho : 0.0f);
         }
     }
 }

@@ -16,18 +16,24 @@ std::uint32_t packed(const Column<std::int16_t>& column, std::size_t j) {
 }  // namespace
 
 void ClusterShading::load(std::span<const std::uint32_t> vertices) {
+    own_rows_.clear();
+    for (const std::uint32_t j : vertices) own_rows_.push_back(make_row_.vertex(j));
+    load(vertices, own_rows_);
+}
+
+void ClusterShading::load(std::span<const std::uint32_t> vertices, std::span<const VertexRow> rows) {
     const PathGraph& g = reader_.graph();
     const auto& v = g.vertices;
     const int n = int(vertices.size());
     if (n > max_lanes) throw std::logic_error("ClusterShading: cluster too large");
+    vertices_ = vertices, rows_ = rows;
     std::uint16_t material[max_lanes];
     for (int l = 0; l < n; ++l) {
         // Few lanes and mostly one material: insertion keeps their order.
-        const std::uint32_t j = vertices[l];
-        const std::uint16_t m = v.material[j];
+        const std::uint16_t m = rows[std::size_t(l)].material;
         int k = l;
-        for (; k > 0 && m < material[k - 1]; --k) material[k] = material[k - 1], vertex_[k] = vertex_[k - 1];
-        material[k] = m, vertex_[k] = j;
+        for (; k > 0 && m < material[k - 1]; --k) material[k] = material[k - 1], place_[k] = place_[k - 1];
+        material[k] = m, place_[k] = std::uint16_t(l);
     }
 
     ClusterColumns& c = columns_;
@@ -37,18 +43,17 @@ void ClusterShading::load(std::span<const std::uint32_t> vertices) {
     perturbed_.clear();
     perturbed_lane_.clear();
     for (int l = 0; l < n; ++l) {
-        const std::uint32_t j = vertex_[l];
+        const VertexRow& at = row(l);
         if (l == 0 || material[l] != material[l - 1]) c.runs.push_back({&reader_.model(material[l]), l, l});
         c.runs.back().end = l + 1;
-        c.px[l] = v.p[3 * j], c.py[l] = v.p[3 * j + 1], c.pz[l] = v.p[3 * j + 2];
-        c.wo_x[l] = v.wo[3 * j], c.wo_y[l] = v.wo[3 * j + 1], c.wo_z[l] = v.wo[3 * j + 2];
-        c.ns[l] = packed(v.ns, j);
-        if (c.has_tangent) c.tangent[l] = packed(v.tangent, j);
-        const std::uint16_t flags = v.flags[j];
-        attempted_nee_[l] = (flags & vertex_flag::attempted_nee) != 0;
-        c.survival[l] = (flags & vertex_flag::attempted_bsdf) ? (v.q.empty() ? 1.0f : v.q[j]) : 0.0f;
-        if (!v.n_side.empty() && packed(v.n_side, j) != c.ns[l]) {
-            perturbed_.push_back(reader_.vertex(j));
+        c.px[l] = at.p.x, c.py[l] = at.p.y, c.pz[l] = at.p.z;
+        c.wo_x[l] = at.wo.x, c.wo_y[l] = at.wo.y, c.wo_z[l] = at.wo.z;
+        c.ns[l] = at.ns;
+        if (c.has_tangent) c.tangent[l] = packed(v.tangent, vertex(l));
+        attempted_nee_[l] = (at.bits & vertex_flag::attempted_nee) != 0;
+        c.survival[l] = (at.bits & vertex_flag::attempted_bsdf) ? at.q : 0.0f;
+        if (at.bits & vertex_bit::perturbed) {
+            perturbed_.push_back(reader_.vertex(vertex(l)));
             perturbed_lane_.push_back(l);
         }
     }
@@ -63,33 +68,19 @@ void ClusterShading::load_textures(const ClusterColumns::Run& run, std::uint8_t 
     const auto read = [&](std::uint8_t parameter, const Column<Half>& from, auto... columns) {
         if (!(textured & parameter)) return;
         for (int l = run.begin; l < run.end; ++l) {
-            const Half* at = from.data() + sizeof...(columns) * std::size_t(vertex_[l]);
+            const Half* at = from.data() + sizeof...(columns) * std::size_t(vertex(l));
             ((columns[l] = float_from_half(*at++)), ...);
         }
     };
-    read(textured_parameter::diffuse, v.diffuse, c.diffuse_r, c.diffuse_g, c.diffuse_b);
+    if (textured & textured_parameter::diffuse)
+        for (int l = run.begin; l < run.end; ++l) {
+            const Half* at = row(l).diffuse;
+            c.diffuse_r[l] = float_from_half(at[0]), c.diffuse_g[l] = float_from_half(at[1]), c.diffuse_b[l] = float_from_half(at[2]);
+        }
     read(textured_parameter::specular, v.specular, c.specular_r, c.specular_g, c.specular_b);
     read(textured_parameter::transmittance, v.transmittance, c.transmittance_r, c.transmittance_g, c.transmittance_b);
     read(textured_parameter::alpha, v.alpha, c.alpha_u, c.alpha_v);
     read(textured_parameter::opacity, v.opacity, c.opacity);
-}
-
-void ClusterShading::prefetch(std::span<const std::uint32_t> vertices) const {
-    const auto& v = reader_.graph().vertices;
-    for (const std::uint32_t j : vertices) {
-        // Of p and wo the next row too: where this vertex continues.
-        for (const float* rows : {v.p.data(), v.wo.data()}) {
-            __builtin_prefetch(rows + 3 * std::size_t(j));
-            __builtin_prefetch(rows + 3 * std::size_t(j) + 5);
-        }
-        __builtin_prefetch(v.ns.data() + 2 * std::size_t(j));
-        __builtin_prefetch(v.material.data() + j);
-        __builtin_prefetch(v.flags.data() + j);
-        __builtin_prefetch(v.lobe.data() + j);
-        __builtin_prefetch(v.pdf_w.data() + j);
-        if (!v.q.empty()) __builtin_prefetch(v.q.data() + j);
-        if (!v.diffuse.empty()) __builtin_prefetch(v.diffuse.data() + 3 * std::size_t(j));
-    }
 }
 
 /// f is not what the formula says where a bump map shades itself; the density is.

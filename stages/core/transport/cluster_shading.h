@@ -2,7 +2,7 @@
 #include <span>
 
 #include "stages/core/transport/cluster_columns.h"
-#include "stages/core/transport/graph_reader.h"
+#include "stages/core/transport/cluster_rows.h"
 
 namespace loom {
 
@@ -10,18 +10,20 @@ namespace loom {
 /// their own sampling would have found it. Reused from cluster to cluster.
 class ClusterShading {
   public:
-    explicit ClusterShading(const GraphReader& reader) : reader_(reader), kernels_(cluster_kernels()) {}
+    explicit ClusterShading(const GraphReader& reader) : reader_(reader), make_row_(reader), kernels_(cluster_kernels()) {}
 
-    /// Lanes are in the order of materials, then of `vertices`.
+    /// Lanes are in the order of materials, then of `vertices`, which are borrowed.
     /// needs:   at most max_lanes vertices
     void load(std::span<const std::uint32_t> vertices);
-
-    /// What load() will read of these vertices, ahead of time: a cluster's rows lie all over the graph.
-    void prefetch(std::span<const std::uint32_t> vertices) const;
+    /// The same, with the rows of these vertices.
+    void load(std::span<const std::uint32_t> vertices, std::span<const VertexRow> rows);
 
     int size() const { return columns_.n; }
     int padded() const { return padded_lanes(columns_.n); }
-    std::uint32_t vertex(int lane) const { return vertex_[lane]; }
+    std::uint32_t vertex(int lane) const { return vertices_[place_[lane]]; }
+    /// Of a lane among the vertices that were loaded.
+    std::size_t place(int lane) const { return place_[lane]; }
+    const VertexRow& row(int lane) const { return rows_[place_[lane]]; }
 
     /// Light from direction wi: f cos and densities in sr^-1.
     void light_direction(const Vector3f& wi);
@@ -53,11 +55,15 @@ class ClusterShading {
     void shadow_bumps();
 
     const GraphReader& reader_;
+    RowMaker make_row_;
     const ClusterKernels& kernels_;
     ClusterColumns columns_{};
     std::vector<ShadingPoint> perturbed_;  // with bump or normal maps
     std::vector<int> perturbed_lane_;
-    std::uint32_t vertex_[max_lanes];
+    std::vector<VertexRow> own_rows_;
+    std::span<const std::uint32_t> vertices_;
+    std::span<const VertexRow> rows_;
+    std::uint16_t place_[max_lanes];
     std::uint8_t attempted_nee_[max_lanes + lane_block];
 };
 

@@ -15,29 +15,28 @@ Spectrum own_continuation(const GraphReader& reader, const ShadingPoint& at, std
 
 namespace {
 
-/// Of the technique that found edge k against the other one.
-float mis_weight(const PathGraph& graph, std::size_t k, Heuristic heuristic) {
-    const auto& e = graph.light_edges;
-    const bool next_event = LightTechnique(e.technique[k]) == LightTechnique::next_event;
-    const float pdf = next_event ? e.pdf_nee_w[k] : e.pdf_bsdf_w[k], other = next_event ? e.pdf_bsdf_w[k] : e.pdf_nee_w[k];
+/// Of the technique that found a light against the other one.
+float mis_weight(bool next_event, float pdf_nee_w, float pdf_bsdf_w, Heuristic heuristic) {
+    const float pdf = next_event ? pdf_nee_w : pdf_bsdf_w, other = next_event ? pdf_bsdf_w : pdf_nee_w;
     return heuristic == Heuristic::power ? power_heuristic(pdf, other) : pdf / (pdf + other);
 }
 
 }  // namespace
 
-Spectrum own_light(const PathGraph& graph, const Spectrum& f_cos, std::size_t j, std::size_t k, Heuristic heuristic) {
-    const auto& e = graph.light_edges;
-    const bool next_event = LightTechnique(e.technique[k]) == LightTechnique::next_event;
-    const float pdf = next_event ? e.pdf_nee_w[k] : graph.vertices.pdf_w[j];
-    return f_cos * rgb(e.Li, k) * (mis_weight(graph, k, heuristic) / pdf);
+Spectrum own_light(const Spectrum& f_cos, const Spectrum& Li, bool next_event, float pdf_nee_w, float pdf_bsdf_w, float pdf_w,
+                   Heuristic heuristic) {
+    return f_cos * Li * (mis_weight(next_event, pdf_nee_w, pdf_bsdf_w, heuristic) / (next_event ? pdf_nee_w : pdf_w));
 }
 
 Spectrum own_light(const GraphReader& reader, const ShadingPoint& at, std::size_t j, std::size_t k, Heuristic heuristic) {
     const PathGraph& g = reader.graph();
+    const auto& e = g.light_edges;
     const Vector3f wi = reader.light_direction(at.p, k);
-    const bool next_event = LightTechnique(g.light_edges.technique[k]) == LightTechnique::next_event;
-    if (next_event || !is_delta(Lobe(g.vertices.lobe[j]))) return own_light(g, f_cos_pdf(at, wi).f_cos, j, k, heuristic);
-    return own_continuation(reader, at, j, wi) * rgb(g.light_edges.Li, k) * mis_weight(g, k, heuristic);
+    const bool next_event = LightTechnique(e.technique[k]) == LightTechnique::next_event;
+    const Spectrum Li = rgb(e.Li, k);
+    if (next_event || !is_delta(Lobe(g.vertices.lobe[j])))
+        return own_light(f_cos_pdf(at, wi).f_cos, Li, next_event, e.pdf_nee_w[k], e.pdf_bsdf_w[k], g.vertices.pdf_w[j], heuristic);
+    return own_continuation(reader, at, j, wi) * Li * mis_weight(next_event, e.pdf_nee_w[k], e.pdf_bsdf_w[k], heuristic);
 }
 
 std::size_t first_light_edge(const PathGraph& graph, std::size_t j) {

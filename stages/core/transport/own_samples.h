@@ -16,9 +16,11 @@ Spectrum own_continuation(const GraphReader& reader, const ShadingPoint& at, std
 Spectrum own_light(const GraphReader& reader, const ShadingPoint& at, std::size_t j, std::size_t k,
                    Heuristic heuristic = Heuristic::power);
 
-/// The same, f cos given.
+/// The same, everything given.
+/// in:      pdf_w  of the BSDF sample that may have found the light, for what is not found by next-event estimation
 /// needs:   the edge was not found by a delta lobe
-Spectrum own_light(const PathGraph& graph, const Spectrum& f_cos, std::size_t j, std::size_t k, Heuristic heuristic);
+Spectrum own_light(const Spectrum& f_cos, const Spectrum& Li, bool next_event, float pdf_nee_w, float pdf_bsdf_w, float pdf_w,
+                   Heuristic heuristic);
 
 /// First light edge at or after vertex j.
 std::size_t first_light_edge(const PathGraph& graph, std::size_t j);

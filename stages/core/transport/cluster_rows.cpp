@@ -1,0 +1,93 @@
+#include "stages/core/transport/cluster_rows.h"
+
+#include <algorithm>
+#include <cstring>
+#include <numeric>
+
+#include "stages/core/transport/parallel.h"
+
+namespace loom {
+namespace {
+
+constexpr std::uint64_t vertices_per_chunk = 1 << 16;
+constexpr std::uint64_t ahead = 24;  // rows lie anywhere: asked for so many vertices before they are written
+
+std::uint32_t packed(const Column<std::int16_t>& column, std::size_t j) {
+    std::uint32_t uv;
+    std::memcpy(&uv, column.data() + 2 * j, sizeof uv);
+    return uv;
+}
+
+template <class V>
+V triple(const Column<float>& column, std::size_t j, std::size_t width = 3) {
+    return {column[width * j], column[width * j + 1], column[width * j + 2]};
+}
+
+}  // namespace
+
+RowMaker::RowMaker(const GraphReader& reader) : graph_(reader.graph()) {
+    const auto& m = graph_.materials;
+    for (std::size_t i = 0; i < m.kind.size(); ++i)
+        matte_.push_back(BsdfKind(m.kind[i]) == BsdfKind::diffuse && m.opacity[i] == 1 && !(m.textured[i] & textured_parameter::opacity));
+}
+
+VertexRow RowMaker::vertex(std::size_t j) const {
+    const auto& v = graph_.vertices;
+    VertexRow row{};
+    row.p = triple<Point3f>(v.p, j);
+    row.wo = triple<Vector3f>(v.wo, j);
+    row.ns = packed(v.ns, j);
+    row.q = v.q.empty() ? 1.0f : v.q[j];
+    row.pdf_w = v.pdf_w[j];
+    row.eta = v.eta.empty() ? 1.0f : v.eta[j];
+    row.bits = v.flags[j];
+    row.material = v.material[j];
+    if (graph_.materials.textured[row.material] & textured_parameter::diffuse) std::copy_n(v.diffuse.data() + 3 * j, 3, row.diffuse);
+    const bool perturbed = !v.n_side.empty() && packed(v.n_side, j) != row.ns;
+    if (perturbed) row.bits |= vertex_bit::perturbed;
+    if (matte_[row.material] && !perturbed) row.bits |= vertex_bit::matte;
+    if (is_delta(Lobe(v.lobe[j]))) row.bits |= vertex_bit::delta;
+    if (row.bits & vertex_flag::continued) {
+        row.next = continuation_direction(graph_, j);
+        if (!v.eta.empty() && v.eta[j + 1] != row.eta) row.bits |= vertex_bit::other_medium;
+    }
+    return row;
+}
+
+LightRow RowMaker::light(std::size_t i) const {
+    const auto& e = graph_.light_edges;
+    return {triple<Point3f>(e.y, i, 4),    packed(e.n, i),   rgb(e.Li, i),
+            e.pdf_nee_w[i],                e.pdf_bsdf_w[i],  std::uint32_t(i),
+            EmitterKind(graph_.emitters.kind[e.emitter[i]]), LightTechnique(e.technique[i])};
+}
+
+ClusterRows::ClusterRows(const GraphReader& reader, std::span<const std::uint32_t> place, std::size_t n_places,
+                         std::span<const std::uint32_t> offsets, int threads)
+    : vertices(place.size()), first_light(n_places + 1) {
+    const RowMaker make(reader);
+    const std::size_t n = place.size();
+    parallel_chunks(n, vertices_per_chunk, threads, [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
+        for (std::uint64_t j = begin; j < end; ++j) {
+            if (const std::uint64_t later = j + ahead; later < end && place[later] < n_places) {
+                __builtin_prefetch(&vertices[place[later]], 1);
+                __builtin_prefetch(&first_light[place[later] + 1], 1);
+            }
+            if (place[j] >= n_places) continue;
+            vertices[place[j]] = make.vertex(j);
+            first_light[place[j] + 1] = offsets[j + 1] - offsets[j];
+        }
+    });
+    std::partial_sum(first_light.begin(), first_light.end(), first_light.begin());
+    lights = HugeArray<LightRow>(first_light.back());
+    parallel_chunks(n, vertices_per_chunk, threads, [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
+        for (std::uint64_t j = begin; j < end; ++j) {
+            if (const std::uint64_t later = j + ahead; later < end && offsets[later] < offsets[later + 1] && place[later] < n_places)
+                __builtin_prefetch(&lights[first_light[place[later]]], 1);
+            if (offsets[j] == offsets[j + 1] || place[j] >= n_places) continue;
+            std::uint32_t to = first_light[place[j]];
+            for (std::uint32_t i = offsets[j]; i < offsets[j + 1]; ++i) lights[to++] = make.light(i);
+        }
+    });
+}
+
+}  // namespace loom

@@ -1,0 +1,78 @@
+#pragma once
+// What a cluster asks of its vertices and their light edges, each in one line of the cache, where the graph has one
+// line in each of many columns.
+
+#include <span>
+#include <vector>
+
+#include "stages/core/transport/huge_array.h"
+#include "stages/core/transport/own_samples.h"
+
+namespace loom {
+
+/// Bits of VertexRow::bits beside the graph's own flags.
+namespace vertex_bit {
+inline constexpr std::uint16_t matte = 8;          // of a plain Lambertian material, without a bump
+inline constexpr std::uint16_t perturbed = 16;     // by a bump or normal map
+inline constexpr std::uint16_t delta = 32;         // the path went on by a lobe without width
+inline constexpr std::uint16_t other_medium = 64;  // it goes on in a medium of another index
+}  // namespace vertex_bit
+
+struct alignas(64) VertexRow {
+    Point3f p;
+    Vector3f wo, next;  // next: where the path goes on, if it does
+    std::uint32_t ns;   // as on disk: two octahedral int16, u low
+    float q, pdf_w, eta;
+    std::uint16_t bits, material;
+    Half diffuse[3];  // of a texture
+
+    bool continues_shared() const { return (bits & (vertex_flag::continued | vertex_bit::delta)) == vertex_flag::continued; }
+};
+
+struct LightRow {
+    Point3f y;        // or the direction
+    std::uint32_t n;  // as ns
+    Spectrum Li;
+    float pdf_nee, pdf_bsdf;  // sr^-1
+    std::uint32_t edge;       // row of the graph's light edges
+    EmitterKind kind;
+    LightTechnique technique;
+};
+
+/// One row at a time.
+class RowMaker {
+  public:
+    explicit RowMaker(const GraphReader& reader);
+    VertexRow vertex(std::size_t j) const;
+    LightRow light(std::size_t edge) const;
+
+  private:
+    const PathGraph& graph_;
+    std::vector<std::uint8_t> matte_;  // by material
+};
+
+/// All rows in the order of clusters, to be read from front to back.
+struct ClusterRows {
+    HugeArray<VertexRow> vertices;
+    std::vector<std::uint32_t> first_light;  // place+1 offsets into lights
+    HugeArray<LightRow> lights;
+
+    /// in:      place    of each vertex: rows of those at n_places and beyond are left zero
+    ///          offsets  of light edges, by vertex
+    ClusterRows(const GraphReader& reader, std::span<const std::uint32_t> place, std::size_t n_places,
+                std::span<const std::uint32_t> offsets, int threads);
+
+    std::span<const LightRow> lights_of(std::size_t place) const {
+        return {lights.data() + first_light[place], first_light[place + 1] - first_light[place]};
+    }
+};
+
+/// f cos Li w / pdf of a light edge, as own_light() of its graph.
+/// in:      pdf_w  of the vertex
+/// needs:   the edge was not found by a delta lobe
+inline Spectrum own_light(const LightRow& light, const Spectrum& f_cos, float pdf_w, Heuristic heuristic = Heuristic::power) {
+    const bool next_event = light.technique == LightTechnique::next_event;
+    return own_light(f_cos, light.Li, next_event, light.pdf_nee, light.pdf_bsdf, pdf_w, heuristic);
+}
+
+}  // namespace loom
