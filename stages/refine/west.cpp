@@ -36,7 +36,6 @@ Filtered west_filter(const PathGraph& graph, std::span<const std::uint32_t> memb
         index.knnSearch(flann::Matrix<float>(positions.data() + 3 * begin, n, 3), row_matrix, distance_matrix, k, exact);
         const auto shading = std::make_unique<ClusterShading>(reader);
         std::vector<std::uint32_t> near(k);
-        LightsOfGraph lights(reader, offsets);
         for (std::size_t i = 0; i < n; ++i) {
             const std::uint32_t j = members[begin + i];
             for (std::size_t m = 0; m < k; ++m) near[m] = members[rows[i * k + m]];
@@ -49,7 +48,7 @@ Filtered west_filter(const PathGraph& graph, std::span<const std::uint32_t> memb
                 return Spectrum{shading->f(0)[lane], shading->f(1)[lane], shading->f(2)[lane]} * inv_rho;
             };
             Spectrum direct(0), indirect(0);
-            for_each_light_edge(*shading, sharing, lights, [&](int, const LightRow&, const Spectrum& light, float inv_rho) {
+            for_each_light_edge(*shading, graph, offsets, sharing, [&](int, std::uint32_t, const Spectrum& light, float inv_rho) {
                 direct += reflected(inv_rho) * light;
             });
             for_each_indirect_edge(*shading, graph, sharing, [&](int, std::uint32_t from, float inv_rho) {

@@ -31,26 +31,12 @@ struct SharingOptions {
 /// First light edge of each vertex, and one more entry.
 std::vector<std::uint32_t> light_edge_offsets(const PathGraph& graph);
 
+inline bool continues_shared(const PathGraph& graph, std::size_t j) {
+    return (graph.vertices.flags[j] & vertex_flag::continued) && !is_delta(Lobe(graph.vertices.lobe[j]));
+}
+
 /// Normal at vertex j, on the side that light leaves from.
 Normal3f facing_normal(const PathGraph& graph, std::size_t j);
-
-/// Light edges of the vertices that a shading has loaded, made from the graph one vertex at a time.
-class LightsOfGraph {
-  public:
-    LightsOfGraph(const GraphReader& reader, std::span<const std::uint32_t> offsets) : make_(reader), offsets_(offsets) {}
-    /// Valid until the next call.
-    std::span<const LightRow> operator()(const ClusterShading& shading, int lane) {
-        const std::size_t j = shading.vertex(lane);
-        rows_.clear();
-        for (std::uint32_t i = offsets_[j]; i < offsets_[j + 1]; ++i) rows_.push_back(make_.light(i));
-        return rows_;
-    }
-
-  private:
-    RowMaker make_;
-    std::span<const std::uint32_t> offsets_;
-    std::vector<LightRow> rows_;
-};
 
 /// Calls sink(lane, vertex, inv_rho) for each continuation, whose end is `vertex`; shading then answers for its light.
 /// An edge that nobody could have sampled, by rounding, has inv_rho 0.
@@ -132,6 +118,23 @@ void for_each_light_edge(ClusterShading& shading, const SharingOptions& options,
             sink(lane, e, light, rho > 0 ? 1 / rho : 0.0f);
         }
     }
+}
+
+/// The same with rows made from the graph, vertex by vertex; the edge is given to the sink by its number.
+/// in:      offsets  of light edges, by vertex
+template <class Sink>
+void for_each_light_edge(ClusterShading& shading, const PathGraph&, std::span<const std::uint32_t> offsets,
+                         const SharingOptions& options, Sink&& sink) {
+    std::vector<LightRow> rows;
+    const auto lights = [&](const ClusterShading& at, int lane) -> std::span<const LightRow> {
+        const std::size_t j = at.vertex(lane);
+        rows.clear();
+        for (std::uint32_t i = offsets[j]; i < offsets[j + 1]; ++i) rows.push_back(at.make_row().light(i));
+        return rows;
+    };
+    for_each_light_edge(shading, options, lights, [&](int lane, const LightRow& edge, const Spectrum& light, float inv_rho) {
+        sink(lane, edge.edge, light, inv_rho);
+    });
 }
 
 }  // namespace loom

@@ -24,6 +24,7 @@ class ClusterShading {
     /// Of a lane among the vertices that were loaded.
     std::size_t place(int lane) const { return place_[lane]; }
     const VertexRow& row(int lane) const { return rows_[place_[lane]]; }
+    const RowMaker& make_row() const { return make_row_; }
 
     /// Light from direction wi: f cos and densities in sr^-1.
     void light_direction(const Vector3f& wi);
