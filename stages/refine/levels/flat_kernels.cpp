@@ -15,7 +15,6 @@ using StoredLanes = float __attribute__((vector_size(lane_block * sizeof(float))
 [[gnu::always_inline]] inline const StoredLanes& lanes_at(const float* at) {
     return *reinterpret_cast<const StoredLanes*>(at);
 }
-[[gnu::always_inline]] inline void cut_at_zero(Lanes& v) { v = v > 0 ? v : Lanes{}; }
 
 /// In a fixed order that every level can follow.
 [[gnu::always_inline]] inline float sum_of(const Lanes& v) {
@@ -50,27 +49,27 @@ template <bool area>
     see_from_finders<area>(c, e);
     const int lanes = padded_lanes(c.n);
     const float nx = c.normal.x, ny = c.normal.y, nz = c.normal.z;
+    alignas(64) float attempts[max_lanes];
     for (int i = 0; i < e.n; ++i) {
-        Lanes density{};
-        for (int block = 0; block < lanes; block += lane_block) {
-            const Lanes dx = e.y_x[i] - lanes_at(c.px + block), dy = e.y_y[i] - lanes_at(c.py + block), dz = e.y_z[i] - lanes_at(c.pz + block);
-            const Lanes d2 = dx * dx + dy * dy + dz * dz, inv_d2 = 1.0f / (d2 > 1e-30f ? d2 : 1e-30f - Lanes{});
-            Lanes cos = nx * dx + ny * dy + nz * dz;
-            cut_at_zero(cos);
-            Lanes f;
+        const float y_x = e.y_x[i], y_y = e.y_y[i], y_z = e.y_z[i], n_x = e.n_x[i], n_y = e.n_y[i], n_z = e.n_z[i], pdf = e.pdf_shared[i];
+        float* __restrict f = e.reflected + i * lanes;
+        // A plain loop: g++ 12 makes scalars of `?:` on vectors that are wider than the processor's.
+        for (int l = 0; l < lanes; ++l) {
+            const float dx = y_x - c.px[l], dy = y_y - c.py[l], dz = y_z - c.pz[l];
+            const float d2 = dx * dx + dy * dy + dz * dz, inv_d2 = 1 / (d2 > 1e-30f ? d2 : 1e-30f);
+            const float above = nx * dx + ny * dy + nz * dz, cos = above > 0 ? above : 0.0f;
+            float value;
             if constexpr (area) {
-                Lanes cos_y = -(e.n_x[i] * dx + e.n_y[i] * dy + e.n_z[i] * dz);
-                cut_at_zero(cos_y);
-                f = (cos * inv_d2) * (cos_y * inv_d2) * inv_pi<float>;
-                density += (f > 0 ? lanes_at(c.nee + block) * e.pdf_shared[i] : Lanes{}) + lanes_at(c.survival + block) * f;
+                const float before = -(n_x * dx + n_y * dy + n_z * dz), cos_y = before > 0 ? before : 0.0f;
+                value = (cos * inv_d2) * (cos_y * inv_d2) * inv_pi<float>;
             } else {
-                Lanes inv_d;
-                for (int l = 0; l < lane_block; ++l) inv_d[l] = std::sqrt(inv_d2[l]);
-                f = cos * inv_d * inv_d2 * inv_pi<float>;
-                density += f > 0 ? lanes_at(c.nee + block) * e.pdf_shared[i] : Lanes{};
+                value = cos * std::sqrt(inv_d2) * inv_d2 * inv_pi<float>;
             }
-            std::memcpy(e.reflected + i * lanes + block, &f, sizeof f);
+            f[l] = value;
+            attempts[l] = (value > 0 ? c.nee[l] * pdf : 0.0f) + (area ? c.survival[l] * value : 0.0f);
         }
+        Lanes density{};
+        for (int block = 0; block < lanes; block += lane_block) density += lanes_at(attempts + block);
         const float rho = sum_of(density), inv_rho = rho > 0 ? 1 / rho : 0.0f;
         e.Li_r[i] *= inv_rho, e.Li_g[i] *= inv_rho, e.Li_b[i] *= inv_rho;
     }
