@@ -91,6 +91,7 @@ Plain plain(const FlatColumns& c, const FlatLights& e, bool area) {
 }
 
 // All levels give the same bits, and what the equations say within 1e-5.
+// Breaks seen to fail: the cosine at the light dropped; attempts of lanes that do not see the light counted.
 TEST(FlatColumns, EveryLevelEqualsTheEquations) {
     const auto c = std::make_unique<FlatColumns>();
     const auto e = std::make_unique<FlatLights>();
@@ -128,7 +129,8 @@ TEST(FlatColumns, EveryLevelEqualsTheEquations) {
 class FlatSystem : public ::testing::TestWithParam<const char*> {};
 
 // Steps of the light that flat clusters pass on are the steps of all vertices: X <- M X + B in double, vertex by vertex,
-// with every figure of the log. From the paths' radiance and from the direct light.
+// with every figure of the log.
+// Breaks seen to fail: the direct light of flat ends dropped after the first step; the albedo of another vertex taken.
 TEST_P(FlatSystem, StepsAreThoseOfAllVertices) {
     const auto scene = testing::own_scene(GetParam(), 32, 24);
     const PathGraph graph = testing::trace_graph(*scene, testing::path_options(*scene, 12), 2);
