@@ -30,7 +30,7 @@ Attributes of the root, and text attributes in the header of an EXR file:
 | `inputs` | content hash (XXH64) and name of each input |
 | `plan` | what was on, what was off and why |
 
-What it cost to make a file (seconds, rays, samples, memory, parents) is in `FILE.cost.json` beside it.
+What it cost to make a file (seconds, rays, samples, memory, parents, the command and the plan) is in `FILE.cost.json` beside it.
 
 A dataset with `?` is there only when the scene needs it. Datasets that share the name of their first axis have the same
 number of rows; `path+1` is one row more than `path`. Octahedral directions are two signed 16-bit numbers: with (x, y) =

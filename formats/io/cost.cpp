@@ -24,6 +24,8 @@ void members(Self& cost, Visitor&& visit) {
     visit("bytes_written", cost.bytes_written);
     visit("parents", cost.parents);
     visit("sources", cost.sources);
+    visit.optional("command", cost.command);
+    visit.optional("plan", cost.plan);
 }
 
 struct Writer {
@@ -36,6 +38,7 @@ struct Writer {
         for (const auto& value : values) json.text({}, value);
         json.end_array();
     }
+    void optional(const char* key, const std::string& value) const { json.text(key, value); }
 };
 
 struct Reader {
@@ -68,6 +71,9 @@ struct Reader {
                 throw InputError(fmt::format("{}: \"{}\" is not a list of names", file, key));
             values.push_back(*text);
         }
+    }
+    void optional(const char* key, std::string& value) const {
+        if (json.find(key) != nullptr) (*this)(key, value);
     }
 };
 

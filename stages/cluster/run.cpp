@@ -64,6 +64,7 @@ void run(const Options& options, app::Report& report) {
     report.info("{}", text_of(cluster_spread(graph, clusters, clusters_to_measure)));
 
     Cost cost = report.cost();
+    cost.plan = planned;
     cost.bytes_written = std::filesystem::file_size(options.output);
     cost.parents = {parent_of(options.output, options.graph)};
     write_cost(cost, options.output);

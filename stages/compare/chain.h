@@ -15,11 +15,8 @@ struct StageCost {
     Cost cost;
 };
 
-/// The costs of an output and of all its ancestors, each file once however many ways lead to it.
-///   NEEDS only the .cost.json files: the ancestors themselves may be gone
+/// The costs of an output and of all its ancestors, each file once (see formats/chain.h).
 /// out:     stages in the order of their first file, ancestors before what is made from them
-/// throws:  InputError naming the missing or damaged cost file, what needs it and what to run again; or the loop
-///          when a file is its own ancestor
 std::vector<StageCost> chain_cost(const std::filesystem::path& output);
 
 /// All stages together, called "total".

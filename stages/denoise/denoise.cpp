@@ -189,6 +189,7 @@ void run(const Options& options, app::Report& report) {
     if (!options.png.empty()) write_png(clean, options.png, options.exposure_ev);
 
     Cost cost = report.cost();
+    cost.plan = plan;
     cost.bytes_written = std::filesystem::file_size(options.output);
     cost.parents = {std::filesystem::path(options.image).filename()};
     write_cost(cost, options.output);

@@ -166,6 +166,7 @@ void run(const Options& options, app::Report& report) {
     if (!options.png.empty()) write_png(image, options.png, options.exposure_ev);
 
     Cost cost = report.cost();
+    cost.plan = image.provenance.plan;
     cost.samples = graph.n_paths();
     cost.bytes_written = std::filesystem::file_size(options.output);
     cost.parents = {parent_of(options.output, options.graph)};

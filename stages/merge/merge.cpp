@@ -155,6 +155,7 @@ void run(const Options& options, app::Report& report) {
     write_image(merged, options.output, options.zip ? Compression::zip : Compression::none);
 
     Cost cost = report.cost();
+    cost.plan = merged.provenance.plan;
     cost.bytes_written = std::filesystem::file_size(options.output);
     for (const std::string& part : options.parts) cost.parents.push_back(parent_of(options.output, part));
     if (!options.direct.empty()) cost.parents.push_back(parent_of(options.output, options.direct));

@@ -190,6 +190,7 @@ void run(const Options& options, app::Report& report) {
     write_radiance(radiance, options.output);
 
     Cost cost = report.cost();
+    cost.plan = plan;
     cost.samples = graph.n_paths();
     cost.bytes_written = std::filesystem::file_size(options.output);
     cost.parents = {parent_of(options.output, options.graph)};

@@ -309,6 +309,7 @@ void run(const Options& options, app::Report& report) {
         cost.samples = samples;
         cost.bytes_written = std::filesystem::file_size(output);
         cost.sources = {std::filesystem::path(options.scene).filename()};
+        cost.plan = planned;
         write_cost(cost, output);
         report.done("{}: {} paths, {} vertices, {} rays, {} samples not finite", std::filesystem::path(output).filename().string(),
                     samples, counts.vertices, counts.rays, counts.nonfinite);

@@ -22,7 +22,9 @@ Cost some_cost() {
             123456789,
             5,
             {"a \"b\"\\\n\x01.exr", "../c.h5"},
-            {"scene.xml"}};
+            {"scene.xml"},
+            "loom-trace scene.xml --spp 4",
+            "on: all; off: nothing"};
 }
 
 TEST(Cost, ReadsBack) {

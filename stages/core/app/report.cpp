@@ -111,6 +111,7 @@ Cost Report::cost() const {
     cost.wall_s = used.wall_s;
     cost.cpu_s = used.cpu_s;
     cost.peak_memory_bytes = used.peak_memory_bytes;
+    cost.command = command_;
     return cost;
 }
 
