@@ -49,6 +49,17 @@ TEST(Cost, NoParents) {
     EXPECT_EQ(read_cost(folder / "x.h5"), Cost{});
 }
 
+// Files from before a cost named its command and plan.
+TEST(Cost, CommandAndPlanMayBeMissing) {
+    const ScratchFolder folder;
+    write_bytes(cost_path(folder / "x.h5"),
+                "{\"stage\": \"s\", \"wall_s\": 1, \"cpu_s\": 2, \"rays\": 3, \"samples\": 4, \"peak_memory_bytes\": 5, "
+                "\"bytes_written\": 6, \"parents\": [], \"sources\": []}");
+    const Cost cost = read_cost(folder / "x.h5");
+    EXPECT_EQ(cost.bytes_written, 6u);
+    EXPECT_EQ(cost.command + cost.plan, "");
+}
+
 TEST(Cost, BadFilesSayWhatIsWrong) {
     const ScratchFolder folder;
     const auto file = cost_path(folder / "x.h5");

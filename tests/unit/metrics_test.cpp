@@ -8,6 +8,7 @@
 #include <random>
 #include <vector>
 
+#include "stages/compare/compare.h"
 #include "stages/compare/difference.h"
 #include "stages/compare/significance.h"
 
@@ -125,6 +126,59 @@ TEST(Metrics, DecompositionAddsUp) {
     EXPECT_NEAR(one.variance, (0.5 / 1.01 + 0.25 / 4.01) / 2, 1e-12);
     EXPECT_NEAR(one.bias2 + one.variance + one.reference, mean_squared_relative(x[2], r), 1e-12);
     EXPECT_TRUE(std::isnan(decompose(std::span(x).first(1), {}, r, {}).bias2));
+}
+
+// A picture of 8 x 8 pixels has a tile for each. Green is 0.5 too bright; every pixel's mean has variance 4: the
+// picture's has 4/64, z = 0.5 / 0.25 = 2. Each tile: z = 0.25. Of three channels, of 192 tiles: corrected.
+TEST(Metrics, ZTestByHand) {
+    constexpr std::size_t n = 64;
+    Values r(3 * n, 1), x = r;
+    for (std::size_t i = 0; i < n; ++i) x[3 * i + 1] = 1.5f;
+    const std::vector<Values> one{x};
+    const Values variance(3 * n, 4);
+    const Significance z = test_means({one, variance}, r, {}, 8, 8);
+    EXPECT_STREQ(z.kind, "Z");
+    EXPECT_NEAR(z.tests[1][0].difference, 0.5, 1e-12);
+    EXPECT_NEAR(z.tests[1][0].se, 0.25, 1e-12);
+    const double p = std::erfc(2 / std::sqrt(2.0)), p_tile = std::erfc(0.25 / std::sqrt(2.0));
+    EXPECT_NEAR(z.p_image, 1 - std::pow(1 - p, 3), 1e-9);
+    EXPECT_NEAR(z.p_tiles, 1 - std::pow(1 - p_tile, 192), 1e-9);
+    EXPECT_EQ(z.tests[0][0].p_value, 1);
+    // A reference that varies as much: se^2 doubles.
+    EXPECT_NEAR(test_means({one, variance}, r, variance, 8, 8).tests[1][0].se, std::sqrt(2.0) / 4, 1e-12);
+    EXPECT_STREQ(test_means({one, {}}, r, {}, 8, 8).kind, "none");
+}
+
+// Two replicates, 1 and 2 above a reference that is exact: mean 1.5, se 0.5, t = 3 with one degree of freedom, whose
+// p-value is 1 - 2/pi atan(3). All channels and tiles alike; the first of equal ones is the worst.
+TEST(Metrics, WelchTestByHand) {
+    const Values r(3 * 64, 1);
+    const std::vector<Values> two{Values(3 * 64, 2), Values(3 * 64, 3)};
+    const Significance welch = test_means({two, {}}, r, {}, 8, 8);
+    EXPECT_STREQ(welch.kind, "Welch");
+    EXPECT_NEAR(welch.tests[2][17].difference, 1.5, 1e-12);
+    EXPECT_NEAR(welch.tests[2][17].se, 0.5, 1e-12);
+    const double p = 1 - 2 / M_PI * std::atan(3.0);
+    EXPECT_NEAR(welch.tests[2][17].p_value, p, 1e-9);
+    EXPECT_NEAR(welch.p_image, 1 - std::pow(1 - p, 3), 1e-9);
+    EXPECT_NEAR(welch.p_tiles, 1 - std::pow(1 - p, 192), 1e-9);
+}
+
+// A quarter of the error at twice the time: four times better, twice at equal time.
+TEST(Metrics, GainByHand) {
+    const auto group = [](double relmse, double cpu_s) {
+        Group g;
+        for (double factor : {0.9, 1.1}) {
+            Measured m{};
+            m.relmse = factor * relmse;
+            m.cpu_s = cpu_s;
+            g.replicates.push_back(m);
+        }
+        return g;
+    };
+    const Gain gain = gain_of(group(0.4, 3), group(0.1, 6));
+    EXPECT_NEAR(gain.error.value, 4, 1e-12);
+    EXPECT_NEAR(gain.equal_cpu, 2, 1e-12);
 }
 
 TEST(Metrics, TilesCoverThePicture) {
