@@ -1,4 +1,7 @@
-# Error against cost of methods on one scene: OUT/error-cost.svg and .png, OUT/stages.svg and .png.
+# Speed against accuracy of methods on one scene: charts in OUT, each as SVG and PNG with its data and commands.
+#
+#   error-cost     error against cost, a curve per method;      stages       CPU time by stage
+#   bias-variance  the parts of that error against cost;        convergence  change by step of the refinement
 #
 #   a reference, path traced once with many samples (or REFERENCE=file)
 #   REPLICATES pictures of each method at each number of samples, by still.mk, each with its own seed
@@ -14,12 +17,13 @@
 .DEFAULT_GOAL := chart
 
 SCENE ?= scenes/cornell-box.xml
-# METHODS=  ## what to compare, each a METHOD of make image (pt graph); the first is what others are compared with
+# METHODS=  ## what to compare (pt graph), the first with all others; each a METHOD of make image, with settings: pathgraph+K8+ITERATIONS2
 # SPPS=  ## samples per pixel of the points of a curve (1 4 16)
 # REPLICATES=  ## pictures of each point, with their own seeds (3)
 # PASS=  ## most samples per pixel of a pass of methods with a graph (4)
 # REFERENCE=  ## image to compare with, else one is path traced
 # REFERENCE_SPP=  ## samples per pixel of that, a multiple of 64 (1024)
+# REFERENCE_VARIANCE=  ## variance of its pixels, where it does not say so itself
 # COST=  ## column that is the cost: cpu_s, wall_s or rays (cpu_s)
 # ERROR=  ## column that is the error: relmse, relmse_trimmed, relmse_net, mse, mape (relmse)
 BUILD ?= build
@@ -49,6 +53,7 @@ endif
 
 compare := $(BUILD)/bin/loom-compare
 chart := $(BUILD)/bin/loom-chart
+inspect := $(BUILD)/bin/loom-inspect
 reference := $(if $(strip $(REFERENCE)),$(call quote,$(REFERENCE)),$(OUT)/reference/image.exr)
 reference_file := $(if $(strip $(REFERENCE)),$(subst $(space),\$(space),$(REFERENCE)),$(reference))
 reference_pass := $(shell [ $(REFERENCE_SPP) -lt 64 ] && echo $(REFERENCE_SPP) || echo 64)
@@ -65,18 +70,27 @@ part = $(word $(1),$(subst -, ,$(2)))
 # $(call seed,NAME): own and lasting, whatever else is made beside it.
 seed = $(shell printf '%s' '$(1) $(SEED)' | cksum | cut -d' ' -f1)
 
-# $(call still,METHOD,SAMPLES,SEED,FOLDER): samples in passes of at most PASS, but for path tracing in one.
-pass_spp = $(shell [ '$(1)' = pt ] || [ $(2) -lt $(PASS) ] && echo $(2) || echo $(PASS))
-passes = $(shell echo $$(($(2) / $(call pass_spp,$(1),$(2)))))
-still = $(MAKE) -s --no-print-directory -f pipelines/still.mk -j1 METHOD=$(1) SPP=$(call pass_spp,$(1),$(2)) \
-	PASSES=$(call passes,$(1),$(2)) SEED=$(3) OUT=$(4) KEEP=
-$(foreach s,$(SPPS),$(if $(shell [ $(s) -lt $(PASS) ] || [ $$(($(s) % $(PASS))) = 0 ] || echo no),$(error \
-	SPPS: $(s) is no multiple of PASS=$(PASS))))
+# pathgraph+K8+PASS1 -> method pathgraph, settings K=8; PASS is a matter of this file.
+method = $(firstword $(subst +, ,$(1)))
+settings = $(shell echo '$(wordlist 2,99,$(subst +, ,$(1)))' | sed -E 's/([A-Z]+)([0-9]+)/\1=\2/g')
+pass = $(or $(patsubst PASS=%,%,$(filter PASS=%,$(call settings,$(1)))),$(PASS))
+ifneq ($(shell printf '%s\n' $(METHODS) | grep -cvxE '[a-z]+([+](K|ITERATIONS|PASS|DIRECT)[0-9]{1,8})*'),0)
+$(error METHODS=$(METHODS): each must be a METHOD, with settings after +: K, ITERATIONS, PASS, DIRECT with a number)
+endif
 
-chart: $(OUT)/error-cost.svg $(OUT)/stages.svg
+# $(call still,METHOD,SAMPLES,SEED,FOLDER): samples in passes of at most PASS, but for path tracing in one.
+pass_spp = $(shell [ '$(call method,$(1))' = pt ] || [ $(2) -lt $(call pass,$(1)) ] && echo $(2) || echo $(call pass,$(1)))
+passes = $(shell echo $$(($(2) / $(call pass_spp,$(1),$(2)))))
+still = $(MAKE) -s --no-print-directory -f pipelines/still.mk -j1 METHOD=$(call method,$(1)) SPP=$(call pass_spp,$(1),$(2)) \
+	PASSES=$(call passes,$(1),$(2)) SEED=$(3) OUT=$(4) KEEP= $(filter-out PASS=%,$(call settings,$(1)))
+$(foreach m,$(METHODS),$(foreach s,$(SPPS),$(if $(shell [ $(s) -lt $(call pass,$(m)) ] || [ $$(($(s) % $(call pass,$(m)))) = 0 ] || echo no),$(error \
+	SPPS: $(s) is no multiple of PASS=$(call pass,$(m)) of $(m)))))
+
+# Only the refinement has steps.
+charts := $(patsubst %,$(OUT)/%.svg,stages bias-variance $(if $(filter pathgraph pathgraph+%,$(METHODS)),convergence))
+chart: $(OUT)/error-cost.svg $(charts)
 	@rm -rf $(OUT)/.warm-up*
-	@echo $(OUT)/error-cost.png
-	@echo $(OUT)/stages.png
+	@$(foreach c,$(^:.svg=.png),echo $(c);)
 
 # still.mk knows whether there is something to do; a picture that it leaves alone keeps its time stamp.
 # Graphs are large: they go once the picture is there, and their costs stay.
@@ -85,6 +99,7 @@ $(images): $(OUT)/%/image.exr: FORCE
 	@$(call still,$(call part,1,$*),$(call part,2,$*),$(call seed,$*),$(@D)) -q $@ || { \
 		$(MAKE) -s --no-print-directory -f pipelines/chart.mk OUT=$(OUT) $(OUT)/.warm-up-$(session) && \
 		$(call still,$(call part,1,$*),$(call part,2,$*),$(call seed,$*),$(@D)) image >/dev/null; }
+	@set -- $(@D)/*/*.radiance.h5; [ ! -e "$$1" ] || $(inspect) --quiet --iterations "$$1" >$(@D)/iterations.tsv
 	@rm -f $(@D)/*/*.h5
 
 $(OUT)/.warm-up-%:
@@ -101,14 +116,18 @@ define parameter
 $(1): $(if $(and $(findstring x$(file <$(1))x,x$(2)x),$(findstring x$(2)x,x$(file <$(1))x)),,FORCE)
 	@mkdir -p $$(@D) && printf '%s\n' $(call quote,$(2)) >$$@
 endef
-$(eval $(call parameter,$(OUT)/compare.parameters,$(runs) $(REFERENCE)))
+$(eval $(call parameter,$(OUT)/compare.parameters,$(runs) $(REFERENCE) $(REFERENCE_VARIANCE)))
 $(eval $(call parameter,$(OUT)/chart.parameters,$(COST) $(ERROR)))
 
-labelled = $(foreach r,$(runs),$(call part,1,$(r))=$(OUT)/$(r)/image.exr)
-$(OUT)/errors.tsv: $(images) $(reference_file) $(OUT)/compare.parameters $(compare)
-	$(compare) $(labelled) --reference $(reference) --scene $(name) --cost --tsv >$@
+# What make peers left: pictures of other renderers, by name as ours.
+peers := $(filter-out $(runs:%=$(OUT)/peers/%/image.exr),$(wildcard $(OUT)/peers/*/image.exr))
+labelled = $(foreach r,$(runs),$(call part,1,$(r))=$(OUT)/$(r)/image.exr) \
+	$(foreach p,$(peers),$(call part,1,$(notdir $(patsubst %/,%,$(dir $(p)))))=$(p))
+variance = $(if $(strip $(REFERENCE_VARIANCE)),--reference-variance $(call quote,$(REFERENCE_VARIANCE)))
+$(OUT)/errors.tsv: $(images) $(peers) $(reference_file) $(OUT)/compare.parameters $(compare)
+	$(compare) $(labelled) --reference $(reference) $(variance) --scene $(name) --cost --tsv >$@
 
-$(OUT)/stages.tsv: $(images) $(OUT)/compare.parameters $(compare)
+$(OUT)/stages.tsv: $(images) $(peers) $(OUT)/compare.parameters $(compare)
 	$(compare) $(labelled) --scene $(name) --cost --tsv >$@
 
 $(OUT)/error-cost.svg: $(OUT)/errors.tsv $(OUT)/chart.parameters $(chart)
@@ -118,6 +137,18 @@ $(OUT)/error-cost.svg: $(OUT)/errors.tsv $(OUT)/chart.parameters $(chart)
 $(OUT)/stages.svg: $(OUT)/stages.tsv $(chart)
 	$(chart) $< --kind stages -o $@
 
+$(OUT)/bias-variance.svg: $(OUT)/errors.tsv $(OUT)/chart.parameters $(chart)
+	$(chart) $< --kind parts -o $@ --x $(COST)
+
+# The last pass of each picture of the most samples.
+refined := $(foreach r,$(runs),$(if $(and $(filter pathgraph pathgraph+%,$(call part,1,$(r))),$(filter $(lastword $(SPPS)),$(call part,2,$(r)))),$(r)))
+$(OUT)/iterations.tsv: $(refined:%=$(OUT)/%/image.exr) $(OUT)/compare.parameters
+	@{ printf 'scene\tmethod\titeration\tresidual\timage_change\n'; \
+	$(foreach r,$(refined),awk -v OFS='\t' 'FNR > 1 && $$2 > 0 { print "$(name)", "$(call part,1,$(r))", $$0 }' $(OUT)/$(r)/iterations.tsv;) } >$@
+
+$(OUT)/convergence.svg: $(OUT)/iterations.tsv $(chart)
+	$(chart) $< -o $@ --x iteration --y residual --linear-x >$(OUT)/convergence.txt
+
 # Run alone on a tree that is not built yet.
-$(compare) $(chart) &:
+$(compare) $(chart) $(inspect) &:
 	$(MAKE) --no-print-directory -f Makefile stages

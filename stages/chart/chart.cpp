@@ -47,16 +47,19 @@ void declare(app::Command& command, Options& options) {
     command.files("tables", options.tables, "TSV with a line of names, as loom-compare --tsv prints it").required();
     command.output("-o,--output", options.output, "chart.svg; beside it chart.png, .tsv (data), .gp (commands), tables")
         .required();
-    command.choice<Kind>("--kind", options.kind, "error against cost, or time by stage (of loom-compare --cost --tsv)",
-                         {{"curves", Kind::curves}, {"stages", Kind::stages}});
+    command.choice<Kind>("--kind", options.kind, "error against cost, its parts against cost, or time by stage (of loom-compare --cost --tsv)",
+                         {{"curves", Kind::curves}, {"parts", Kind::parts}, {"stages", Kind::stages}});
     command.option("--x", options.x, "column of the cost (samples, wall_s, an iteration, …)");
     command.option("--y", options.y, "column of the error");
     command.option("--by", options.by, "column that tells curves apart");
+    command.flag("--linear-x", options.linear_x, "a linear axis, for what falls by a factor per step");
     command.option("--title", options.title, "above the chart");
     command.example("loom-chart errors.tsv -o error-cost.svg --x wall_s --y relmse_trimmed");
 }
 
-void run(const Options& options, app::Report& report) {
+void run(const Options& given, app::Report& report) {
+    Options options = given;
+    options.command = report.command();
     const std::filesystem::path svg = options.output;
     if (svg.extension() != ".svg") throw InputError(fmt::format("{}: the output must end in .svg", options.output));
     check_output_path(svg);
@@ -65,6 +68,8 @@ void run(const Options& options, app::Report& report) {
     Files files;
     if (options.kind == Kind::stages) {
         files = stage_files(stem, table, options);
+    } else if (options.kind == Kind::parts) {
+        files = part_files(stem, table, options);
     } else {
         const std::vector<Curve> curves = curves_of(table, options.x, options.y, options.by);
         files = curve_files(stem, curves, options);

@@ -14,7 +14,7 @@ class Report;
 
 namespace loom::chart {
 
-enum class Kind { curves, stages };
+enum class Kind { curves, parts, stages };
 
 struct Options {
     std::vector<std::string> tables;  // TSV
@@ -23,13 +23,18 @@ struct Options {
     std::string x = "cpu_s";    // cost; of stages the only one
     std::string y = "relmse";   // error
     std::string by = "method";  // what tells curves apart
+    bool linear_x = false;      // curves of what falls by a factor per step: no slopes, no front
     std::string title;
+    std::string command;  // what made the chart, for NAME.gp to say; not an option
 };
 
 /// Everything but the pictures, by name: STEM.gp (which makes STEM.svg and STEM.png), STEM.tsv and, for curves,
 /// STEM.equal-cost.tsv and STEM.equal-error.tsv.
 using Files = std::map<std::string, std::string>;
 Files curve_files(const std::string& stem, const std::vector<Curve>& curves, const Options& options);
+/// Variance and squared bias over cost, each a curve of every method on log axes. Squared bias is an estimate; where it
+/// is not above 0, no bias was seen and no point is drawn.
+Files part_files(const std::string& stem, const Table& table, const Options& options);
 /// Stacked bars of what each stage of a method takes per sample per pixel, mean over the replicates.
 Files stage_files(const std::string& stem, const Table& table, const Options& options);
 

@@ -4,7 +4,7 @@
 #include <string>
 #include <vector>
 
-#include "stages/chart/table.h"
+#include "stages/core/table/table.h"
 #include "stages/core/stats/student.h"
 
 namespace loom::chart {

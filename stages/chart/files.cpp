@@ -35,7 +35,9 @@ std::string words_for(const std::string& column) {
                                                           {"relmse_trimmed", "relMSE, 0.1 % trimmed"},
                                                           {"relmse_net", "relMSE less the reference's noise"},
                                                           {"mse", "MSE"},
-                                                          {"mape", "MAPE"}};
+                                                          {"mape", "MAPE"},
+                                                          {"iteration", "step of the refinement"},
+                                                          {"residual", "change of radiance, as a share"}};
     const auto at = words.find(column);
     return at == words.end() ? column : at->second;
 }
@@ -63,9 +65,9 @@ struct LogAxis {
 };
 
 /// Both pictures from one set of commands.
-std::string script(const std::string& stem, int width, int height, const std::string& body) {
+std::string script(const std::string& stem, int width, int height, const std::string& body, const Options& options) {
     return fmt::format(
-        "# gnuplot {0}.gp\n"
+        "{7}# gnuplot {0}.gp\n"
         "set datafile separator '\\t'\n"
         "set encoding utf8\n"
         "set style line 100 lc rgb '#d8d8d8' lw 1\n"
@@ -74,6 +76,7 @@ std::string script(const std::string& stem, int width, int height, const std::st
         "set tics nomirror\n"
         "set grid xtics ytics back ls 100\n"
         "set key top right samplen 2 spacing 1.3\n"
+        "set format '%g'\n"
         "do for [picture in 'svg png'] {{\n"
         "if (picture eq 'svg') {{\n"
         "set terminal svg size {1},{2} noenhanced font 'DejaVu Sans,14' background '#ffffff'\n"
@@ -86,7 +89,8 @@ std::string script(const std::string& stem, int width, int height, const std::st
         "{6}"
         "unset output\n"
         "}}\n",
-        stem, width, height, 3 * width / 2, 3 * height / 2, quoted(stem + "."), body);
+        stem, width, height, 3 * width / 2, 3 * height / 2, quoted(stem + "."), body,
+        options.command.empty() ? "" : fmt::format("# {}\n", options.command));
 }
 
 std::string match_table(const std::vector<Match>& matches, const std::string& equal, const std::string& what) {
@@ -124,8 +128,8 @@ Files curve_files(const std::string& stem, const std::vector<Curve>& curves, con
                             options.title.empty() ? "" : " title " + quoted(options.title));
     }
     body +=
-        fmt::format("set logscale xy\nset xlabel {}\nset ylabel {}\nset style fill transparent solid 0.2 noborder\n",
-                    quoted(words_for(options.x)), quoted(words_for(options.y)));
+        fmt::format("set logscale {}\nset xlabel {}\nset ylabel {}\nset style fill transparent solid 0.2 noborder\n",
+                    options.linear_x ? "y" : "xy", quoted(words_for(options.x)), quoted(words_for(options.y)));
     std::size_t row = 1;  // of the data; 0 is its head
     for (const std::string& scene : scenes) {
         LogAxis x, y;
@@ -149,23 +153,85 @@ Files curve_files(const std::string& stem, const std::vector<Curve>& curves, con
             if (has_band) bands += fmt::format("{} using 3:6:7 with filledcurves lc rgb '{}' notitle, ", every, colour);
             drawn +=
                 fmt::format("{} using 3:4 with linespoints lw 2 pt {} ps 1 lc rgb '{}' title {}, ", every,
-                            markers[style % markers.size()], colour, quoted(curve.method + slope_text(curve.slope)));
+                            markers[style % markers.size()], colour, quoted(curve.method + (options.linear_x ? "" : slope_text(curve.slope))));
+            row = last + 1;
+            if (options.linear_x) continue;
             // One ring in the key is enough.
             front += fmt::format("{} using 3:($8 == 1 ? $4 : NaN) with points pt 6 ps 2 lw 1.5 lc rgb '#222222' {}, ",
                                  every, front.empty() ? "title 'Pareto front'" : "notitle");
-            row = last + 1;
         }
         const std::string title = scenes.size() > 1 || options.title.empty() ? scene : options.title;
         body += title.empty() ? "unset title\n" : fmt::format("set title {}\n", quoted(title));
         std::string plotted = bands + drawn + front;
         plotted.resize(plotted.size() - 2);
-        body += x.commands("x") + y.commands("y") + fmt::format("plot {}\n", plotted);
+        body += (options.linear_x ? fmt::format("set xrange [{}:{}]\n", x.low - 0.5, x.high + 0.5) : x.commands("x")) +
+                y.commands("y") + fmt::format("plot {}\n", plotted);
     }
     if (scenes.size() > 1) body += "unset multiplot\n";
-    return {{stem + ".gp", script(stem, columns == 1 ? 800 : 560 * columns, columns == 1 ? 540 : 420 * lines, body)},
+    return {{stem + ".gp", script(stem, columns == 1 ? 800 : 560 * columns, columns == 1 ? 540 : 420 * lines, body, options)},
             {data_name, data},
             {stem + ".equal-cost.tsv", match_table(equal_cost(curves), options.x, options.y)},
             {stem + ".equal-error.tsv", match_table(equal_error(curves), options.y, options.x)}};
+}
+
+Files part_files(const std::string& stem, const Table& table, const Options& options) {
+    struct Part {
+        const char *column, *words, *dash;
+        int marker;  // of the first method; open ones are the filled ones less one
+    };
+    constexpr std::array<Part, 2> parts{{{"variance", "variance", "1", 0}, {"bias2", "bias²", "2", -1}}};
+    std::string data = fmt::format("scene\t{}\tpart\t{}\tvalue\n", options.by, options.x), body;
+    // Curves of rows that a log axis has a place for, in the order of all.
+    std::vector<std::string> scenes, methods;
+    std::array<std::vector<Curve>, 2> curves;
+    for (std::size_t k = 0; k < parts.size(); ++k) {
+        Table positive = table;
+        const std::size_t column = table.column(parts[k].column);
+        positive.rows.clear();
+        for (std::size_t row = 0; row < table.rows.size(); ++row)
+            if (table.number(row, column) > 0) positive.rows.push_back(table.rows[row]);
+        curves[k] = curves_of(positive, options.x, parts[k].column, options.by);
+        for (const Curve& curve : curves[k]) {
+            for (auto [list, name] : {std::pair{&scenes, &curve.scene}, std::pair{&methods, &curve.method}})
+                if (std::find(list->begin(), list->end(), *name) == list->end()) list->push_back(*name);
+        }
+    }
+    if (scenes.empty())
+        throw InputError(fmt::format("{}: neither variance nor bias2 is known: replicates or VarMean are needed", table.file));
+    const int columns = int(std::min<std::size_t>(scenes.size(), 3));
+    const int lines = (int(scenes.size()) + columns - 1) / columns;
+    if (scenes.size() > 1) body += fmt::format("set multiplot layout {},{}\n", lines, columns);
+    body += fmt::format("set logscale xy\nset xlabel {}\nset ylabel 'part of the relMSE'\n"
+                        "set key outside top center horizontal\n", quoted(words_for(options.x)));
+    std::size_t row = 1;  // of the data; 0 is its head
+    for (const std::string& scene : scenes) {
+        LogAxis x, y;
+        std::string plotted;
+        for (std::size_t style = 0; style < methods.size(); ++style) {
+            for (std::size_t k = 0; k < parts.size(); ++k) {
+                const auto curve = std::find_if(curves[k].begin(), curves[k].end(), [&](const Curve& c) {
+                    return c.scene == scene && c.method == methods[style];
+                });
+                if (curve == curves[k].end()) continue;
+                for (const Point& p : curve->points) {
+                    x.add(p.cost), y.add(p.error);
+                    data += fmt::format("{}\t{}\t{}\t{}\t{}\n", scene, methods[style], parts[k].column, p.cost, p.error);
+                }
+                const std::size_t last = row + curve->points.size() - 1;
+                plotted += fmt::format("{}{} every ::{}::{} using 4:5 with linespoints lw 2 dt {} pt {} ps 1 lc rgb '{}' title {}",
+                                       plotted.empty() ? "" : ", ", quoted(stem + ".tsv"), row, last, parts[k].dash,
+                                       markers[style % markers.size()] + parts[k].marker, colours[style % colours.size()],
+                                       quoted(methods[style] + ", " + parts[k].words));
+                row = last + 1;
+            }
+        }
+        const std::string title = scenes.size() > 1 || options.title.empty() ? scene : options.title;
+        body += title.empty() ? "unset title\n" : fmt::format("set title {}\n", quoted(title));
+        body += x.commands("x") + y.commands("y") + fmt::format("plot {}\n", plotted);
+    }
+    if (scenes.size() > 1) body += "unset multiplot\n";
+    return {{stem + ".gp", script(stem, columns == 1 ? 800 : 560 * columns, columns == 1 ? 540 : 420 * lines, body, options)},
+            {stem + ".tsv", data}};
 }
 
 Files stage_files(const std::string& stem, const Table& table, const Options& options) {
@@ -229,7 +295,7 @@ Files stage_files(const std::string& stem, const Table& table, const Options& op
         "set key outside top center horizontal\nplot {}\n",
         options.title.empty() ? "" : "set title " + quoted(options.title) + "\n",
         quoted(words_for(options.x) + " per sample per pixel"), double(bars.size()) - 0.3, ticks, plotted);
-    return {{stem + ".gp", script(stem, 800, 140 + 40 * int(bars.size()), body)}, {stem + ".tsv", data}};
+    return {{stem + ".gp", script(stem, 800, 140 + 40 * int(bars.size()), body, options)}, {stem + ".tsv", data}};
 }
 
 }  // namespace loom::chart

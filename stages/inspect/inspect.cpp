@@ -1,5 +1,7 @@
 #include "stages/inspect/inspect.h"
 
+#include <fmt/format.h>
+
 #include "formats/documentation.h"
 #include "formats/image.h"
 #include "formats/io/error.h"
@@ -22,8 +24,16 @@ void declare(app::Command& command, Options& options) {
     command.option("--exposure", options.exposure_ev, "exposure of the preview",
                    app::Range<double>{-50, 50, "EV"});
     command.file("--graph", options.graph, "the path graph of a clusters file, for radii and normal spread");
+    command.flag("--iterations", options.iterations, "print the steps of the refinement of a radiance file as TSV");
     command.flag("--formats", options.formats, "print the documentation of all formats");
     command.example("loom-inspect graph.h5 --path 320:180,0");
+}
+
+std::string iterations_tsv(const Radiance& radiance) {
+    std::string text = "iteration\tresidual\timage_change\n";
+    for (std::size_t i = 0; i < radiance.residual.size(); ++i)
+        text += fmt::format("{}\t{}\t{}\n", i + 1, radiance.residual[i], radiance.image_change[i]);
+    return text;
 }
 
 void run(const Options& options, app::Report& report) {
@@ -32,6 +42,10 @@ void run(const Options& options, app::Report& report) {
         return;
     }
     if (options.file.empty()) throw InputError("no file is named; loom-inspect FILE, or --help");
+    if (options.iterations) {
+        report.answer(iterations_tsv(read_radiance(options.file)));
+        return;
+    }
     if (options.path.empty() && options.obj.empty() && options.png.empty()) {
         const Survey survey = survey_file(options.file);
         report.answer(options.json ? json_of(survey, options.file, options.graph)

@@ -5,6 +5,7 @@
 #include <string>
 
 #include "formats/path_graph.h"
+#include "formats/radiance.h"
 #include "formats/survey.h"
 
 namespace loom::app {
@@ -23,6 +24,7 @@ struct Options {
     std::string png;                 // write a preview of an image to this file
     double exposure_ev = 0;          // of the preview, in stops
     std::string graph;               // path graph of the clusters in `file`, for their radii
+    bool iterations = false;         // print how the refinement of a radiance file converged, as TSV
     bool formats = false;            // print the documentation of all formats
 };
 
@@ -38,6 +40,9 @@ void run(const Options& options, app::Report& report);
 /// radii and normal spread. JSON has the same.
 std::string text_of(const Survey& survey, const std::string& file, const std::string& graph = "");
 std::string json_of(const Survey& survey, const std::string& file, const std::string& graph = "");
+
+/// A line per step of the refinement, numbered from 1: what changed, over all vertices and over those that cameras see.
+std::string iterations_tsv(const Radiance& radiance);
 
 /// One path, vertex by vertex. `which` is "PIXEL,SAMPLE": the pixel as x:y or as the index y width + x, the
 /// sample by its number in the whole render (from first_sample on).

@@ -122,6 +122,14 @@ TEST(Inspect, PathThatIsNotThere) {
     EXPECT_EQ(message("1:x,8"), "--path 1:x,8: expected PIXEL,SAMPLE, for example 320:180,0 or 115520,0");
 }
 
+TEST(Inspect, StepsOfTheRefinementAsATable) {
+    Radiance radiance;
+    radiance.residual = {0.5, 0.0625};
+    radiance.image_change = {0.25, 0.03125};
+    EXPECT_EQ(inspect::iterations_tsv(radiance),
+              "iteration\tresidual\timage_change\n1\t0.5\t0.25\n2\t0.0625\t0.03125\n");
+}
+
 // Three paths have vertices: lines of 3, 2 and 4 points with the eye; three light points are finite.
 TEST(Inspect, ObjHasPathsAsLines) {
     const std::string text = inspect::obj_text(tiny_graph(), 100);

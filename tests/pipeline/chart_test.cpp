@@ -50,6 +50,21 @@ TEST_F(Compare, ReplicatesAndTheirFiles) {
     EXPECT_EQ(std::count(first.begin(), first.end(), '\t'), std::count(head.begin(), head.end(), '\t'));
     EXPECT_FALSE(std::getline(lines, rest));
 
+    // What is left of the error without the reference's own noise; costs of a file without parents are its own.
+    const auto value = [&](const std::string& line, const std::string& column) {
+        std::istringstream names(head), cells(line);
+        std::string name, cell;
+        while (std::getline(names, name, '\t') && std::getline(cells, cell, '\t') && name != column) {
+        }
+        return std::stod(cell);
+    };
+    EXPECT_GT(value(first, "reference_noise"), 0);
+    EXPECT_NEAR(value(first, "relmse_net"), value(first, "relmse") - value(first, "reference_noise"), 1e-12);
+    EXPECT_EQ(value(first, "nonfinite"), 0);
+    const std::string cost = bytes_of(folder / "pt1.exr.cost.json");
+    EXPECT_EQ(value(first, "cpu_s"), std::stod(cost.substr(cost.find("\"cpu_s\": ") + 9)));
+    EXPECT_EQ(value(first, "rays"), std::stod(cost.substr(cost.find("\"rays\": ") + 8)));
+
     // The same noise twice is no replicate; sizes must agree.
     EXPECT_EQ(sh(stage("compare") + " pt=" + in("pt1.exr") + " pt=" + in("pt1.exr") + " -r " + in("pt3.exr")).code, 2);
     ASSERT_EQ(sh(stage("trace") + " scenes/cornell-box.xml -D resx=8 -D resy=16 --spp 1 -o " + in("s.exr")).code, 0);
@@ -93,8 +108,9 @@ TEST_F(Chart, FromSceneToChartAndOn) {
     const Outcome made = sh(chart("SPPS='1 4'"));
     ASSERT_EQ(made.code, 0) << made.err;
     EXPECT_NE(made.out.find((folder / "c/error-cost.png").string() + "\n"), std::string::npos) << made.out;
-    for (const char* name : {"error-cost.svg", "error-cost.png", "error-cost.tsv", "error-cost.gp", "stages.svg",
-                             "error-cost.equal-cost.tsv", "error-cost.equal-error.tsv", "stages.png", "errors.tsv"})
+    for (const char* name :
+         {"error-cost.svg", "error-cost.png", "error-cost.tsv", "error-cost.gp", "stages.svg", "bias-variance.svg",
+          "error-cost.equal-cost.tsv", "error-cost.equal-error.tsv", "stages.png", "errors.tsv"})
         EXPECT_TRUE(fs::exists(folder / "c" / name)) << name;
     const auto rows = [&] {
         const std::string text = bytes_of(folder / "c/errors.tsv");

@@ -139,6 +139,41 @@ TEST(Chart, StageBars) {
               "\tpt\t4\tloom-merge\t0\t1\t1.25\n");
 }
 
+// Variance of both replicates is one number of their group; a squared bias that is not above 0 has no point.
+TEST(Chart, PartsOfTheError) {
+    const Table table{"e.tsv",
+                      {"method", "samples", "cpu_s", "variance", "bias2"},
+                      {{"pt", "1", "1", "0.5", "-0.01"},
+                       {"pt", "1", "3", "0.5", "-0.01"},
+                       {"pt", "4", "8", "0.125", "0.002"},
+                       {"pt", "4", "8", "0.125", "0.002"}}};
+    const Files files = part_files("parts", table, {});
+    EXPECT_EQ(files.at("parts.tsv"),
+              "scene\tmethod\tpart\tcpu_s\tvalue\n"
+              "\tpt\tvariance\t2\t0.5\n"
+              "\tpt\tvariance\t8\t0.125\n"
+              "\tpt\tbias2\t8\t0.002\n");
+    EXPECT_NE(files.at("parts.gp").find("every ::3::3 using 4:5 with linespoints lw 2 dt 2 pt 6"), std::string::npos);
+    Table unknown = table;
+    for (auto& row : unknown.rows) row[3] = row[4] = "nan";
+    EXPECT_NE(error_of([&] { part_files("parts", unknown, {}); }).find("neither variance nor bias2 is known"),
+              std::string::npos);
+}
+
+// A linear axis has neither slopes nor a front; the command that made a chart is the first line of its commands.
+TEST(Chart, LinearAxisAndCommand) {
+    Options options;
+    options.linear_x = true;
+    options.command = "loom-chart t.tsv";
+    const Files files = curve_files("c", curves_of(two_methods(0), "cpu_s", "relmse", "method"), options);
+    const std::string& commands = files.at("c.gp");
+    EXPECT_EQ(commands.find("# loom-chart t.tsv\n# gnuplot c.gp\n"), 0u);
+    EXPECT_NE(commands.find("set logscale y\n"), std::string::npos);
+    EXPECT_NE(commands.find("set xrange [0.5:32.5]"), std::string::npos);
+    EXPECT_EQ(commands.find("slope"), std::string::npos);
+    EXPECT_EQ(commands.find("Pareto"), std::string::npos);
+}
+
 // A name with a quote must not end gnuplot's string, let alone start a command.
 TEST(Chart, NamesAreQuoted) {
     Table table = two_methods(0);

@@ -1,4 +1,4 @@
-#include "stages/chart/table.h"
+#include "stages/core/table/table.h"
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
@@ -9,7 +9,7 @@
 
 #include "formats/io/error.h"
 
-namespace loom::chart {
+namespace loom {
 namespace {
 
 std::vector<std::string> cells_of(std::string line) {
@@ -88,4 +88,4 @@ Table read_tables(const std::vector<std::string>& files) {
     return all;
 }
 
-}  // namespace loom::chart
+}  // namespace loom

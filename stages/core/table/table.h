@@ -4,7 +4,7 @@
 #include <string>
 #include <vector>
 
-namespace loom::chart {
+namespace loom {
 
 struct Table {
     std::string file;
@@ -23,4 +23,4 @@ struct Table {
 /// throws:  InputError "FILE:LINE: …" when a row has another number of cells than the head, or columns differ
 Table read_tables(const std::vector<std::string>& files);
 
-}  // namespace loom::chart
+}  // namespace loom
