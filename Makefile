@@ -2,18 +2,20 @@
 
 .DEFAULT_GOAL := demo
 .DELETE_ON_ERROR:
-.PHONY: demo image chart table test test-full stability asan bench peers oidn tools build stages clean help
+.PHONY: demo image chart report table test test-full stability asan bench peers oidn tools build stages clean help
 SHELL := /bin/sh
 
 BUILD ?= build
 JOBS ?= $(shell nproc)
 # The variables of a picture (SCENE METHOD SPP ...) go through to pipelines/still.mk, which has their defaults.
 
-# Debian packages: what the build needs, then what only `make peers` and `make oidn` need.
+# Debian packages: what the build needs, then what only some other targets need.
 PACKAGES := g++ cmake ninja-build ccache pkg-config \
 	libembree-dev libopenexr-dev libopenimageio-dev libhdf5-dev libflann-dev libpugixml-dev libcli11-dev \
 	libtbb-dev libfmt-dev libspdlog-dev zlib1g-dev libpng-dev libgtest-dev gnuplot-nox
 PEER_PACKAGES := python3-venv
+# A browser to test reports in; without it make test-full leaves that test out.
+BROWSER_PACKAGES := chromium
 
 STAGES := $(patsubst stages/%/main.cpp,loom-%,$(wildcard stages/*/main.cpp))
 
@@ -52,13 +54,17 @@ image: stages ## render SCENE; with -s the only line on stdout is the path of th
 chart: stages ## error against cost of METHODS on SCENE; the last lines are the paths of the charts
 	@$(MAKE) --no-print-directory -f pipelines/chart.mk chart
 
+report: stages ## one page of METHODS on SCENE, OUT/report.html: pictures, errors, charts, tables, lineage
+	@$(MAKE) --no-print-directory -f pipelines/report.mk report
+
 table: stages ## cost and error of path graphs beside path tracing, a row per scene; takes SCENES= OUT=
 	@$(MAKE) --no-print-directory -f pipelines/table.mk table
 
 test: build ## install, build and run all tests
 	cd $(BUILD) && ctest --output-on-failure --no-tests=error
 
-test-full: build ## the tests with the longer statistical runs
+test-full: build ## the tests with the longer statistical runs, and the report in a browser
+	@$(call install,$(BROWSER_PACKAGES))
 	cd $(BUILD) && LOOM_TEST_FULL=1 ctest --output-on-failure --no-tests=error
 
 stability: build ## scenes that are hard on path graphs, at full length
@@ -104,7 +110,7 @@ help: ## list targets and variables
 	@echo 'Variables of demo, image and peers:'
 	@sed -n 's/^\([A-Z]*\) ?= *\(.*[^ ]\)  *## \(.*\)/\1=\2\t\3/p; s/^# *\([A-Z]*\)=  *## \(.*\)/\1=\t\2/p' \
 		pipelines/still.mk | awk -F'\t' '{printf "  %-28s %s\n", $$1, $$2}'
-	@echo 'Variables of chart, beside SCENE, DEFINES, SEED, THREADS, TRACE, LAUNCH and OUT (out/NAME/chart):'
+	@echo 'Variables of chart and report, beside SCENE, DEFINES, SEED, THREADS, TRACE, LAUNCH and OUT (out/NAME/chart):'
 	@sed -n 's/^# *\([A-Z_]*\)=  *## \(.*\)/\1=\t\2/p' pipelines/chart.mk | awk -F'\t' '{printf "  %-28s %s\n", $$1, $$2}'
 	@echo 'Variables of the build:'
 	@printf '  %-28s %s\n' 'BUILD=$(BUILD)' 'build folder' 'JOBS=$(JOBS)' 'compilations at a time' \

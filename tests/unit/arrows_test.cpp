@@ -49,9 +49,9 @@ std::vector<Include> includes() {
     return found;
 }
 
-/// A header that the build makes.
+/// A header that the build makes: of the release, or of a stage's plain files (add_page of CMakeLists.txt).
 bool is_generated(const std::string& name) {
-    return name == "version.h";
+    return name == "version.h" || name == "report_page.h";
 }
 
 /// "formats/io", "formats", "core/math", …, "stages/trace", "tests": where a path from the root lives.

@@ -1,0 +1,34 @@
+# One page on methods and one scene: OUT/report.html, which needs no network and opens from disk.
+#
+#   all that chart.mk makes; then loom-report puts the pictures of the most samples, the charts and the tables
+#   into a page, and what `make peers` has left in OUT where it has.
+
+.PHONY: report
+
+# LONGEST_SIDE=  ## of the pictures in the page, px; larger ones are reduced (512)
+METHODS := $(or $(strip $(METHODS)),pt west pathgraph)
+export METHODS
+
+include pipelines/chart.mk
+.DEFAULT_GOAL := report
+
+page := $(BUILD)/bin/loom-report
+LONGEST_SIDE := $(or $(strip $(LONGEST_SIDE)),512)
+shown = $(OUT)/$(1)-$(lastword $(SPPS))-0/image.exr
+again = make report SCENE=$(SCENE) METHODS="$(METHODS)" SPPS="$(SPPS)" REPLICATES=$(REPLICATES)$(if \
+	$(strip $(DEFINES)), DEFINES="$(DEFINES)")$(if $(strip $(REFERENCE)), REFERENCE=$(REFERENCE))
+
+$(eval $(call parameter,$(OUT)/report.parameters,$(LONGEST_SIDE) $(again)))
+$(OUT)/report.html: $(foreach m,$(METHODS),$(call shown,$(m))) $(reference_file) $(OUT)/errors.tsv \
+		$(OUT)/error-cost.svg $(charts) $(OUT)/report.parameters $(wildcard $(OUT)/peers.tsv) $(page)
+	$(page) $(foreach m,$(METHODS),$(m)=$(call shown,$(m))) --reference $(reference) --errors $(OUT)/errors.tsv \
+		--equal-cost $(OUT)/error-cost.equal-cost.tsv --equal-error $(OUT)/error-cost.equal-error.tsv \
+		--chart $(OUT)/error-cost.svg $(charts) $(if $(wildcard $(OUT)/peers.tsv),--peers $(OUT)/peers.tsv) \
+		--title $(name) --made-by $(call quote,$(again)) --longest-side $(LONGEST_SIDE) -o $@
+
+report: $(OUT)/report.html
+	@rm -rf $(OUT)/.warm-up*
+	@echo $<
+
+$(page):
+	$(MAKE) --no-print-directory -f Makefile stages
