@@ -21,10 +21,11 @@ SCENE ?= scenes/cornell-box.xml
 # SPPS=  ## samples per pixel of the points of a curve (1 4 16)
 # REPLICATES=  ## pictures of each point, with their own seeds (3)
 # PASS=  ## most samples per pixel of a pass of methods with a graph (4)
+# NAME=  ## what tables and charts call the scene (after its file)
 # REFERENCE=  ## image to compare with, else one is path traced
 # REFERENCE_SPP=  ## samples per pixel of that, a multiple of 64 (1024)
 # REFERENCE_VARIANCE=  ## variance of its pixels, where it does not say so itself
-# COST=  ## column that is the cost: cpu_s, wall_s or rays (cpu_s)
+# COST=  ## column that is the cost: cpu_s, wall_s, rays, or render_s: cpu_s but for reading the scene, which small pictures drown in (cpu_s)
 # ERROR=  ## column that is the error: relmse, relmse_trimmed, relmse_net, mse, mape (relmse)
 BUILD ?= build
 METHODS := $(or $(strip $(METHODS)),pt graph)
@@ -44,8 +45,8 @@ endif
 ifeq ($(shell test -f $(call quote,$(SCENE)) && echo there),)
 $(error SCENE=$(SCENE): no such file)
 endif
-name := $(shell realpath -s $(call quote,$(SCENE)) | sed -E \
-	's/[.]xml$$//; s,.*/([^/]+)/scene_?([^/]*)$$,\1-\2,; s,-$$,,; s,.*/,,' | tr -c 'A-Za-z0-9._+\n-' _)
+name := $(or $(NAME),$(shell realpath -s $(call quote,$(SCENE)) | sed -E \
+	's/[.]xml$$//; s,.*/([^/]+)/scene_?([^/]*)$$,\1-\2,; s,-$$,,; s,.*/,,' | tr -c 'A-Za-z0-9._+\n-' _))
 OUT := $(or $(strip $(OUT)),out/$(name)/chart)
 ifneq ($(words $(OUT)),1)
 $(error OUT=$(OUT): make cannot handle blanks in the names of what it makes)
@@ -134,8 +135,8 @@ $(OUT)/error-cost.svg: $(OUT)/errors.tsv $(OUT)/chart.parameters $(chart)
 	$(chart) $< -o $@ --x $(COST) --y $(ERROR) >$(OUT)/error-cost.txt
 	@cat $(OUT)/error-cost.txt
 
-$(OUT)/stages.svg: $(OUT)/stages.tsv $(chart)
-	$(chart) $< --kind stages -o $@
+$(OUT)/stages.svg: $(OUT)/stages.tsv $(OUT)/chart.parameters $(chart)
+	$(chart) $< --kind stages -o $@ --x $(or $(filter %_s,$(COST)),cpu_s)
 
 $(OUT)/bias-variance.svg: $(OUT)/errors.tsv $(OUT)/chart.parameters $(chart)
 	$(chart) $< --kind parts -o $@ --x $(COST)

@@ -24,6 +24,7 @@ void members(Self& cost, Visitor&& visit) {
     visit("bytes_written", cost.bytes_written);
     visit("parents", cost.parents);
     visit("sources", cost.sources);
+    visit.optional("load_s", cost.load_s);
     visit.optional("command", cost.command);
     visit.optional("plan", cost.plan);
 }
@@ -38,7 +39,7 @@ struct Writer {
         for (const auto& value : values) json.text({}, value);
         json.end_array();
     }
-    void optional(const char* key, const std::string& value) const { json.text(key, value); }
+    void optional(const char* key, const auto& value) const { (*this)(key, value); }
 };
 
 struct Reader {
@@ -72,7 +73,7 @@ struct Reader {
             values.push_back(*text);
         }
     }
-    void optional(const char* key, std::string& value) const {
+    void optional(const char* key, auto& value) const {
         if (json.find(key) != nullptr) (*this)(key, value);
     }
 };

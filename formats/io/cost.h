@@ -17,6 +17,7 @@ struct Cost {
     std::uint64_t peak_memory_bytes = 0, bytes_written = 0;
     std::vector<std::string> parents;  // inputs that stages made: the way to each from the output's folder
     std::vector<std::string> sources;  // names of inputs that no stage made (scenes): they cost nothing
+    double load_s = 0;                 // of cpu_s: reading the scene, which a picture of any size pays once
     std::string command, plan;         // as the output has them, for when it is gone; empty in older files
     bool operator==(const Cost&) const = default;
 };

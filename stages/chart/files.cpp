@@ -30,6 +30,7 @@ std::string quoted(const std::string& text) {
 std::string words_for(const std::string& column) {
     static const std::map<std::string, std::string> words{{"cpu_s", "CPU time (s)"},
                                                           {"wall_s", "wall time (s)"},
+                                                          {"render_s", "CPU time but for reading the scene (s)"},
                                                           {"samples", "samples per pixel"},
                                                           {"relmse", "relMSE"},
                                                           {"relmse_trimmed", "relMSE, 0.1 % trimmed"},
@@ -130,6 +131,8 @@ Files curve_files(const std::string& stem, const std::vector<Curve>& curves, con
     body +=
         fmt::format("set logscale {}\nset xlabel {}\nset ylabel {}\nset style fill transparent solid 0.2 noborder\n",
                     options.linear_x ? "y" : "xy", quoted(words_for(options.x)), quoted(words_for(options.y)));
+    // A long key, or one in a small panel, would lie on the curves.
+    if (methods.size() > 3 || scenes.size() > 1) body += "set key outside top center horizontal\n";
     std::size_t row = 1;  // of the data; 0 is its head
     for (const std::string& scene : scenes) {
         LogAxis x, y;
@@ -168,7 +171,7 @@ Files curve_files(const std::string& stem, const std::vector<Curve>& curves, con
                 y.commands("y") + fmt::format("plot {}\n", plotted);
     }
     if (scenes.size() > 1) body += "unset multiplot\n";
-    return {{stem + ".gp", script(stem, columns == 1 ? 800 : 560 * columns, columns == 1 ? 540 : 420 * lines, body, options)},
+    return {{stem + ".gp", script(stem, columns == 1 ? 800 : 560 * columns, columns == 1 ? 540 : 500 * lines, body, options)},
             {data_name, data},
             {stem + ".equal-cost.tsv", match_table(equal_cost(curves), options.x, options.y)},
             {stem + ".equal-error.tsv", match_table(equal_error(curves), options.y, options.x)}};
@@ -230,7 +233,7 @@ Files part_files(const std::string& stem, const Table& table, const Options& opt
         body += x.commands("x") + y.commands("y") + fmt::format("plot {}\n", plotted);
     }
     if (scenes.size() > 1) body += "unset multiplot\n";
-    return {{stem + ".gp", script(stem, columns == 1 ? 800 : 560 * columns, columns == 1 ? 540 : 420 * lines, body, options)},
+    return {{stem + ".gp", script(stem, columns == 1 ? 800 : 560 * columns, columns == 1 ? 540 : 500 * lines, body, options)},
             {stem + ".tsv", data}};
 }
 

@@ -11,6 +11,7 @@ void add(StageCost& sum, const Cost& cost, std::uint64_t n_files) {
     sum.n_files += n_files;
     sum.cost.wall_s += cost.wall_s;
     sum.cost.cpu_s += cost.cpu_s;
+    sum.cost.load_s += cost.load_s;
     sum.cost.rays += cost.rays;
     sum.cost.samples += cost.samples;
     sum.cost.bytes_written += cost.bytes_written;

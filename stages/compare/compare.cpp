@@ -110,7 +110,7 @@ Measured measure(const Picture& picture, const Picture& reference, const Options
     m.corr_right = correlation.right;
     m.corr_down = correlation.down;
     m.corr_near = correlation.near;
-    m.cpu_s = m.wall_s = m.rays = m.peak_memory_bytes = unknown;
+    m.cpu_s = m.wall_s = m.render_s = m.rays = m.peak_memory_bytes = unknown;
     return m;
 }
 
@@ -152,6 +152,7 @@ void finish(Loaded& loaded, const Picture& reference) {
 void add_cost(Measured& m) {
     const Cost total = total_of(chain_cost(m.file)).cost;
     m.cpu_s = total.cpu_s;
+    m.render_s = total.cpu_s - total.load_s;
     m.wall_s = total.wall_s;
     m.rays = double(total.rays);
     m.peak_memory_bytes = double(total.peak_memory_bytes);
@@ -232,6 +233,7 @@ std::span<const Column> columns() {
         {"p_tiles", &Measured::p_tiles, true},
         {"cpu_s", &Measured::cpu_s, false},
         {"wall_s", &Measured::wall_s, false},
+        {"render_s", &Measured::render_s, false},
         {"rays", &Measured::rays, false},
         {"peak_memory_bytes", &Measured::peak_memory_bytes, false},
     };

@@ -37,7 +37,7 @@ struct Measured {
     double nonfinite, mse, relmse, relmse_trimmed, relmse_net, mape, psnr, ssim;
     double corr_right, corr_down, corr_near;
     double bias2, variance, reference_noise, p_image, p_tiles;  // of the group
-    double cpu_s, wall_s, rays, peak_memory_bytes;              // with --cost
+    double cpu_s, wall_s, render_s, rays, peak_memory_bytes;    // with --cost
 };
 
 /// A number of Measured by name: what tables, --fail-above and loom-chart call it.

@@ -232,13 +232,14 @@ std::string json_of(std::span<const InputCost> costs) {
 std::string tsv_of(std::span<const InputCost> costs) {
     std::string text =
         "scene\tmethod\tsamples\treplicate\tfile\tstage\tfiles\twall_s\tcpu_s\trays\twork\tpeak_memory_bytes\tbytes_"
-        "written\n";
+        "written\trender_s\n";
     for (const InputCost& input : costs) {
         for (const StageCost& s : input.stages) {
             text +=
-                fmt::format("{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\n", input.scene, input.method,
+                fmt::format("{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\n", input.scene, input.method,
                             input.samples, input.replicate, input.file, s.cost.stage, s.n_files, s.cost.wall_s,
-                            s.cost.cpu_s, s.cost.rays, s.cost.samples, s.cost.peak_memory_bytes, s.cost.bytes_written);
+                            s.cost.cpu_s, s.cost.rays, s.cost.samples, s.cost.peak_memory_bytes, s.cost.bytes_written,
+                            s.cost.cpu_s - s.cost.load_s);
         }
     }
     return text;

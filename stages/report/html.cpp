@@ -66,7 +66,11 @@ std::string number(double value) {
 
 std::string number(double value, double se) {
     if (std::isnan(se) || std::isnan(value)) return number(value);
-    return fmt::format("{}\u202f<small>±\u202f{}</small>", number(value), number(se));
+    // Two digits, in the notation of the value.
+    const bool plain = std::abs(value) >= 1e-3 && std::abs(value) < 1e5 && se > 1e-8;
+    const std::string error =
+        plain ? fmt::format("{:.{}f}", se, std::max(0, 1 - int(std::floor(std::log10(se) + 1e-12)))) : number(se);
+    return fmt::format("{}\u202f<small>±\u202f{}</small>", number(value), error);
 }
 
 std::string filled(std::string_view text, const std::map<std::string, std::string>& values) {

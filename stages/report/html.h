@@ -16,7 +16,8 @@ std::string escaped(std::string_view text);
 /// [RFC4648] section 4.
 std::string base64(std::span<const std::uint8_t> bytes);
 
-/// A number to read: three digits, powers of ten as such; "–" for NaN. With its standard error, where that is known.
+/// A number to read: three digits, powers of ten as such; "–" for NaN. With two digits of its standard error, where
+/// that is known.
 std::string number(double value);
 std::string number(double value, double se);
 

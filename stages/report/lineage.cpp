@@ -45,6 +45,7 @@ std::vector<Made> lineage_of(const std::string& picture) {
             Cost& sum = rows[at->second].cost;
             sum.wall_s += made.cost.wall_s;
             sum.cpu_s += made.cost.cpu_s;
+            sum.load_s += made.cost.load_s;
             sum.rays += made.cost.rays;
             sum.samples += made.cost.samples;
             sum.bytes_written += made.cost.bytes_written;

@@ -126,7 +126,7 @@ std::string cost_table(const Table& errors) {
 
 std::string words_for(const std::string& column) {
     static const std::map<std::string, std::string> words{
-        {"cpu_s", "CPU time"}, {"wall_s", "wall time"}, {"rays", "number of rays"}, {"relmse", "relMSE"},
+        {"cpu_s", "CPU time"}, {"wall_s", "wall time"}, {"render_s", "CPU time but for reading the scene"}, {"rays", "number of rays"}, {"relmse", "relMSE"},
         {"relmse_trimmed", "trimmed relMSE"}, {"relmse_net", "net relMSE"}, {"mse", "MSE"}, {"mape", "MAPE"}};
     const auto at = words.find(column);
     return at == words.end() ? column : at->second;
@@ -226,7 +226,7 @@ Figure figure_of(const std::string& stem) {
           "the Pareto front: of all that was measured, nothing has both less cost and less error."}},
         {"stages",
          {"Where the time goes",
-          "CPU time of each stage for one sample of every pixel, along the whole chain of files that a picture came "
+          "Time of each stage for one sample of every pixel, along the whole chain of files that a picture came "
           "from: what a method pays besides tracing paths, and which stage would be worth making faster."}},
         {"bias-variance",
          {"Bias and variance apart",

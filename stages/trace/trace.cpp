@@ -305,6 +305,7 @@ void run(const Options& options, app::Report& report) {
         Cost cost = report.cost();
         cost.wall_s += loading.wall_s / double(options.passes) - before.wall_s;
         cost.cpu_s += loading.cpu_s / double(options.passes) - before.cpu_s;
+        cost.load_s = loading.cpu_s / double(options.passes);
         cost.rays = counts.rays;
         cost.samples = samples;
         cost.bytes_written = std::filesystem::file_size(output);

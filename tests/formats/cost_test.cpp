@@ -23,6 +23,7 @@ Cost some_cost() {
             5,
             {"a \"b\"\\\n\x01.exr", "../c.h5"},
             {"scene.xml"},
+            0.125,
             "loom-trace scene.xml --spp 4",
             "on: all; off: nothing"};
 }

@@ -63,6 +63,10 @@ TEST_F(Compare, ReplicatesAndTheirFiles) {
     EXPECT_EQ(value(first, "nonfinite"), 0);
     const std::string cost = bytes_of(folder / "pt1.exr.cost.json");
     EXPECT_EQ(value(first, "cpu_s"), std::stod(cost.substr(cost.find("\"cpu_s\": ") + 9)));
+    // Reading the scene is part of it, and apart.
+    const double load_s = std::stod(cost.substr(cost.find("\"load_s\": ") + 10));
+    EXPECT_GT(load_s, 0);
+    EXPECT_NEAR(value(first, "render_s"), value(first, "cpu_s") - load_s, 1e-12);
     EXPECT_EQ(value(first, "rays"), std::stod(cost.substr(cost.find("\"rays\": ") + 8)));
 
     // The same noise twice is no replicate; sizes must agree.

@@ -46,7 +46,8 @@ TEST(Report, NumbersHaveThreeDigits) {
     EXPECT_EQ(number(1.5e-5), "1.50\u202f·\u202f10<sup>−5</sup>");
     EXPECT_EQ(number(NAN), "–");
     EXPECT_EQ(number(2, NAN), "2.00");
-    EXPECT_EQ(number(2, 0.25), "2.00\u202f<small>±\u202f0.250</small>");
+    EXPECT_EQ(number(2, 0.25), "2.00\u202f<small>±\u202f0.25</small>");
+    EXPECT_EQ(number(0.0105, 4.01e-5), "0.0105\u202f<small>±\u202f0.000040</small>");
 }
 
 TEST(Report, TemplatesAreFilledWholly) {
@@ -177,7 +178,7 @@ TEST_F(Page, SaysWhatTheTablesSay) {
     const std::string page = page_of(options("a"));
     const auto has = [&](const std::string& text) { return page.find(text) != std::string::npos; };
     EXPECT_TRUE(has("<h1>a &lt;scene&gt;</h1>"));
-    EXPECT_TRUE(has("<td>0.600\u202f<small>±\u202f0.100</small></td>"));  // relMSE of two replicates
+    EXPECT_TRUE(has("<td>0.600\u202f<small>±\u202f0.10</small></td>"));  // relMSE of two replicates
     EXPECT_TRUE(has("<td>&lt;\u202f0.0001</td>"));
     // Where both curves reach furthest; a ratio whose interval holds 1 is called what it is.
     EXPECT_TRUE(has("At an equal CPU time of 4.00 s, <em>x</em> has <strong>3.00 times less</strong> relMSE than "
