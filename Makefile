@@ -77,13 +77,11 @@ asan: tools ## unit and formats tests under AddressSanitizer and UndefinedBehavi
 bench: build ## measure throughput against a bare Embree loop
 	$(BUILD)/bin/loom-bench
 
-peers: stages ## (optional) throughput beside Mitsuba 3, which is fetched from PyPI into a virtual environment
-	@[ -n '$(PEERS_PYTHON)' ] || [ -x $(BUILD)/peers/bin/python ] || { $(call install,$(PEER_PACKAGES)); }
+peers: stages ## (optional) Mitsuba 3 on SCENE, fetched from PyPI into a virtual environment; charts and reports then show it
+	@[ -n '$(PEERS_PYTHON)' ] || { $(call install,$(PEER_PACKAGES) libllvm16); }
 	@[ -n '$(PEERS_PYTHON)' ] || [ -e $(BUILD)/peers/ready ] || { python3 -m venv $(BUILD)/peers && \
 		$(BUILD)/peers/bin/pip install -q mitsuba==3.8.0 >&2 && touch $(BUILD)/peers/ready; }
-	$(or $(PEERS_PYTHON),$(BUILD)/peers/bin/python) tests/peers/throughput.py --trace $(BUILD)/bin/loom-trace \
-		$(if $(SPP),--spp $(SPP)) $(if $(THREADS),--threads $(THREADS)) \
-		$(if $(SCENE),'$(SCENE)')
+	@$(MAKE) --no-print-directory -f pipelines/peers.mk peers PYTHON=$(or $(PEERS_PYTHON),$(BUILD)/peers/bin/python)
 
 oidn: ## (optional) Open Image Denoise for loom-denoise, fetched from PyPI into a folder beside the build's bin/
 	@[ -e $(BUILD)/oidn/libOpenImageDenoise.so.2 ] || { $(call install,$(PEER_PACKAGES)); }
@@ -107,10 +105,10 @@ clean: ## remove build folders and out/
 help: ## list targets and variables
 	@echo 'Targets:'
 	@sed -n 's/^\([a-z-]*\):[^#]*## \(.*\)/\1\t\2/p' Makefile | sort | awk -F'\t' '{printf "  %-10s %s\n", $$1, $$2}'
-	@echo 'Variables of demo, image and peers:'
+	@echo 'Variables of demo and image:'
 	@sed -n 's/^\([A-Z]*\) ?= *\(.*[^ ]\)  *## \(.*\)/\1=\2\t\3/p; s/^# *\([A-Z]*\)=  *## \(.*\)/\1=\t\2/p' \
 		pipelines/still.mk | awk -F'\t' '{printf "  %-28s %s\n", $$1, $$2}'
-	@echo 'Variables of chart and report, beside SCENE, DEFINES, SEED, THREADS, TRACE, LAUNCH and OUT (out/NAME/chart):'
+	@echo 'Variables of chart, report and peers, beside SCENE, DEFINES, SEED, THREADS, TRACE, LAUNCH and OUT (out/NAME/chart):'
 	@sed -n 's/^# *\([A-Z_]*\)=  *## \(.*\)/\1=\t\2/p' pipelines/chart.mk | awk -F'\t' '{printf "  %-28s %s\n", $$1, $$2}'
 	@echo 'Variables of the build:'
 	@printf '  %-28s %s\n' 'BUILD=$(BUILD)' 'build folder' 'JOBS=$(JOBS)' 'compilations at a time' \
