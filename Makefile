@@ -2,7 +2,7 @@
 
 .DEFAULT_GOAL := demo
 .DELETE_ON_ERROR:
-.PHONY: demo image chart report table test test-full stability asan bench peers oidn tools build stages clean help
+.PHONY: demo image chart chart-all report table test test-full stability asan bench peers oidn tools build stages clean help
 SHELL := /bin/sh
 
 BUILD ?= build
@@ -53,6 +53,9 @@ image: stages ## render SCENE; with -s the only line on stdout is the path of th
 
 chart: stages ## error against cost of METHODS on SCENE; the last lines are the paths of the charts
 	@$(MAKE) --no-print-directory -f pipelines/chart.mk chart
+
+chart-all: stages ## charts of pt, west and pathgraph on many scenes at small size, OUT=out/chart-all; DOCS= copies them
+	@$(MAKE) --no-print-directory -f pipelines/chart-all.mk chart-all
 
 report: stages ## one page of METHODS on SCENE, OUT/report.html: pictures, errors, charts, tables, lineage
 	@$(MAKE) --no-print-directory -f pipelines/report.mk report

@@ -142,6 +142,29 @@ TEST_F(Chart, FromSceneToChartAndOn) {
     EXPECT_EQ(fs::last_write_time(folder / "c/pt-1-0/image.exr"), old_image);
 }
 
+// Two scenes, a panel each; copies for the documentation; nothing is made twice.
+TEST_F(Chart, ManyScenes) {
+    const std::string all = "make -s -f pipelines/chart-all.mk BUILD='" +
+                            fs::path(LOOM_BIN_DIR).parent_path().string() + "' OUT=" + (folder / "all").string() +
+                            " DOCS=" + (folder / "docs").string() +
+                            " SCENES='scenes/cornell-box.xml scenes/glossy-box.xml' REFERENCES=none SIZE=16 "
+                            "REFERENCE_SPP=16 SPPS='1 4' REPLICATES=2 METHODS='pt graph'";
+    const Outcome made = sh(all);
+    ASSERT_EQ(made.code, 0) << made.err;
+    EXPECT_TRUE(made.out.ends_with((folder / "all/all.png").string() + "\n")) << made.out;
+    const std::string data = bytes_of(folder / "all/all.tsv");
+    EXPECT_NE(data.find("cornell-box\tpt\t"), std::string::npos) << data;
+    EXPECT_NE(data.find("glossy-box\tgraph\t"), std::string::npos) << data;
+    EXPECT_NE(data.find("\trender_s\t"), std::string::npos) << data;
+    EXPECT_TRUE(fs::exists(folder / "docs/charts/all.svg"));
+    EXPECT_TRUE(fs::exists(folder / "docs/charts/glossy-box-bias-variance.svg"));
+    const auto old_table = fs::last_write_time(folder / "all/glossy-box/errors.tsv");
+    const std::string old_chart = bytes_of(folder / "all/all.svg");
+    ASSERT_EQ(sh(all).code, 0);
+    EXPECT_EQ(fs::last_write_time(folder / "all/glossy-box/errors.tsv"), old_table);
+    EXPECT_TRUE(bytes_of(folder / "all/all.svg") == old_chart);
+}
+
 TEST_F(Chart, WrongVariablesAreRefused) {
     for (const char* wrong : {"METHODS='pt none'", "SPPS='1 x'", "SPPS=6", "REPLICATES=0", "REFERENCE=missing.exr"})
         EXPECT_EQ(sh(chart("SPPS=1 " + std::string(wrong))).code, 2) << wrong;
