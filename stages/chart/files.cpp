@@ -30,7 +30,7 @@ std::string quoted(const std::string& text) {
 std::string words_for(const std::string& column) {
     static const std::map<std::string, std::string> words{{"cpu_s", "CPU time (s)"},
                                                           {"wall_s", "wall time (s)"},
-                                                          {"render_s", "CPU time but for reading the scene (s)"},
+                                                          {"render_s", "render time (CPU s but for reading the scene)"},
                                                           {"samples", "samples per pixel"},
                                                           {"relmse", "relMSE"},
                                                           {"relmse_trimmed", "relMSE, 0.1 % trimmed"},

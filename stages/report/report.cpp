@@ -114,19 +114,28 @@ std::string parts_table(const Table& errors) {
                  rows);
 }
 
+/// Other renderers do not count rays or bytes.
+std::string counted(double value) {
+    return value == 0 ? "–" : number(value);
+}
+std::string bytes(double value) {
+    return value == 0 ? "–" : escaped(app::bytes_text(std::uint64_t(value)));
+}
+
 std::string cost_table(const Table& errors) {
     std::vector<Cells> rows;
     for (const Group& group : groups_of(errors)) {
-        rows.push_back({escaped(group.method), samples_text(group), with_error(errors, group, "cpu_s"), with_error(errors, group, "wall_s"),
-                        number(estimate(errors, group, "rays").mean),
-                        escaped(app::bytes_text(std::uint64_t(estimate(errors, group, "peak_memory_bytes").mean)))});
+        rows.push_back({escaped(group.method), samples_text(group), with_error(errors, group, "cpu_s"),
+                        with_error(errors, group, "render_s"), with_error(errors, group, "wall_s"),
+                        counted(estimate(errors, group, "rays").mean),
+                        bytes(estimate(errors, group, "peak_memory_bytes").mean)});
     }
-    return table({"method", "spp", "CPU s", "wall s", "rays", "peak memory"}, rows);
+    return table({"method", "spp", "CPU s", "render s", "wall s", "rays", "peak memory"}, rows);
 }
 
 std::string words_for(const std::string& column) {
     static const std::map<std::string, std::string> words{
-        {"cpu_s", "CPU time"}, {"wall_s", "wall time"}, {"render_s", "CPU time but for reading the scene"}, {"rays", "number of rays"}, {"relmse", "relMSE"},
+        {"cpu_s", "CPU time"}, {"wall_s", "wall time"}, {"render_s", "render time"}, {"rays", "number of rays"}, {"relmse", "relMSE"},
         {"relmse_trimmed", "trimmed relMSE"}, {"relmse_net", "net relMSE"}, {"mse", "MSE"}, {"mape", "MAPE"}};
     const auto at = words.find(column);
     return at == words.end() ? column : at->second;
@@ -168,7 +177,8 @@ std::string match_table(const Matches& matches) {
         rows.push_back({escaped(matches.text(row, "method")), escaped(matches.text(row, "first")),
                         number(matches.value(row, equal.c_str())), number(matches.value(row, method.c_str())),
                         number(matches.value(row, first.c_str())),
-                        fmt::format("<b class=\"{}\">{}\u202f×</b>", ratio < 1 ? "worse" : "better", number(ratio)),
+                        fmt::format("<b class=\"{}\">{}\u202f×</b>",
+                                    low < 1 && high > 1 ? "noise" : ratio < 1 ? "worse" : "better", number(ratio)),
                         std::isnan(low) ? "–" : fmt::format("{} to {}", number(low), number(high))});
     }
     return table({"method", "beside", escaped("equal " + words_for(matches.equal)),
@@ -271,7 +281,8 @@ std::string plain_table(const Table& t) {
         Cells row;
         for (const std::string& cell : cells) {
             const auto value = app::parse_number<double>(cell);
-            row.push_back(value ? number(*value) : escaped(cell));
+            const bool is_whole = app::parse_number<std::int64_t>(cell).has_value();
+            row.push_back(value && !is_whole ? number(*value) : escaped(cell));
         }
         rows.push_back(std::move(row));
     }
@@ -291,10 +302,8 @@ std::string lineage_section(const Picture& picture, bool is_reference) {
         if (stage.starts_with("loom-")) stage = stage.substr(5);
         rows.push_back({fmt::format("<code>{}</code>", escaped(made.name)), escaped(stage),
                         std::to_string(made.names.size()), fmt::format("<code>{}</code>", escaped(fmt::format("{}", fmt::join(made.from, ", ")))),
-                        number(made.cost.cpu_s), number(made.cost.wall_s),
-                        made.cost.rays == 0 ? "–" : number(double(made.cost.rays)),
-                        escaped(app::bytes_text(made.cost.peak_memory_bytes)),
-                        escaped(app::bytes_text(made.cost.bytes_written))});
+                        number(made.cost.cpu_s), number(made.cost.wall_s), counted(double(made.cost.rays)),
+                        bytes(double(made.cost.peak_memory_bytes)), bytes(double(made.cost.bytes_written))});
         if (made.cost.command.empty() && made.cost.plan.empty()) continue;
         plans += fmt::format("<dt><code>{}</code></dt><dd>", escaped(made.name));
         if (!made.cost.command.empty()) plans += fmt::format("<code>{}</code>", escaped(made.cost.command));
@@ -394,7 +403,8 @@ std::string page_of(const Options& options) {
             "values ask whether the means of the picture, and of its 8 × 8 tiles, differ from the reference by more "
             "than noise; a method without bias has small ones as rarely as they say.",
             parts_table(errors));
-        tables += subsection("Costs", "Of the whole chain of files that a picture came from, each file once.", cost_table(errors));
+        tables += subsection("Costs", "Of the whole chain of files that a picture came from, each file once. Render time is CPU time but for "
+                             "reading the scene, in which small pictures of large scenes would drown.", cost_table(errors));
     }
     const auto equal_cost = read_matches(options.equal_cost), equal_error = read_matches(options.equal_error);
     if (equal_cost) {

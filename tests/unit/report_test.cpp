@@ -125,9 +125,9 @@ class Page : public testing::Test {
             write_image(picture(4, 3, 0.11f), place / "reference.exr");
             std::ofstream(place / "errors.tsv")
                 << "method\tsamples\trelmse\trelmse_trimmed\tmape\tpsnr\tssim\tbias2\tvariance\treference_noise\t"
-                   "corr_right\tcorr_near\tp_image\tp_tiles\tcpu_s\twall_s\trays\tpeak_memory_bytes\n"
-                   "x\t4\t0.5\t0.4\t0.3\t20\t0.9\t-0.001\t0.25\tnan\t0.1\t0.05\t0.5\t1e-9\t4.25\t5\t1000\t2048\n"
-                   "x\t4\t0.7\t0.4\t0.3\t20\t0.9\t-0.001\t0.25\tnan\t0.1\t0.05\t0.5\t1e-9\t4.25\t5\t1000\t2048\n";
+                   "corr_right\tcorr_near\tp_image\tp_tiles\tcpu_s\twall_s\trender_s\trays\tpeak_memory_bytes\n"
+                   "x\t4\t0.5\t0.4\t0.3\t20\t0.9\t-0.001\t0.25\tnan\t0.1\t0.05\t0.5\t1e-9\t4.25\t5\t4\t0\t2048\n"
+                   "x\t4\t0.7\t0.4\t0.3\t20\t0.9\t-0.001\t0.25\tnan\t0.1\t0.05\t0.5\t1e-9\t4.25\t5\t4\t0\t2048\n";
             std::ofstream(place / "equal.tsv")
                 << "scene\tfirst\tmethod\tequal_cpu_s\trelmse_first\trelmse_method\ttimes_better\tlow\thigh\n"
                    "s\tpt\tx\t1\t0.5\t0.25\t2\t1.5\t2.5\ns\tpt\tx\t4\t0.3\t0.1\t3\t2\t4\n"
@@ -180,10 +180,13 @@ TEST_F(Page, SaysWhatTheTablesSay) {
     EXPECT_TRUE(has("<h1>a &lt;scene&gt;</h1>"));
     EXPECT_TRUE(has("<td>0.600\u202f<small>±\u202f0.10</small></td>"));  // relMSE of two replicates
     EXPECT_TRUE(has("<td>&lt;\u202f0.0001</td>"));
+    EXPECT_TRUE(has("<td>–</td><td>2.0 KiB</td>"));  // rays that nobody counted are no zero
     // Where both curves reach furthest; a ratio whose interval holds 1 is called what it is.
     EXPECT_TRUE(has("At an equal CPU time of 4.00 s, <em>x</em> has <strong>3.00 times less</strong> relMSE than "
                     "<em>pt</em> (2.00 to 4.00)."));
     EXPECT_TRUE(has("<em>y</em> has <strong>1.11 times more</strong> relMSE than <em>pt</em> (0.667 to 2.00), which may be noise."));
+    EXPECT_TRUE(has("<b class=\"better\">3.00"));
+    EXPECT_TRUE(has("<b class=\"noise\">0.900"));
     EXPECT_TRUE(has("<path id=\"chart0-p\"/>"));
     EXPECT_TRUE(has("on: paths; off: &lt;sky&gt;"));
     EXPECT_TRUE(has("5 files, 4.25\u202fs of CPU time"));
