@@ -87,11 +87,11 @@ still = $(MAKE) -s --no-print-directory -f pipelines/still.mk -j1 METHOD=$(call 
 $(foreach m,$(METHODS),$(foreach s,$(SPPS),$(if $(shell [ $(s) -lt $(call pass,$(m)) ] || [ $$(($(s) % $(call pass,$(m)))) = 0 ] || echo no),$(error \
 	SPPS: $(s) is no multiple of PASS=$(call pass,$(m)) of $(m)))))
 
-# Only the refinement has steps.
-charts := $(patsubst %,$(OUT)/%.svg,stages bias-variance $(if $(filter pathgraph pathgraph+%,$(METHODS)),convergence))
+# Bias and variance are told apart by replicates; only the refinement has steps.
+charts := $(patsubst %,$(OUT)/%.svg,stages $(if $(filter-out 1,$(REPLICATES)),bias-variance) $(if $(filter pathgraph pathgraph+%,$(METHODS)),convergence))
 chart: $(OUT)/error-cost.svg $(charts)
 	@rm -rf $(OUT)/.warm-up*
-	@$(foreach c,$(^:.svg=.png),echo $(c);)
+	@for c in $(^:.svg=.png); do [ ! -e $$c ] || echo $$c; done
 
 # still.mk knows whether there is something to do; a picture that it leaves alone keeps its time stamp.
 # Graphs are large: they go once the picture is there, and their costs stay.
@@ -141,14 +141,18 @@ $(OUT)/stages.svg: $(OUT)/stages.tsv $(OUT)/chart.parameters $(chart)
 $(OUT)/bias-variance.svg: $(OUT)/errors.tsv $(OUT)/chart.parameters $(chart)
 	$(chart) $< --kind parts -o $@ --x $(COST)
 
-# The last pass of each picture of the most samples.
+# The last pass of each picture of the most samples. A log axis has no place for 0, and numbers of 32 bits have none
+# for changes of less than 1e-8.
 refined := $(foreach r,$(runs),$(if $(and $(filter pathgraph pathgraph+%,$(call part,1,$(r))),$(filter $(lastword $(SPPS)),$(call part,2,$(r)))),$(r)))
 $(OUT)/iterations.tsv: $(refined:%=$(OUT)/%/image.exr) $(OUT)/compare.parameters
 	@{ printf 'scene\tmethod\titeration\tresidual\timage_change\n'; \
-	$(foreach r,$(refined),awk -v OFS='\t' 'FNR > 1 && $$2 > 0 { print "$(name)", "$(call part,1,$(r))", $$0 }' $(OUT)/$(r)/iterations.tsv;) } >$@
+	$(foreach r,$(refined),awk -v OFS='\t' 'FNR > 1 { print "$(name)", "$(call part,1,$(r))", $$1, $$2 < 1e-8 ? 1e-8 : $$2, $$3 }' $(OUT)/$(r)/iterations.tsv;) } >$@
 
 $(OUT)/convergence.svg: $(OUT)/iterations.tsv $(chart)
-	$(chart) $< -o $@ --x iteration --y residual --linear-x >$(OUT)/convergence.txt
+	@if [ $$(wc -l <$<) -gt 1 ]; then $(chart) $< -o $@ --x iteration --y residual --linear-x >$(OUT)/convergence.txt; \
+	else echo 'no light is refined here: paths end after their first vertex' >&2; \
+		printf '%s\n' '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 800 60"><text x="20" y="36">No light is refined here: paths end after their first vertex.</text></svg>' >$@; \
+	fi
 
 # Run alone on a tree that is not built yet.
 $(compare) $(chart) $(inspect) &:

@@ -41,6 +41,19 @@ TEST_F(Report, FromSceneToPage) {
     EXPECT_EQ(bytes_of(folder / "r/pathgraph+K4-4-0/pathgraph/cluster.parameters"), "--k 4\n");
 }
 
+// Paths that end after their first vertex have nothing to refine, one replicate has no spread: charts of those say so
+// or are left out, the rest is made.
+TEST_F(Report, WithoutStepsAndReplicates) {
+    const Outcome made = sh("make -s -f pipelines/report.mk report BUILD='" +
+                            fs::path(LOOM_BIN_DIR).parent_path().string() + "' OUT=" + (folder / "r").string() +
+                            " SCENE=scenes/direct-sphere.xml DEFINES='resx=8 resy=8' REFERENCE_SPP=16 REPLICATES=1 "
+                            "SPPS=1 METHODS='pt pathgraph'");
+    ASSERT_EQ(made.code, 0) << made.err;
+    const std::string page = bytes_of(folder / "r/report.html");
+    EXPECT_NE(page.find("No light is refined here"), std::string::npos);
+    EXPECT_EQ(page.find("Bias and variance apart"), std::string::npos);
+}
+
 TEST_F(Report, WrongSettingsAreRefused) {
     for (const char* wrong : {"pt+X3", "pathgraph+K", "path-graph"})
         EXPECT_EQ(sh(report("METHODS='" + std::string(wrong) + "'")).code, 2) << wrong;
