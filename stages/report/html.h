@@ -16,8 +16,8 @@ std::string escaped(std::string_view text);
 /// [RFC4648] section 4.
 std::string base64(std::span<const std::uint8_t> bytes);
 
-/// A number to read: three digits, powers of ten as such; "–" for NaN. With two digits of its standard error, where
-/// that is known.
+/// A number to read: three digits, powers of ten as such; "–" for NaN. With two digits of its standard error,
+/// where that is known.
 std::string number(double value);
 std::string number(double value, double se);
 
@@ -30,8 +30,8 @@ using Cells = std::vector<std::string>;
 /// in:      head, rows  HTML
 std::string table(const Cells& head, const std::vector<Cells>& rows);
 
-/// An SVG to stand inside a page: without its XML head, its ids prefixed so that several charts may stand in one page.
-/// throws:  InputError when it is no SVG or holds a script
+/// An SVG to stand inside a page: without its XML head, its ids prefixed so that several charts may stand in
+/// one page. throws:  InputError when it is no SVG or holds a script
 std::string inline_svg(std::string_view svg, std::string_view prefix, std::string_view file);
 
 }  // namespace loom::report

@@ -106,12 +106,13 @@ std::string parts_table(const Table& errors) {
     std::vector<Cells> rows;
     for (const Group& group : groups_of(errors)) {
         const auto mean = [&](const char* column) { return estimate(errors, group, column).mean; };
-        rows.push_back({escaped(group.method), samples_text(group), number(mean("bias2")), number(mean("variance")),
-                        number(mean("reference_noise")), number(mean("corr_right")), number(mean("corr_near")),
-                        p_value(mean("p_image")), p_value(mean("p_tiles"))});
+        rows.push_back({escaped(group.method), samples_text(group), number(mean("bias2")),
+                        number(mean("variance")), number(mean("reference_noise")), number(mean("corr_right")),
+                        number(mean("corr_near")), p_value(mean("p_image")), p_value(mean("p_tiles"))});
     }
-    return table({"method", "spp", "bias²", "variance", "reference", "right", "2 to 8 px", "p image", "p tiles"},
-                 rows);
+    return table(
+        {"method", "spp", "bias²", "variance", "reference", "right", "2 to 8 px", "p image", "p tiles"},
+        rows);
 }
 
 /// Other renderers do not count rays or bytes.
@@ -135,8 +136,9 @@ std::string cost_table(const Table& errors) {
 
 std::string words_for(const std::string& column) {
     static const std::map<std::string, std::string> words{
-        {"cpu_s", "CPU time"}, {"wall_s", "wall time"}, {"render_s", "render time"}, {"rays", "number of rays"}, {"relmse", "relMSE"},
-        {"relmse_trimmed", "trimmed relMSE"}, {"relmse_net", "net relMSE"}, {"mse", "MSE"}, {"mape", "MAPE"}};
+        {"cpu_s", "CPU time"},        {"wall_s", "wall time"}, {"render_s", "render time"},
+        {"rays", "number of rays"},   {"relmse", "relMSE"},    {"relmse_trimmed", "trimmed relMSE"},
+        {"relmse_net", "net relMSE"}, {"mse", "MSE"},          {"mape", "MAPE"}};
     const auto at = words.find(column);
     return at == words.end() ? column : at->second;
 }
@@ -146,7 +148,9 @@ struct Matches {
     Table rows;
     std::string equal, compared;
     double value(std::size_t row, const char* column) const { return rows.number(row, rows.column(column)); }
-    const std::string& text(std::size_t row, const char* column) const { return rows.rows[row][rows.column(column)]; }
+    const std::string& text(std::size_t row, const char* column) const {
+        return rows.rows[row][rows.column(column)];
+    }
     std::string unit(const std::string& column) const { return column.ends_with("_s") ? " s" : ""; }
 };
 
@@ -178,7 +182,10 @@ std::string match_table(const Matches& matches) {
                         number(matches.value(row, equal.c_str())), number(matches.value(row, method.c_str())),
                         number(matches.value(row, first.c_str())),
                         fmt::format("<b class=\"{}\">{}\u202f×</b>",
-                                    low < 1 && high > 1 ? "noise" : ratio < 1 ? "worse" : "better", number(ratio)),
+                                    low < 1 && high > 1 ? "noise"
+                                    : ratio < 1         ? "worse"
+                                                        : "better",
+                                    number(ratio)),
                         std::isnan(low) ? "–" : fmt::format("{} to {}", number(low), number(high))});
     }
     return table({"method", "beside", escaped("equal " + words_for(matches.equal)),
@@ -204,18 +211,20 @@ std::string headline(const std::optional<Matches>& matches) {
         const double ratio = matches->value(row, "times_better"), low = matches->value(row, "low"),
                      high = matches->value(row, "high");
         const bool better = ratio >= 1, is_noise = low < 1 && high > 1;
-        const std::string range = std::isnan(low) ? ""
-                                                  : fmt::format(" ({} to {})", number(better ? low : 1 / high),
-                                                                number(better ? high : 1 / low));
-        const std::string where = fmt::format("{}{}", number(matches->value(row, equal.c_str())),
-                                              matches->unit(matches->equal));
-        out += fmt::format("{} <em>{}</em> has ",
-                           out.empty() ? fmt::format("At an equal {} of {},", words_for(matches->equal), where)
-                                       : fmt::format(" At {},", where),
-                           escaped(method));
-        out += fmt::format("<strong>{} times {}</strong> {} than <em>{}</em>{}{}.", number(better ? ratio : 1 / ratio),
-                           better ? "less" : "more", words_for(matches->compared),
-                           escaped(matches->text(row, "first")), range,
+        const std::string range = std::isnan(low)
+                                      ? ""
+                                      : fmt::format(" ({} to {})", number(better ? low : 1 / high),
+                                                    number(better ? high : 1 / low));
+        const std::string where =
+            fmt::format("{}{}", number(matches->value(row, equal.c_str())), matches->unit(matches->equal));
+        out +=
+            fmt::format("{} <em>{}</em> has ",
+                        out.empty() ? fmt::format("At an equal {} of {},", words_for(matches->equal), where)
+                                    : fmt::format(" At {},", where),
+                        escaped(method));
+        out += fmt::format("<strong>{} times {}</strong> {} than <em>{}</em>{}{}.",
+                           number(better ? ratio : 1 / ratio), better ? "less" : "more",
+                           words_for(matches->compared), escaped(matches->text(row, "first")), range,
                            is_noise ? ", which may be noise" : "");
     }
     return out;
@@ -230,24 +239,33 @@ Figure figure_of(const std::string& stem) {
     static const std::map<std::string, Figure> known{
         {"error-cost",
          {"Error against cost",
-          "A point is the mean over pictures that differ in their random numbers only, the band reaches from the best "
-          "to the worst of them. Lower and further left is better. A method without bias falls along a line of slope "
-          "−1, twice the time for half the squared error; a curve that flattens out has reached its bias. Rings mark "
+          "A point is the mean over pictures that differ in their random numbers only, the band reaches from "
+          "the best "
+          "to the worst of them. Lower and further left is better. A method without bias falls along a line "
+          "of slope "
+          "−1, twice the time for half the squared error; a curve that flattens out has reached its bias. "
+          "Rings mark "
           "the Pareto front: of all that was measured, nothing has both less cost and less error."}},
         {"stages",
          {"Where the time goes",
-          "Time of each stage for one sample of every pixel, along the whole chain of files that a picture came "
+          "Time of each stage for one sample of every pixel, along the whole chain of files that a picture "
+          "came "
           "from: what a method pays besides tracing paths, and which stage would be worth making faster."}},
         {"bias-variance",
          {"Bias and variance apart",
-          "The two parts of the mean squared error, told apart by pictures that differ in their random numbers only. "
-          "Variance (filled) falls with every sample; squared bias (open, dashed) does not, unless the method itself "
-          "gets better with more of them. Where squared bias came out at or below zero, which is what noise makes of "
+          "The two parts of the mean squared error, told apart by pictures that differ in their random "
+          "numbers only. "
+          "Variance (filled) falls with every sample; squared bias (open, dashed) does not, unless the "
+          "method itself "
+          "gets better with more of them. Where squared bias came out at or below zero, which is what noise "
+          "makes of "
           "a bias too small to see, there is no point."}},
         {"convergence",
          {"Convergence of the refinement",
-          "How much the radiance of all vertices changes from one step of the refinement to the next, as a share of "
-          "the whole. A straight line on this axis is a constant factor per step. Once the change lies far below the "
+          "How much the radiance of all vertices changes from one step of the refinement to the next, as a "
+          "share of "
+          "the whole. A straight line on this axis is a constant factor per step. Once the change lies far "
+          "below the "
           "noise of the picture, further steps are wasted time."}},
     };
     const auto at = known.find(stem);
@@ -265,9 +283,10 @@ std::string chart_figures(const Options& options, int next_figure) {
     for (std::size_t k = 0; k < options.charts.size(); ++k) {
         const std::string& file = options.charts[k];
         const Figure figure = figure_of(fs::path(file).stem());
-        out += fmt::format("<figure class=\"chart\">\n{}\n<figcaption><b>Figure {}. {}.</b> {}</figcaption>\n</figure>\n",
-                           inline_svg(text_of_file(file), fmt::format("chart{}", k), file), next_figure + int(k),
-                           escaped(figure.title), escaped(figure.text));
+        out += fmt::format(
+            "<figure class=\"chart\">\n{}\n<figcaption><b>Figure {}. {}.</b> {}</figcaption>\n</figure>\n",
+            inline_svg(text_of_file(file), fmt::format("chart{}", k), file), next_figure + int(k),
+            escaped(figure.title), escaped(figure.text));
     }
     return out;
 }
@@ -292,34 +311,39 @@ std::string plain_table(const Table& t) {
 std::string lineage_section(const Picture& picture, bool is_reference) {
     const std::string name = is_reference ? "Reference" : escaped(picture.name());
     if (picture.lineage.empty()) {
-        return fmt::format("<details><summary><b>{}</b> made by another program, its cost is not known</summary>"
-                           "</details>\n", name);
+        return fmt::format(
+            "<details><summary><b>{}</b> made by another program, its cost is not known</summary>"
+            "</details>\n",
+            name);
     }
     std::vector<Cells> rows;
     std::string plans;
     for (const Made& made : picture.lineage) {
         std::string stage = made.cost.stage;
         if (stage.starts_with("loom-")) stage = stage.substr(5);
-        rows.push_back({fmt::format("<code>{}</code>", escaped(made.name)), escaped(stage),
-                        std::to_string(made.names.size()), fmt::format("<code>{}</code>", escaped(fmt::format("{}", fmt::join(made.from, ", ")))),
-                        number(made.cost.cpu_s), number(made.cost.wall_s), counted(double(made.cost.rays)),
-                        bytes(double(made.cost.peak_memory_bytes)), bytes(double(made.cost.bytes_written))});
+        rows.push_back(
+            {fmt::format("<code>{}</code>", escaped(made.name)), escaped(stage),
+             std::to_string(made.names.size()),
+             fmt::format("<code>{}</code>", escaped(fmt::format("{}", fmt::join(made.from, ", ")))),
+             number(made.cost.cpu_s), number(made.cost.wall_s), counted(double(made.cost.rays)),
+             bytes(double(made.cost.peak_memory_bytes)), bytes(double(made.cost.bytes_written))});
         if (made.cost.command.empty() && made.cost.plan.empty()) continue;
         plans += fmt::format("<dt><code>{}</code></dt><dd>", escaped(made.name));
         if (!made.cost.command.empty()) plans += fmt::format("<code>{}</code>", escaped(made.cost.command));
         if (!made.cost.plan.empty()) plans += fmt::format("<p>{}</p>", escaped(made.cost.plan));
         plans += "</dd>\n";
     }
-    return fmt::format("<details{}>\n<summary><b>{}</b> {} files, {}\u202fs of CPU time</summary>\n{}{}</details>\n",
-                       is_reference ? "" : " open", name,
-                       [&] {
-                           std::size_t n = 0;
-                           for (const Made& made : picture.lineage) n += made.names.size();
-                           return n;
-                       }(),
-                       number(picture.cpu_s()),
-                       table({"file", "stage", "n", "made from", "CPU s", "wall s", "rays", "peak", "size"}, rows),
-                       plans.empty() ? "" : fmt::format("<dl class=\"plans\">\n{}</dl>\n", plans));
+    return fmt::format(
+        "<details{}>\n<summary><b>{}</b> {} files, {}\u202fs of CPU time</summary>\n{}{}</details>\n",
+        is_reference ? "" : " open", name,
+        [&] {
+            std::size_t n = 0;
+            for (const Made& made : picture.lineage) n += made.names.size();
+            return n;
+        }(),
+        number(picture.cpu_s()),
+        table({"file", "stage", "n", "made from", "CPU s", "wall s", "rays", "peak", "size"}, rows),
+        plans.empty() ? "" : fmt::format("<dl class=\"plans\">\n{}</dl>\n", plans));
 }
 
 /// What the script of the page works on.
@@ -339,26 +363,36 @@ std::string data_of(const std::vector<const Picture*>& pictures) {
     json.end_object();
     std::string text = json.str();
     // Whatever a label holds, it must not end the element that the data stand in.
-    for (std::size_t at = 0; (at = text.find('<', at)) != std::string::npos; at += 6) text.replace(at, 1, "\\u003c");
+    for (std::size_t at = 0; (at = text.find('<', at)) != std::string::npos; at += 6)
+        text.replace(at, 1, "\\u003c");
     return text;
 }
 
 std::string figure_for(std::size_t index, const Picture& picture, bool is_reference) {
     const std::string caption =
-        is_reference ? fmt::format("<b>Reference</b>{}", picture.samples == 0 ? "" : fmt::format(" {} spp", picture.samples))
-                     : fmt::format("<b>{}</b> {}{}{}", escaped(picture.label),
-                                   picture.samples == 0 ? "" : fmt::format("{} spp", picture.samples),
-                                   std::isnan(picture.relmse) ? "" : fmt::format("<br>relMSE {}", number(picture.relmse)),
-                                   std::isnan(picture.cpu_s()) ? "" : fmt::format("<br>{}\u202fs of CPU time", number(picture.cpu_s())));
-    return fmt::format("<div class=\"cell\"><canvas data-picture=\"{}\"></canvas>{}<p>{}</p></div>\n", index,
-                       is_reference ? "<div class=\"legend\"><canvas id=\"legend\"></canvas><p><span data-reach=\"-1\"></span>"
-                                      "<span>0</span><span data-reach=\"1\"></span></p><p class=\"hint\">too dark · right · too bright</p></div>"
-                                    : fmt::format("<canvas data-picture=\"{}\" data-error></canvas>", index),
-                       caption);
+        is_reference
+            ? fmt::format("<b>Reference</b>{}",
+                          picture.samples == 0 ? "" : fmt::format(" {} spp", picture.samples))
+            : fmt::format(
+                  "<b>{}</b> {}{}{}", escaped(picture.label),
+                  picture.samples == 0 ? "" : fmt::format("{} spp", picture.samples),
+                  std::isnan(picture.relmse) ? "" : fmt::format("<br>relMSE {}", number(picture.relmse)),
+                  std::isnan(picture.cpu_s())
+                      ? ""
+                      : fmt::format("<br>{}\u202fs of CPU time", number(picture.cpu_s())));
+    return fmt::format(
+        "<div class=\"cell\"><canvas data-picture=\"{}\"></canvas>{}<p>{}</p></div>\n", index,
+        is_reference
+            ? "<div class=\"legend\"><canvas id=\"legend\"></canvas><p><span data-reach=\"-1\"></span>"
+              "<span>0</span><span data-reach=\"1\"></span></p><p class=\"hint\">too dark · right · too "
+              "bright</p></div>"
+            : fmt::format("<canvas data-picture=\"{}\" data-error></canvas>", index),
+        caption);
 }
 
 std::string section(const std::string& id, const std::string& title, const std::string& body) {
-    return body.empty() ? "" : fmt::format("<section id=\"{}\">\n<h2>{}</h2>\n{}</section>\n", id, title, body);
+    return body.empty() ? ""
+                        : fmt::format("<section id=\"{}\">\n<h2>{}</h2>\n{}</section>\n", id, title, body);
 }
 
 std::string subsection(const std::string& title, const std::string& text, const std::string& body) {
@@ -375,8 +409,9 @@ std::string page_of(const Options& options) {
         pictures.push_back(read_picture(label.empty() ? app::base_name(file) : label, file, options));
         const Picture& picture = pictures.back();
         if (picture.width != reference.width || picture.height != reference.height) {
-            throw InputError(fmt::format("{}: is {} x {}, but {} is {} x {}", file, picture.width, picture.height,
-                                         options.reference, reference.width, reference.height));
+            throw InputError(fmt::format("{}: is {} x {}, but {} is {} x {}", file, picture.width,
+                                         picture.height, options.reference, reference.width,
+                                         reference.height));
         }
         pictures.back().lineage = lineage_of(file);
     }
@@ -389,39 +424,48 @@ std::string page_of(const Options& options) {
             for (Picture& picture : pictures)
                 if (picture.label == group.method && std::to_string(picture.samples) == group.samples)
                     picture.relmse = estimate(errors, group, "relmse").mean;
-        tables += subsection(
-            "Errors",
-            "Means over n pictures that differ in their random numbers only, with the standard error of that mean. "
-            "relMSE is the mean of (x − r)² / (r² + 0.01), <i>trimmed</i> leaves out the 0.1 % worst pixels, which "
-            "else may decide alone. PSNR and SSIM look at what a display shows.",
-            error_table(errors));
-        tables += subsection(
-            "Bias, variance and grain",
-            "The relMSE in three parts: squared bias, variance, and the noise of the reference itself. Squared bias is "
-            "an estimate and comes out below zero where there is none to see. Then the correlation of the error with "
-            "that of the pixel to the right and of pixels 2 to 8 away: 0 for grain, towards 1 for blotches. The p "
-            "values ask whether the means of the picture, and of its 8 × 8 tiles, differ from the reference by more "
-            "than noise; a method without bias has small ones as rarely as they say.",
-            parts_table(errors));
-        tables += subsection("Costs", "Of the whole chain of files that a picture came from, each file once. Render time is CPU time but for "
-                             "reading the scene, in which small pictures of large scenes would drown.", cost_table(errors));
+        tables += subsection("Errors",
+                             "Means over n pictures that differ in their random numbers only, with the "
+                             "standard error of that mean. "
+                             "relMSE is the mean of (x − r)² / (r² + 0.01), <i>trimmed</i> leaves out the "
+                             "0.1 % worst pixels, which "
+                             "else may decide alone. PSNR and SSIM look at what a display shows.",
+                             error_table(errors));
+        tables += subsection("Bias, variance and grain",
+                             "The relMSE in three parts: squared bias, variance, and the noise of the "
+                             "reference itself. Squared bias is "
+                             "an estimate and comes out below zero where there is none to see. Then the "
+                             "correlation of the error with "
+                             "that of the pixel to the right and of pixels 2 to 8 away: 0 for grain, towards "
+                             "1 for blotches. The p "
+                             "values ask whether the means of the picture, and of its 8 × 8 tiles, differ "
+                             "from the reference by more "
+                             "than noise; a method without bias has small ones as rarely as they say.",
+                             parts_table(errors));
+        tables += subsection("Costs",
+                             "Of the whole chain of files that a picture came from, each file once. Render "
+                             "time is CPU time but for "
+                             "reading the scene, in which small pictures of large scenes would drown.",
+                             cost_table(errors));
     }
     const auto equal_cost = read_matches(options.equal_cost), equal_error = read_matches(options.equal_error);
     if (equal_cost) {
-        tables += subsection("At equal " + escaped(words_for(equal_cost->equal)),
-                             "What each method's error is where it has cost as much as the other, between measured "
-                             "points along a straight line in the logarithms, never beyond their ends.",
-                             match_table(*equal_cost));
+        tables +=
+            subsection("At equal " + escaped(words_for(equal_cost->equal)),
+                       "What each method's error is where it has cost as much as the other, between measured "
+                       "points along a straight line in the logarithms, never beyond their ends.",
+                       match_table(*equal_cost));
     }
     if (equal_error) {
         tables += subsection("At equal " + escaped(words_for(equal_error->equal)),
                              "What it costs to get as far as the other.", match_table(*equal_error));
     }
     if (!options.peers.empty()) {
-        tables += subsection("Beside other renderers",
-                             "The same scene file with the same depth, roulette and threads, timed in turn; paths per "
-                             "second without loading and compiling. Equal paths are not equal errors.",
-                             plain_table(read_tables({options.peers})));
+        tables += subsection(
+            "Beside other renderers",
+            "The same scene file with the same depth, roulette and threads, timed in turn; paths per "
+            "second without loading and compiling. Equal paths are not equal errors.",
+            plain_table(read_tables({options.peers})));
     }
 
     std::vector<const Picture*> shown;
@@ -441,8 +485,10 @@ std::string page_of(const Options& options) {
     std::string facts = fmt::format("{} × {} pixels", reference.width, reference.height);
     std::string reduced;
     if (factor > 1) {
-        reduced = fmt::format(" The pictures are shown reduced {0} times, a pixel being the mean of {0} × {0}; the "
-                              "tables are of the full size.", factor);
+        reduced = fmt::format(
+            " The pictures are shown reduced {0} times, a pixel being the mean of {0} × {0}; the "
+            "tables are of the full size.",
+            factor);
     }
     if (n_clipped > 0) reduced += fmt::format(" {} values above 65504 are shown as that.", n_clipped);
     const std::string lead = headline(equal_cost);
@@ -458,28 +504,38 @@ std::string page_of(const Options& options) {
          {"columns", std::to_string(shown.size())},
          {"charts", section("charts", "Speed against accuracy", chart_figures(options, 3))},
          {"tables", section("tables", "Tables", tables)},
-         {"lineage", section("lineage", "Plan and lineage",
-                             "<p>Each file was made by one stage from the files named beside it. A row stands for all "
-                             "files of a kind; <i>plan</i> is what the stage found that the scene calls for.</p>\n" + lineage)},
-         {"made_by", options.made_by.empty() ? "" : fmt::format("<p>This page again: <code>{}</code></p>", escaped(options.made_by))},
+         {"lineage",
+          section("lineage", "Plan and lineage",
+                  "<p>Each file was made by one stage from the files named beside it. A row stands for all "
+                  "files of a kind; <i>plan</i> is what the stage found that the scene calls for.</p>\n" +
+                      lineage)},
+         {"made_by", options.made_by.empty()
+                         ? ""
+                         : fmt::format("<p>This page again: <code>{}</code></p>", escaped(options.made_by))},
          {"release", escaped(fmt::format("Pathloom {}", build_release()))},
          {"data", data_of(shown)}});
 }
 
 void declare(app::Command& command, Options& options) {
-    command.labelled_files("pictures", options.pictures, "images (EXR) with their .cost.json, one of each method").required();
+    command
+        .labelled_files("pictures", options.pictures,
+                        "images (EXR) with their .cost.json, one of each method")
+        .required();
     command.file("-r,--reference", options.reference, "image (EXR) that they should be").required();
     command.output("-o,--output", options.output, "page.html").required();
     command.file("--errors", options.errors, "table of loom-compare --reference R --cost --tsv");
-    command.file("--equal-cost", options.equal_cost, "table of loom-chart, its first line of names alone included");
+    command.file("--equal-cost", options.equal_cost,
+                 "table of loom-chart, its first line of names alone included");
     command.file("--equal-error", options.equal_error, "the same at equal errors");
     command.files("--chart", options.charts, "charts (SVG) of loom-chart, in the order of the page");
     command.file("--peers", options.peers, "table of make peers");
     command.option("--title", options.title, "above the page: the scene");
     command.option("--made-by", options.made_by, "command that makes the page again, shown at its end");
-    command.option("--longest-side", options.longest_side, "of the pictures in the page; larger ones are reduced",
-                   app::Range<int>{16, 4096, "px"});
-    command.example("loom-report pt=a.exr pathgraph=b.exr -r r.exr --errors errors.tsv --chart error-cost.svg -o report.html");
+    command.option("--longest-side", options.longest_side,
+                   "of the pictures in the page; larger ones are reduced", app::Range<int>{16, 4096, "px"});
+    command.example(
+        "loom-report pt=a.exr pathgraph=b.exr -r r.exr --errors errors.tsv --chart error-cost.svg -o "
+        "report.html");
 }
 
 void run(const Options& options, app::Report& report) {

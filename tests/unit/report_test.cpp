@@ -58,9 +58,11 @@ TEST(Report, TemplatesAreFilledWholly) {
 
 TEST(Report, ChartsKeepTheirIdsApart) {
     const std::string svg =
-        "<?xml version=\"1.0\"?>\n<svg><path id='a'/><g id=\"b\"/><use xlink:href='#a'/><i fill=\"url(#b)\"/></svg>";
-    EXPECT_EQ(inline_svg(svg, "c1", "x.svg"),
-              "<svg><path id='c1-a'/><g id=\"c1-b\"/><use xlink:href='#c1-a'/><i fill=\"url(#c1-b)\"/></svg>");
+        "<?xml version=\"1.0\"?>\n<svg><path id='a'/><g id=\"b\"/><use xlink:href='#a'/><i "
+        "fill=\"url(#b)\"/></svg>";
+    EXPECT_EQ(
+        inline_svg(svg, "c1", "x.svg"),
+        "<svg><path id='c1-a'/><g id=\"c1-b\"/><use xlink:href='#c1-a'/><i fill=\"url(#c1-b)\"/></svg>");
     EXPECT_EQ(error_of([] { inline_svg("text", "c", "x.svg"); }), "x.svg: is no SVG");
     EXPECT_NE(error_of([] { inline_svg("<svg><script>", "c", "x.svg"); }).find("x.svg: holds a script"),
               std::string::npos);
@@ -77,14 +79,16 @@ Image picture(std::uint32_t width, std::uint32_t height, float scale) {
     return image;
 }
 
-// A red row 0, 3, 6 above 9, 12, 15 in halves of 2 x 2: their mean 6, and 10.5 of the narrow cell at the edge.
+// A red row 0, 3, 6 above 9, 12, 15 in halves of 2 x 2: their mean 6, and 10.5 of the narrow cell at the
+// edge.
 TEST(Report, PixelsAreMeansInHalves) {
     const Pixels small = pixels_of(picture(3, 2, 1), 2);
     EXPECT_EQ(small.factor, 2u);
     EXPECT_EQ(small.width, 2u);
     EXPECT_EQ(small.height, 1u);
     // 6, 7, 8, 10.5, 11.5, 12.5 as halves: 4600 4700 4800 4940 49c0 4a40.
-    const std::vector<std::uint8_t> bytes{0x00, 0x46, 0x00, 0x47, 0x00, 0x48, 0x40, 0x49, 0xc0, 0x49, 0x40, 0x4a};
+    const std::vector<std::uint8_t> bytes{0x00, 0x46, 0x00, 0x47, 0x00, 0x48,
+                                          0x40, 0x49, 0xc0, 0x49, 0x40, 0x4a};
     EXPECT_EQ(small.data, base64(bytes));
     EXPECT_EQ(pixels_of(picture(3, 2, 1), 3).factor, 1u);
 
@@ -120,14 +124,19 @@ class Page : public testing::Test {
                 write_cost(trace, place / "graph" / (stem + ".h5"));
                 write_cost(cost("loom-gather", 0.5, {stem + ".h5"}), place / "graph" / (stem + ".exr"));
             }
-            write_cost(cost("loom-merge", 0.25, {"graph/pass-0.exr", "graph/pass-1.exr"}), place / "image.exr");
+            write_cost(cost("loom-merge", 0.25, {"graph/pass-0.exr", "graph/pass-1.exr"}),
+                       place / "image.exr");
             write_image(picture(4, 3, 0.1f), place / "image.exr");
             write_image(picture(4, 3, 0.11f), place / "reference.exr");
             std::ofstream(place / "errors.tsv")
-                << "method\tsamples\trelmse\trelmse_trimmed\tmape\tpsnr\tssim\tbias2\tvariance\treference_noise\t"
-                   "corr_right\tcorr_near\tp_image\tp_tiles\tcpu_s\twall_s\trender_s\trays\tpeak_memory_bytes\n"
-                   "x\t4\t0.5\t0.4\t0.3\t20\t0.9\t-0.001\t0.25\tnan\t0.1\t0.05\t0.5\t1e-9\t4.25\t5\t4\t0\t2048\n"
-                   "x\t4\t0.7\t0.4\t0.3\t20\t0.9\t-0.001\t0.25\tnan\t0.1\t0.05\t0.5\t1e-9\t4.25\t5\t4\t0\t2048\n";
+                << "method\tsamples\trelmse\trelmse_trimmed\tmape\tpsnr\tssim\tbias2\tvariance\treference_"
+                   "noise\t"
+                   "corr_right\tcorr_near\tp_image\tp_tiles\tcpu_s\twall_s\trender_s\trays\tpeak_memory_"
+                   "bytes\n"
+                   "x\t4\t0.5\t0.4\t0.3\t20\t0.9\t-0.001\t0.25\tnan\t0.1\t0.05\t0.5\t1e-9\t4."
+                   "25\t5\t4\t0\t2048\n"
+                   "x\t4\t0.7\t0.4\t0.3\t20\t0.9\t-0.001\t0.25\tnan\t0.1\t0.05\t0.5\t1e-9\t4."
+                   "25\t5\t4\t0\t2048\n";
             std::ofstream(place / "equal.tsv")
                 << "scene\tfirst\tmethod\tequal_cpu_s\trelmse_first\trelmse_method\ttimes_better\tlow\thigh\n"
                    "s\tpt\tx\t1\t0.5\t0.25\t2\t1.5\t2.5\ns\tpt\tx\t4\t0.3\t0.1\t3\t2\t4\n"
@@ -182,9 +191,12 @@ TEST_F(Page, SaysWhatTheTablesSay) {
     EXPECT_TRUE(has("<td>&lt;\u202f0.0001</td>"));
     EXPECT_TRUE(has("<td>–</td><td>2.0 KiB</td>"));  // rays that nobody counted are no zero
     // Where both curves reach furthest; a ratio whose interval holds 1 is called what it is.
-    EXPECT_TRUE(has("At an equal CPU time of 4.00 s, <em>x</em> has <strong>3.00 times less</strong> relMSE than "
-                    "<em>pt</em> (2.00 to 4.00)."));
-    EXPECT_TRUE(has("<em>y</em> has <strong>1.11 times more</strong> relMSE than <em>pt</em> (0.667 to 2.00), which may be noise."));
+    EXPECT_TRUE(
+        has("At an equal CPU time of 4.00 s, <em>x</em> has <strong>3.00 times less</strong> relMSE than "
+            "<em>pt</em> (2.00 to 4.00)."));
+    EXPECT_TRUE(
+        has("<em>y</em> has <strong>1.11 times more</strong> relMSE than <em>pt</em> (0.667 to 2.00), which "
+            "may be noise."));
     EXPECT_TRUE(has("<b class=\"better\">3.00"));
     EXPECT_TRUE(has("<b class=\"noise\">0.900"));
     EXPECT_TRUE(has("<path id=\"chart0-p\"/>"));
