@@ -5,7 +5,7 @@
 #
 #   a reference, path traced once with many samples (or REFERENCE=file)
 #   REPLICATES pictures of each method at each number of samples, by still.mk, each with its own seed
-#   loom-compare: errors.tsv, stages.tsv;   loom-chart: the charts, tables beside them
+#   loom-compare: errors.tsv, costs.tsv;   loom-chart: the charts, tables beside them
 #
 # Runs are timed one at a time, methods in turn (A B A B ...), so that a slow spell of the machine meets all of
 # them; the first run of a session is preceded by one of each method that does not count. What is made stays:
@@ -128,14 +128,14 @@ variance = $(if $(strip $(REFERENCE_VARIANCE)),--reference-variance $(call quote
 $(OUT)/errors.tsv: $(images) $(peers) $(reference_file) $(OUT)/compare.parameters $(compare)
 	$(compare) $(labelled) --reference $(reference) $(variance) --scene $(name) --cost --tsv >$@
 
-$(OUT)/stages.tsv: $(images) $(peers) $(OUT)/compare.parameters $(compare)
+$(OUT)/costs.tsv: $(images) $(peers) $(OUT)/compare.parameters $(compare)
 	$(compare) $(labelled) --scene $(name) --cost --tsv >$@
 
 $(OUT)/error-cost.svg: $(OUT)/errors.tsv $(OUT)/chart.parameters $(chart)
 	$(chart) $< -o $@ --x $(COST) --y $(ERROR) >$(OUT)/error-cost.txt
 	@cat $(OUT)/error-cost.txt
 
-$(OUT)/stages.svg: $(OUT)/stages.tsv $(OUT)/chart.parameters $(chart)
+$(OUT)/stages.svg: $(OUT)/costs.tsv $(OUT)/chart.parameters $(chart)
 	$(chart) $< --kind stages -o $@ --x $(or $(filter %_s,$(COST)),cpu_s)
 
 $(OUT)/bias-variance.svg: $(OUT)/errors.tsv $(OUT)/chart.parameters $(chart)

@@ -84,6 +84,14 @@ void run(const Options& given, app::Report& report) {
         files = curve_files(stem, curves, options);
         report.answer(summary(curves, options));
     }
+    for (const auto& [name, text] : files) {
+        const std::filesystem::path written = svg.parent_path() / name;
+        for (const std::string& input : options.tables) {
+            std::error_code none;
+            if (std::filesystem::equivalent(written, input, none))
+                throw InputError(fmt::format("{}: the chart's own data would overwrite this table", input));
+        }
+    }
     plot(svg.parent_path(), files, stem + ".gp", {stem + ".svg", stem + ".png"});
     report.done("{}: {} rows", options.output, table.rows.size());
 }

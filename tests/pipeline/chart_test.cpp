@@ -1,6 +1,7 @@
 // Errors, costs and charts as a user makes them.
 
 #include <sstream>
+#include <tuple>
 
 #include "tests/pipeline/process.h"
 
@@ -128,6 +129,16 @@ TEST_F(Chart, FromSceneToChartAndOn) {
     ASSERT_EQ(sh(again).code, 0);
     for (const char* name : {"error-cost.svg", "error-cost.png", "error-cost.tsv", "error-cost.gp"})
         EXPECT_TRUE(bytes_of(folder / "c" / name) == bytes_of(folder / "again" / name)) << name;
+    for (const auto& [name, table, kind] :
+         {std::tuple{"bias-variance", "errors", "parts"}, {"stages", "costs", "stages"}}) {
+        const std::string other = (folder / "again" / name).string();
+        const Outcome made_again = sh(stage("chart") + " " + (folder / "c" / table).string() + ".tsv --kind " + kind +
+                                      " -o " + other + ".svg");
+        ASSERT_EQ(made_again.code, 0) << made_again.err;
+        for (const char* ending : {".svg", ".png", ".tsv", ".gp"})
+            EXPECT_TRUE(bytes_of(folder / "c" / (std::string(name) + ending)) == bytes_of(other + ending))
+                << name << ending;
+    }
     // The command file alone makes the pictures again.
     ASSERT_EQ(sh("cd " + (folder / "again").string() + " && rm error-cost.svg && gnuplot error-cost.gp").code, 0);
     EXPECT_TRUE(bytes_of(folder / "c/error-cost.svg") == bytes_of(folder / "again/error-cost.svg"));
@@ -139,6 +150,10 @@ TEST_F(Chart, FromSceneToChartAndOn) {
     EXPECT_EQ(fs::last_write_time(folder / "c/errors.tsv"), old_table);
     ASSERT_EQ(sh(chart("SPPS='1 2 4'")).code, 0);
     EXPECT_EQ(rows(), 12);
+    EXPECT_EQ(fs::last_write_time(folder / "c/pt-1-0/image.exr"), old_image);
+    // Another cost: other charts of the same tables.
+    ASSERT_EQ(sh(chart("SPPS='1 2 4' COST=render_s")).code, 0);
+    EXPECT_NE(bytes_of(folder / "c/stages.gp").find("--x render_s"), std::string::npos);
     EXPECT_EQ(fs::last_write_time(folder / "c/pt-1-0/image.exr"), old_image);
 }
 
@@ -170,9 +185,20 @@ TEST_F(Chart, WrongVariablesAreRefused) {
         EXPECT_EQ(sh(chart("SPPS=1 " + std::string(wrong))).code, 2) << wrong;
 }
 
+// t.svg has its data beside it as t.tsv.
+TEST_F(Chart, ATableIsNotOverwritten) {
+    const std::string table = "method\tcpu_s\trelmse\npt\t1\t1\npt\t2\t0.5\n";
+    std::ofstream(folder / "t.tsv") << table;
+    const Outcome made =
+        sh("cd " + folder.string() + " && " + stage("chart") + " t.tsv -o " + (folder / "t.svg").string());
+    EXPECT_EQ(made.code, 2);
+    EXPECT_NE(made.err.find("t.tsv: the chart's own data would overwrite this table"), std::string::npos) << made.err;
+    EXPECT_EQ(bytes_of(folder / "t.tsv"), table);
+}
+
 TEST_F(Chart, MissingGnuplotIsNamed) {
     std::ofstream(folder / "t.tsv") << "method\tcpu_s\trelmse\npt\t1\t1\npt\t2\t0.5\n";
-    const std::string run = stage("chart") + " " + (folder / "t.tsv").string() + " -o " + (folder / "t.svg").string();
+    const std::string run = stage("chart") + " " + (folder / "t.tsv").string() + " -o " + (folder / "x.svg").string();
     const Outcome without = sh("PATH=/nowhere " + run);
     EXPECT_EQ(without.code, 2);
     EXPECT_NE(without.err.find("gnuplot-nox"), std::string::npos) << without.err;
