@@ -22,7 +22,7 @@ BATCH ?= 4  ## passes that a process traces; with a graph, so many lie on disk a
 ITERATIONS ?= 6  ## steps of the refinement
 # CLUSTER=  ## further options of loom-cluster: CLUSTER="--method centres"
 # REFINE=  ## further options of loom-refine: REFINE="--reuse points"
-# GATHER=  ## further options of loom-gather: GATHER="--direct own --indirect own"
+# GATHER=  ## further options of loom-gather: GATHER="--direct own --indirect subset --members 8 --occlusion"
 # DIRECT=  ## samples of direct light alone, for the blend of pathgraph: sharp shadows at little cost (4 SPP PASSES; 0: none)
 # MERGE=  ## further options of loom-merge: MERGE=--no-blend
 # DENOISE=  ## 1: also denoise the image, into OUT/clean.exr
@@ -89,8 +89,8 @@ clean := $(if $(filter-out 0,$(DENOISE)),$(OUT)/clean.exr $(OUT)/clean.png)
 scene_prerequisite := $(subst $(space),\$(space),$(SCENE))
 
 # What reaches the result, and what only says how fast.
-common_parameters = $(call quote,$(SCENE))$(if \
-	$(DEFINES), $(foreach d,$(DEFINES),-D $(call quote,$(d))))$(if $(TRACE), $(TRACE))
+scene_parameters = $(call quote,$(SCENE))$(if $(DEFINES), $(foreach d,$(DEFINES),-D $(call quote,$(d))))
+common_parameters = $(scene_parameters)$(if $(TRACE), $(TRACE))
 trace_parameters = $(common_parameters) --spp $(SPP)$(if $(SEED), --seed $(SEED))
 threads = $(if $(THREADS), --threads $(THREADS))
 
@@ -145,9 +145,11 @@ $(radiances): $(work)/pass-%.radiance.h5: $(work)/pass-%.h5 $(if $(clusters),$(w
 	$(LAUNCH) $(refine) $(filter %.h5,$^) $(refine_parameters) -o $@$(threads)
 
 ifneq ($(METHOD),pt)
-gather_parameters = $(if $(refined),--estimates)$(if $(GATHER), $(GATHER))
+gather_parameters = $(if $(refined),--estimates)$(if $(GATHER), $(GATHER))$(if $(filter --occlusion,$(GATHER)), --scene $(scene_parameters))
+gather_clusters := $(if $(filter subset,$(GATHER)),$(clusters))
 $(eval $(call parameter,$(work)/gather.parameters,$(gather_parameters)))
-$(passes): $(work)/pass-%.exr: $(work)/pass-%.h5 $(if $(refined),$(work)/pass-%.radiance.h5) $(work)/gather.parameters $(gather)
+$(passes): $(work)/pass-%.exr: $(work)/pass-%.h5 $(if $(refined),$(work)/pass-%.radiance.h5) $(if $(gather_clusters),$(work)/pass-%.clusters.h5) \
+		$(work)/gather.parameters $(gather)
 	$(LAUNCH) $(gather) $(filter %.h5,$^) $(gather_parameters) -o $@$(threads)
 	$(if $(filter $(last),$*)$(filter-out 0,$(KEEP)),,rm -f $(filter %.h5,$^) $(if $(clusters),$(work)/pass-$*.clusters.h5))
 endif

@@ -2,15 +2,24 @@
 
 #include <fmt/format.h>
 
+#include <tbb/enumerable_thread_specific.h>
+
 #include <algorithm>
 #include <filesystem>
+#include <memory>
+#include <optional>
 
+#include "formats/clusters.h"
+#include "formats/io/content_hash.h"
 #include "formats/io/cost.h"
 #include "formats/io/error.h"
 #include "stages/core/app/command.h"
+#include "stages/core/scene/build.h"
+#include "stages/core/scene/embree.h"
 #include "stages/core/transport/film.h"
 #include "stages/core/transport/own_samples.h"
 #include "stages/core/transport/parallel.h"
+#include "stages/gather/subset.h"
 
 namespace loom::gather {
 namespace {
@@ -99,13 +108,20 @@ Image image_of(const PathGraph& graph, int threads, Value value) {
 void declare(app::Command& command, Options& options) {
     command.file("graph", options.graph, "path graph (.h5)");
     command.file("radiance", options.radiance, "refined radiance of that graph (.h5); none: own paths only");
+    command.file("clusters", options.clusters, "clusters of that graph (.h5), for subsets");
     command.output("-o,--output", options.output, "image with layers (.exr)");
     command.output("--png", options.png, "also write a preview");
     command.option("--exposure", options.exposure_ev, "of the preview", app::Range<double>{-40, 40, "EV"});
-    command.choice("--direct", options.gather.direct, "direct light at first hits: of the whole cluster, or the path's own samples",
-                   {{"cluster", Source::cluster}, {"own", Source::own}});
+    command.choice("--direct", options.gather.direct, "direct light at first hits: of the whole cluster, the path's own samples, or both its own and those of some members",
+                   {{"cluster", Source::cluster}, {"own", Source::own}, {"subset", Source::subset}});
     command.choice("--indirect", options.gather.indirect, "indirect light at first hits",
-                   {{"cluster", Source::cluster}, {"own", Source::own}});
+                   {{"cluster", Source::cluster}, {"own", Source::own}, {"subset", Source::subset}});
+    command.option("--members", options.gather.members, "of a subset: random members of the cluster besides the vertex itself", app::Range<std::uint32_t>{1, max_lanes});
+    command.choice("--reuse", options.gather.reuse, "of a subset: what is taken over from a member's continuation",
+                   {{"directions", Reuse::directions}, {"points", Reuse::points}});
+    command.flag("--occlusion", options.gather.occlusion, "of a subset: reconnect continuations and test each by rays, which leaves no bias but that of the radiance; needs --scene");
+    command.file("--scene", options.scene, "scene file that the graph was traced in");
+    command.option("-D,--define", options.defines, "NAME=VALUE of a parameter of that scene");
     command.flag("--estimates", options.gather.estimates, "also write all estimates of direct and indirect light as layers, for loom-merge to blend");
     command.threads(options.threads);
     command.example("loom-gather graph.h5 -o image.exr --png image.png");
@@ -118,21 +134,37 @@ Image path_traced_image(const PathGraph& graph, int threads) {
     });
 }
 
-Image gathered_image(const PathGraph& graph, const Radiance& radiance, const GatherOptions& options, int threads) {
+Image gathered_image(const PathGraph& graph, const Radiance& radiance, const GatherOptions& options, int threads,
+                     const SubsetInputs& inputs, std::uint64_t* n_rays) {
     const GraphReader reader(graph);
+    const bool subset_direct = options.direct == Source::subset, subset_indirect = options.indirect == Source::subset;
+    std::optional<SubsetGather> subset;
+    if (subset_direct || subset_indirect)
+        subset.emplace(reader, *inputs.clusters, radiance, SubsetOptions{options.members, options.reuse, options.occlusion ? inputs.scene : nullptr, inputs.seed});
+    tbb::enumerable_thread_specific<std::unique_ptr<SubsetGather::Worker>> workers([&] {
+        prepare_ray_thread();
+        return std::make_unique<SubsetGather::Worker>(*subset);
+    });
     const std::uint64_t n_pixels = graph.n_pixels();
     std::vector<std::vector<float>> layers(options.estimates ? estimate_layers.size() : 0, std::vector<float>(3 * n_pixels));
     const float inv_samples = 1.0f / float(graph.tracing.samples_per_pixel);
     Image image = image_of(graph, threads, [&](std::size_t path, std::size_t& edge, FirstHit& first) {
-        const Estimates L = estimates_of(reader, radiance, options.estimates, path, edge, first);
+        Estimates L = estimates_of(reader, radiance, options.estimates, path, edge, first);
+        if (subset && first.depth != 0) {
+            const auto few = workers.local()->at(path, std::uint32_t(graph.paths.first_vertex[path]), {L.direct_own, L.indirect_own}, subset_direct, subset_indirect);
+            if (subset_direct) L.direct_cluster = few.direct;
+            if (subset_indirect) (options.occlusion ? L.indirect_own : L.indirect_cluster) = few.indirect;
+        }
         if (options.estimates) {
             const std::array values{L.Le, L.direct_own, L.direct_cluster, L.indirect_path, L.indirect_own, L.indirect_cluster};
             for (std::size_t i = 0; i < values.size(); ++i)
                 for (int c = 0; c < 3; ++c) layers[i][3 * (path % n_pixels) + c] += values[i][c] * inv_samples;
         }
         return L.Le + (options.direct == Source::own ? L.direct_own : L.direct_cluster) +
-               (options.indirect == Source::own ? L.indirect_own : L.indirect_cluster);
+               (options.indirect == Source::own || (subset_indirect && options.occlusion) ? L.indirect_own : L.indirect_cluster);
     });
+    if (n_rays)
+        for (const auto& worker : workers) *n_rays += worker->rays();
     for (std::size_t i = 0; i < layers.size(); ++i) image.set_layer(estimate_layers[i], "RGB", layers[i]);
     return image;
 }
@@ -142,13 +174,38 @@ void run(const Options& options, app::Report& report) {
     check_output_path(options.output);
     const PathGraph graph = read_path_graph(options.graph);
     const InputId graph_id = identify(options.graph);
+    const bool subsets = options.gather.direct == Source::subset || options.gather.indirect == Source::subset;
+    if (subsets && options.clusters.empty())
+        throw InputError("clusters: missing (made by loom-cluster); a subset is drawn from them");
+    if (!subsets && !options.clusters.empty())
+        throw InputError(fmt::format("{}: only subsets need clusters (--direct subset, --indirect subset)", options.clusters));
+    const bool occlusion = options.gather.occlusion;
+    if (occlusion && options.gather.indirect != Source::subset) throw InputError("--occlusion: only --indirect subset has rays");
+    if (occlusion != !options.scene.empty())
+        throw InputError(occlusion ? "--occlusion: needs --scene" : fmt::format("--scene {}: only --occlusion needs it", options.scene));
+    std::unique_ptr<Scene> scene;
+    std::uint64_t rays = 0;
     Image image;
     if (options.radiance.empty()) {
         image = path_traced_image(graph, options.threads);
     } else {
         const Radiance radiance = read_radiance(options.radiance);
         require_radiance_of(graph, graph_id, radiance, options.radiance);
-        image = gathered_image(graph, radiance, options.gather, options.threads);
+        Clusters clusters;
+        if (subsets) {
+            clusters = read_clusters(options.clusters);
+            require_clusters_of(graph, graph_id, clusters, options.clusters);
+            for (std::size_t c = 0; c < clusters.n_clusters(); ++c)
+                if (clusters.first[c + 1] - clusters.first[c] > max_lanes && options.gather.members >= max_lanes)
+                    throw InputError(fmt::format("--members {}: {} has clusters of more than {} vertices", options.gather.members, options.clusters, max_lanes));
+        }
+        if (occlusion) {
+            scene = load_scene(options.scene, parse_defines(options.defines));
+            const std::string hash = content_hash_text(scene->content_hash);
+            if (graph.provenance.inputs.empty() || graph.provenance.inputs[0].hash != hash)
+                throw InputError(fmt::format("{}: {} was traced in another scene, or with other -D values", options.scene, options.graph));
+        }
+        image = gathered_image(graph, radiance, options.gather, options.threads, {&clusters, scene.get(), graph.provenance.seed}, &rays);
     }
     image.provenance.stage = report.name();
     image.provenance.command = report.command();
@@ -156,9 +213,14 @@ void run(const Options& options, app::Report& report) {
     image.provenance.inputs = {graph_id};
     image.provenance.plan = "on: own paths only; off: neighbours (no radiance given)";
     if (!options.radiance.empty()) {
-        const auto name = [](Source source) { return source == Source::own ? "own samples" : "cluster"; };
+        const auto name = [&](Source source) {
+            return source == Source::own ? "own samples" : source == Source::cluster ? "cluster" : fmt::format("own samples and {} members", options.gather.members);
+        };
         image.provenance.inputs.push_back(identify(options.radiance));
-        image.provenance.plan = fmt::format("on: direct light by {}, indirect by {}; off: nothing", name(options.gather.direct), name(options.gather.indirect));
+        if (subsets) image.provenance.inputs.push_back(identify(options.clusters));
+        const char* test = occlusion ? "on: occlusion rays, " : "on: ";
+        const char* off = occlusion ? "nothing" : options.gather.indirect == Source::subset ? "occlusion rays (no --occlusion)" : "occlusion rays (no subset)";
+        image.provenance.plan = fmt::format("{}direct light by {}, indirect by {}; off: {}", test, name(options.gather.direct), name(options.gather.indirect), off);
     }
     if (const std::size_t bad = count_nonfinite(image); bad > 0)
         report.warn("{} values of the image are not finite", bad);
@@ -171,6 +233,9 @@ void run(const Options& options, app::Report& report) {
     cost.bytes_written = std::filesystem::file_size(options.output);
     cost.parents = {parent_of(options.output, options.graph)};
     if (!options.radiance.empty()) cost.parents.push_back(parent_of(options.output, options.radiance));
+    if (subsets) cost.parents.push_back(parent_of(options.output, options.clusters));
+    if (occlusion) cost.sources = {std::filesystem::path(options.scene).filename()};
+    cost.rays = rays;
     write_cost(cost, options.output);
     report.done("{} paths, {} vertices", graph.n_paths(), graph.n_vertices());
 }

@@ -1,9 +1,16 @@
 #pragma once
 #include <string>
+#include <vector>
 
 #include "formats/image.h"
 #include "formats/path_graph.h"
 #include "formats/radiance.h"
+#include "stages/core/transport/cluster_edges.h"
+
+namespace loom {
+struct Clusters;
+struct Scene;
+}  // namespace loom
 
 namespace loom::app {
 class Command;
@@ -16,16 +23,30 @@ namespace loom::gather {
 enum class Source {
     own,      // the path's own samples: next-event estimation and the BSDF sample
     cluster,  // all samples of its cluster
+    subset,   // its own samples and those of a few other members of its cluster, drawn anew for each path
 };
 
 struct GatherOptions {
     Source direct = Source::cluster, indirect = Source::cluster;
-    bool estimates = false;  // all of them as layers, for loom-merge to blend
+    bool estimates = false;              // all of them as layers, for loom-merge to blend
+    std::uint32_t members = 4;           // of a subset, besides the vertex itself
+    Reuse reuse = Reuse::directions;     // of a subset: what it takes over from a continuation
+    bool occlusion = false;              // of a subset: continuations are reconnected, and rays say what sees what
+};
+
+/// What a subset is drawn from, and what its rays meet.
+struct SubsetInputs {
+    const Clusters* clusters = nullptr;  // of the graph
+    const Scene* scene = nullptr;        // that the graph was traced in; with occlusion only
+    std::uint64_t seed = 0;
 };
 
 struct Options {
     std::string graph;      // path graph
     std::string radiance;   // refined radiance of that graph; empty: own paths only
+    std::string clusters;   // of that graph; for subsets only
+    std::string scene;      // that the graph was traced in; for occlusion rays only
+    std::vector<std::string> defines;  // of that scene, name=value
     std::string output;     // image with layers (.exr)
     std::string png;        // preview for the eye
     double exposure_ev = 0; // of the preview
@@ -45,9 +66,13 @@ Image path_traced_image(const PathGraph& graph, int threads);
 ///   own      Le + own direct light + f cos / pdf_w X(second vertex); samples of pixels stay independent given X
 ///                                                                          PG section 5.2, K = 1
 ///   cluster  Le + X(first vertex)
-/// and either for direct and indirect light by itself. VarMean takes the samples of a pixel for independent, which those
-/// of one graph are not; images of several graphs know better (loom-merge).
-Image gathered_image(const PathGraph& graph, const Radiance& radiance, const GatherOptions& options, int threads);
+///   subset   between the two, see subset.h
+/// and each for direct and indirect light by itself. VarMean takes the samples of a pixel for independent, which those
+/// of one graph are not; images of several graphs know better (loom-merge). Among the layers of estimates, a subset
+/// with occlusion rays takes the place of own samples, one without that of the cluster.
+/// out:     n_rays  occlusion rays
+Image gathered_image(const PathGraph& graph, const Radiance& radiance, const GatherOptions& options, int threads,
+                     const SubsetInputs& subset = {}, std::uint64_t* n_rays = nullptr);
 
 /// throws: InputError
 void run(const Options& options, app::Report& report);

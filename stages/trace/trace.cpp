@@ -24,17 +24,6 @@ namespace {
 /// Paths of one task; small enough to balance two threads, large enough to hide the task.
 constexpr std::uint64_t paths_per_chunk = 4096;
 
-Defines parse_defines(const std::vector<std::string>& texts) {
-    Defines defines;
-    for (const std::string& text : texts) {
-        const auto equals = text.find('=');
-        if (equals == std::string::npos || equals == 0)
-            throw InputError(fmt::format("-D {}: expected NAME=VALUE", text));
-        defines.emplace_back(text.substr(0, equals), text.substr(equals + 1));
-    }
-    return defines;
-}
-
 PathOptions path_options(const Options& options, const Scene& scene) {
     PathOptions path;
     path.seed = options.seed;

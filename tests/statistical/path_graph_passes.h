@@ -28,8 +28,9 @@ struct Pass {
 /// One graph, with its own random numbers and borders of clusters.
 inline Pass make_pass(const Scene& scene, std::uint64_t seed, const Recipe& recipe) {
     const PathGraph graph = testing::trace_graph(scene, testing::path_options(scene, seed, recipe.sampler), recipe.spp);
-    Radiance radiance = testing::radiance_of(graph, testing::clusters_of(graph, recipe.k, seed), recipe.refine);
-    Image image = gather::gathered_image(graph, radiance, recipe.gather, 0);
+    const Clusters clusters = testing::clusters_of(graph, recipe.k, seed);
+    Radiance radiance = testing::radiance_of(graph, clusters, recipe.refine);
+    Image image = gather::gathered_image(graph, radiance, recipe.gather, 0, {&clusters, &scene, seed});
     return {std::move(image), gather::path_traced_image(graph, 0), std::move(radiance)};
 }
 

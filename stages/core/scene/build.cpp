@@ -1,5 +1,6 @@
 #include "stages/core/scene/build.h"
 
+#include <fmt/format.h>
 #include <tbb/parallel_for.h>
 
 #include "formats/io/content_hash.h"
@@ -354,6 +355,17 @@ std::unique_ptr<Scene> load_scene(const std::filesystem::path& file, const Defin
     for (const std::string& name : scene->dependencies) identity += file_content_hash(name) + "\n";
     scene->content_hash = content_hash(std::as_bytes(std::span(identity)));
     return scene;
+}
+
+Defines parse_defines(const std::vector<std::string>& texts) {
+    Defines defines;
+    for (const std::string& text : texts) {
+        const auto equals = text.find('=');
+        if (equals == std::string::npos || equals == 0)
+            throw InputError(fmt::format("-D {}: expected NAME=VALUE", text));
+        defines.emplace_back(text.substr(0, equals), text.substr(equals + 1));
+    }
+    return defines;
 }
 
 }  // namespace loom

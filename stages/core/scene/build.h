@@ -11,4 +11,8 @@ namespace loom {
 /// throws: InputError with the place in the file
 std::unique_ptr<Scene> load_scene(const std::filesystem::path& file, const Defines& defines = {});
 
+/// From texts NAME=VALUE, as a command line has them.
+/// throws: InputError
+Defines parse_defines(const std::vector<std::string>& texts);
+
 }  // namespace loom
