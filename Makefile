@@ -2,7 +2,7 @@
 
 .DEFAULT_GOAL := demo
 .DELETE_ON_ERROR:
-.PHONY: demo image chart chart-all report table test test-full stability asan bench peers oidn tools build stages clean help
+.PHONY: demo image chart chart-all report table choices test test-full stability asan bench peers oidn tools build stages clean help
 SHELL := /bin/sh
 
 BUILD ?= build
@@ -62,6 +62,9 @@ report: stages ## one page of METHODS on SCENE, OUT/report.html: pictures, error
 
 table: stages ## cost and error of path graphs beside path tracing, a row per scene; takes SCENES= OUT=
 	@$(MAKE) --no-print-directory -f pipelines/table.mk table
+
+choices: stages ## what gathers, pools or directs (CHOICES=) bring at equal time; takes SCENES= OUT=
+	@$(MAKE) --no-print-directory -f pipelines/choices.mk choices
 
 test: build ## install, build and run all tests
 	cd $(BUILD) && ctest --output-on-failure --no-tests=error

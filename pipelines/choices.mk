@@ -2,6 +2,7 @@
 #
 #   make choices CHOICES=gathers   the gathers of loom-gather, of the same passes; not blended, but for the last rows
 #   make choices CHOICES=pools     samples of a pass, and vertices of a cluster, at the same number of samples
+#   make choices CHOICES=directs   further samples of direct light, of the same passes
 #
 #   gain     relMSE of path tracing (0.1 % worst pixels left out) given as much CPU time, over that of the choice; between
 #            two numbers of samples path tracing is taken to follow a power of its cost
@@ -14,7 +15,7 @@
 .PHONY: choices
 .DEFAULT_GOAL := choices
 
-# CHOICES=  ## gathers or pools (gathers)
+# CHOICES=  ## gathers, pools or directs (gathers)
 # SCENES=  ## scene files (five of the shared ones where they are, else two of the project's own)
 # REFERENCES=  ## folder of NAME_ref.exr and NAME_var.exr
 BUILD ?= build
@@ -50,8 +51,15 @@ define pools
 4 spp, K 16|SPP=4 K=16 PASSES=4
 4 spp, K 32|SPP=4 K=32 PASSES=4
 endef
-ifeq ($(filter gathers pools,$(CHOICES)),)
-$(error CHOICES=$(CHOICES): must be gathers or pools)
+define directs
+none|DIRECT=0
+as many|DIRECT=16
+4 times|DIRECT=64
+16 times|DIRECT=256
+as planned|DIRECT=auto
+endef
+ifeq ($(filter gathers pools directs,$(CHOICES)),)
+$(error CHOICES=$(CHOICES): must be gathers, pools or directs)
 endif
 
 compare := $(BUILD)/bin/loom-compare

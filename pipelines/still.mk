@@ -23,7 +23,7 @@ ITERATIONS ?= 6  ## steps of the refinement
 # CLUSTER=  ## further options of loom-cluster: CLUSTER="--method centres"
 # REFINE=  ## further options of loom-refine: REFINE="--reuse points"
 # GATHER=  ## further options of loom-gather: GATHER="--direct own --indirect subset --members 8 --occlusion"
-# DIRECT=  ## samples of direct light alone, for the blend of pathgraph: sharp shadows at little cost (4 SPP PASSES; 0: none)
+# DIRECT=  ## samples of direct light alone, for the blend of pathgraph: sharp shadows at little cost (as many as pay; 0: none)
 # MERGE=  ## further options of loom-merge: MERGE=--no-blend
 # DENOISE=  ## 1: also denoise the image, into OUT/clean.exr
 # SEED=  ## seed of the random numbers
@@ -154,17 +154,21 @@ $(passes): $(work)/pass-%.exr: $(work)/pass-%.h5 $(if $(refined),$(work)/pass-%.
 	$(if $(filter $(last),$*)$(filter-out 0,$(KEEP)),,rm -f $(filter %.h5,$^) $(if $(clusters),$(work)/pass-$*.clusters.h5))
 endif
 
-# Direct light by itself, of samples that no pass has: another seed. A blend takes four passes.
-DIRECT := $(or $(strip $(DIRECT)),$(if $(refined),$(shell [ $(PASSES) -ge 4 ] && echo $$((4 * $(SPP) * $(PASSES))))))
-direct := $(if $(filter-out 0,$(DIRECT)),$(if $(refined),$(if $(filter --no-blend,$(MERGE)),,$(work)/direct.exr)))
-direct_parameters = $(common_parameters) --max-depth 2 --spp $(DIRECT) --seed $(shell echo $$(($(or $(SEED),0) + 1000003)))
-$(eval $(call parameter,$(work)/direct.parameters,$(if $(direct),$(direct_parameters))))
-$(work)/direct.exr: $(scene_prerequisite) $(work)/direct.parameters $(trace)
-	$(LAUNCH) $(trace) $(direct_parameters)$(threads) -o $@
+# Direct light by itself, of samples that no pass has: another seed. A blend takes four passes. How many samples is
+# said by the passes, if not by DIRECT; where none pay the file is empty.
+DIRECT := $(or $(strip $(DIRECT)),auto)
+direct := $(if $(refined),$(if $(filter 0,$(DIRECT))$(filter --no-blend,$(MERGE)),,$(shell [ $(PASSES) -ge 4 ] && echo $(work)/direct.exr)))
+direct_samples := $(work)/direct.samples
+direct_parameters = $(common_parameters) --max-depth 2 --seed $(shell echo $$(($(or $(SEED),0) + 1000003)))
+$(eval $(call parameter,$(work)/direct.parameters,$(if $(direct),$(direct_parameters) --spp $(DIRECT))))
+$(direct_samples): $(passes) $(work)/direct.parameters $(merge)
+	$(if $(filter auto,$(DIRECT)),$(LAUNCH) $(merge) $(passes) --plan-direct >$@,echo $(DIRECT) >$@)
+$(work)/direct.exr: $(scene_prerequisite) $(direct_samples) $(trace)
+	n=$$(cat $(direct_samples)); if [ $$n = 0 ]; then : >$@; else $(LAUNCH) $(trace) $(direct_parameters) --spp $$n$(threads) -o $@; fi
 
 $(eval $(call parameter,$(OUT)/image.parameters,$(METHOD) $(PASSES)$(if $(MERGE), $(MERGE))$(if $(direct), $(DIRECT))))
 $(OUT)/image.exr: $(passes) $(direct) $(OUT)/image.parameters $(merge)
-	$(LAUNCH) $(merge) $(passes)$(if $(direct), --direct $(direct))$(if $(MERGE), $(MERGE)) -o $@
+	$(LAUNCH) $(merge) $(passes)$(if $(direct), $$([ -s $(direct) ] && echo --direct $(direct)))$(if $(MERGE), $(MERGE)) -o $@
 
 $(OUT)/clean.exr: $(OUT)/image.exr $(denoise)
 	$(LAUNCH) $(denoise) $< -o $@$(threads)

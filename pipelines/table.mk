@@ -1,8 +1,8 @@
 # What path graphs cost and bring on many scenes, one row each: OUT/table.tsv, printed as a table.
 #
 #   cost    CPU seconds per sample of every pixel and stage, at the scene's own size, reading the scene not counted;
-#           four samples of direct light, which the blend takes, included; their sum over that of path tracing is
-#           the cost ratio
+#           the samples of direct light that the blend took at small size included, as many as pay there (direct_spp);
+#           their sum over that of path tracing is the cost ratio
 #   error   relMSE at small size after 1 sample and after 16, plain and without the 0.1 % worst pixels, against
 #           REFERENCES/NAME_ref.exr where it is, else a path-traced reference
 #   equal   path tracing given as many samples as take the time of those 16: its error over that of path graphs
@@ -47,8 +47,6 @@ $(OUT)/$(call name,$(1))/row.tsv: $(1) pipelines/table.mk pipelines/still.mk $(w
 	plain=$$(call seconds,cost-pt,loom-trace); trace=$$(call seconds,cost-pathgraph,loom-trace); \
 	cluster=$$(call seconds,cost-pathgraph,loom-cluster); refine=$$(call seconds,cost-pathgraph,loom-refine); \
 	gather=$$(call seconds,cost-pathgraph,loom-gather); direct=$$(call seconds,cost-direct,loom-trace); \
-	ratio=$$$$(awk "BEGIN { print ($$$$trace - $$$$load + $$$$cluster + $$$$refine + $$$$gather + $$$$direct - $$$$load) / ($$$$plain - $$$$load) }"); \
-	equal=$$$$(awk "BEGIN { print int(16 * $$$$ratio + 0.5) }"); \
 	if [ -f "$$$$ref" ]; then \
 		size=$$$$($(BUILD)/bin/loom-inspect --quiet --json "$$$$ref" | tr -d ' \n' | \
 			sed -E 's/.*"dataWindow":"x0to([0-9]+),y0to([0-9]+)".*/\1 \2/' | awk '{ print "resx=" $$$$1 + 1, "resy=" $$$$2 + 1 }'); \
@@ -60,16 +58,19 @@ $(OUT)/$(call name,$(1))/row.tsv: $(1) pipelines/table.mk pipelines/still.mk $(w
 	$$(call picture,pathgraph-1,METHOD=pathgraph SPP=1 PASSES=1 DEFINES="$$$$size"); \
 	$$(call picture,pt-16,METHOD=pt SPP=16 DEFINES="$$$$size"); \
 	$$(call picture,pathgraph-16,METHOD=pathgraph SPP=4 PASSES=4 DEFINES="$$$$size"); \
+	n=$$$$(cat $$(@D)/pathgraph-16/pathgraph/direct.samples); \
+	ratio=$$$$(awk "BEGIN { print (($$$$trace - $$$$load + $$$$cluster + $$$$refine + $$$$gather) / 4 + ($$$$direct - $$$$load) / 16 * $$$$n / 16) / (($$$$plain - $$$$load) / 4) }"); \
+	equal=$$$$(awk "BEGIN { print int(16 * $$$$ratio + 0.5) }"); \
 	$$(call picture,pt-equal,METHOD=pt SPP=$$$$equal DEFINES="$$$$size"); \
 	$(compare) --quiet --tsv --reference "$$$$ref" $$$${var:+$$$$([ -f "$$$$var" ] && echo --reference-variance "$$$$var")} \
 		$$(foreach p,pt-1 pathgraph-1 pt-16 pathgraph-16 pt-equal,$$(p)=$$(@D)/$$(p)/image.exr) >$$(@D)/errors.tsv; \
 	awk -F'\t' -v OFS='\t' -v scene='$(call name,$(1))' -v load="$$$$load" -v plain="$$$$plain" -v trace="$$$$trace" \
-		-v cluster="$$$$cluster" -v refine="$$$$refine" -v gather="$$$$gather" -v direct="$$$$direct" -v ratio="$$$$ratio" -v equal="$$$$equal" \
+		-v cluster="$$$$cluster" -v refine="$$$$refine" -v gather="$$$$gather" -v direct="$$$$direct" -v n="$$$$n" -v ratio="$$$$ratio" -v equal="$$$$equal" \
 		'NR == 1 { for (i = 1; i <= NF; ++i) at[$$$$i] = i; next } \
 		{ net = $$$$at["relmse_net"]; e[$$$$2] = net; t[$$$$2] = $$$$at["relmse_trimmed"] - $$$$at["reference_noise"]; c[$$$$2] = $$$$at["corr_right"] } \
-		END { print "scene", "pt_s", "trace_s", "cluster_s", "refine_s", "gather_s", "direct_s", "cost_ratio", "pt_1", "pathgraph_1", \
+		END { print "scene", "pt_s", "trace_s", "cluster_s", "refine_s", "gather_s", "direct_spp", "direct_s", "cost_ratio", "pt_1", "pathgraph_1", \
 			"gain_1_trimmed", "pt_16", "pathgraph_16", "gain_16_trimmed", "equal_spp", "equal_gain", "equal_gain_trimmed", "corr_right"; \
-		print scene, (plain - load) / 4, (trace - load) / 4, cluster / 4, refine / 4, gather / 4, (direct - load) / 4, ratio, e["pt-1"], \
+		print scene, (plain - load) / 4, (trace - load) / 4, cluster / 4, refine / 4, gather / 4, n, (direct - load) / 16 * n / 16, ratio, e["pt-1"], \
 			e["pathgraph-1"], t["pt-1"] / t["pathgraph-1"], e["pt-16"], e["pathgraph-16"], t["pt-16"] / t["pathgraph-16"], equal, \
 			e["pt-equal"] / e["pathgraph-16"], t["pt-equal"] / t["pathgraph-16"], c["pathgraph-16"] }' $$(@D)/errors.tsv >$$@
 endef

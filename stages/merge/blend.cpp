@@ -164,6 +164,59 @@ struct SharedDirect {
     }
 };
 
+/// Two estimates A and B of all parts: what the best mixture of them would be off by.
+struct Expectation {
+    double n = 0;
+    std::vector<double> a, b, aa, ab, bb;
+
+    explicit Expectation(std::size_t n_pixels) : a(n_pixels), b(n_pixels), aa(n_pixels), ab(n_pixels), bb(n_pixels) {}
+
+    void add(const Luminances& A, const Luminances& B) {
+        ++n;
+        for (std::size_t i = 0; i < a.size(); ++i) {
+            a[i] += A[i], b[i] += B[i];
+            aa[i] += sqr(A[i]), ab[i] += A[i] * B[i], bb[i] += sqr(B[i]);
+        }
+    }
+
+    /// By pixel, over windows and relative to brightness.
+    struct Errors {
+        std::vector<double> bias2_b, var_a, var_b, best;
+    };
+    Errors errors(const std::vector<double>& importance, int width, int height, const Test& test) const {
+        const std::size_t n_pixels = a.size();
+        Errors e{std::vector<double>(n_pixels), std::vector<double>(n_pixels), std::vector<double>(n_pixels), std::vector<double>(n_pixels)};
+        std::vector<double> cov(n_pixels);
+        const auto co = [&](double xy, double x, double y) { return (xy / n - x / n * y / n) / (n - 1); };
+        for (std::size_t i = 0; i < n_pixels; ++i) {
+            e.var_a[i] = std::max(co(aa[i], a[i], a[i]), 0.0) * importance[i];
+            e.var_b[i] = std::max(co(bb[i], b[i], b[i]), 0.0) * importance[i];
+            cov[i] = co(ab[i], a[i], b[i]) * importance[i];
+            e.bias2_b[i] = sqr((a[i] - b[i]) / n) * importance[i] - (e.var_a[i] - 2 * cov[i] + e.var_b[i]);
+        }
+        e.bias2_b = significant(e.bias2_b, width, height, test);
+        e.var_a = window_mean(e.var_a, width, height, test.radius);
+        e.var_b = window_mean(e.var_b, width, height, test.radius);
+        cov = window_mean(cov, width, height, test.radius);
+        for (std::size_t i = 0; i < n_pixels; ++i) {
+            const double with_a = e.var_a[i] - cov[i], with_b = e.bias2_b[i] + e.var_b[i] - cov[i], under = with_a + with_b;
+            const double t = under > 0 ? std::clamp(with_b / under, 0.0, 1.0) : 0.0;
+            e.best[i] = sqr(t) * e.var_a[i] + sqr(1 - t) * (e.bias2_b[i] + e.var_b[i]) + 2 * t * (1 - t) * cov[i];
+        }
+        return e;
+    }
+};
+
+/// Mean without the 0.1 % largest.
+double trimmed_mean(std::vector<double> values) {
+    const std::size_t kept = values.size() - values.size() / 1000;
+    std::nth_element(values.begin(), values.begin() + std::ptrdiff_t(kept - 1), values.end());
+    std::sort(values.begin(), values.begin() + std::ptrdiff_t(kept));  // the same sum from any standard library
+    double sum = 0;
+    for (std::size_t i = 0; i < kept; ++i) sum += values[i];
+    return sum / double(kept);
+}
+
 /// Weights of one half of the parts, found by the other.
 struct Weights {
     std::vector<double> direct, own, path;
@@ -305,6 +358,58 @@ Image blend_images(std::size_t n_parts, const std::function<Image(std::size_t)>&
             for (std::size_t p = 0; p < n_pixels; ++p) var_mean[p] += float(sqr(double(direct_weight[p])) * direct_var[3 * p + c]);
         }
     return result;
+}
+
+DirectPlan plan_direct(std::size_t n_parts, const std::function<Image(std::size_t)>& part, double cost) {
+    std::vector<Expectation> direct, own, path;
+    std::vector<double> luminance_sum;
+    double n_samples = 0;
+    int width = 0, height = 0;
+    for (std::size_t i = 0; i < n_parts; ++i) {
+        const Image image = part(i);
+        if (i == 0) {
+            width = int(image.width), height = int(image.height);
+            luminance_sum.resize(image.n_pixels());
+            for (auto* pair : {&direct, &own, &path}) pair->emplace_back(image.n_pixels());
+        }
+        n_samples += double(image.samples);
+        const auto layer = [&](const char* name) { return luminances(image.interleaved(name)); };
+        const Luminances y = layer(""), emitted = layer("Emitted"), cluster = layer("IndirectCluster");
+        Luminances direct_own = layer("DirectOwn"), direct_cluster = layer("DirectCluster");
+        for (std::size_t p = 0; p < y.size(); ++p) {
+            luminance_sum[p] += y[p];
+            direct_own[p] += emitted[p], direct_cluster[p] += emitted[p];
+        }
+        direct[0].add(direct_own, direct_cluster);
+        own[0].add(layer("IndirectOwn"), cluster);
+        path[0].add(layer("IndirectPath"), cluster);
+    }
+    std::vector<double> importance = window_mean(luminance_sum, width, height, against_own.radius);
+    for (double& y : importance) y = 1 / (sqr(y / double(n_parts)) + 0.01);
+
+    const auto d = direct[0].errors(importance, width, height, against_own);
+    std::vector<double> indirect = own[0].errors(importance, width, height, against_own).best;
+    const std::vector<double> by_path = path[0].errors(importance, width, height, against_path).best;
+    for (std::size_t p = 0; p < indirect.size(); ++p) indirect[p] = std::min(indirect[p], by_path[p]);
+
+    DirectPlan plan;
+    plan.indirect = trimmed_mean(std::move(indirect));
+    plan.direct = plan.direct_with = trimmed_mean(d.best);
+    double least = 0.95 * (plan.indirect + plan.direct) * n_samples;
+    for (double m = n_samples / 4; m <= 16 * n_samples; m *= 2) {
+        if (m < 2 || m != std::floor(m)) continue;  // one sample does not say how noisy it is
+        std::vector<double> error(d.best.size());
+        for (std::size_t p = 0; p < error.size(); ++p) {
+            const double a = d.var_a[p] * n_samples / m, b = d.bias2_b[p] + d.var_b[p];
+            error[p] = a + b > 0 ? a * b / (a + b) : 0.0;
+        }
+        const double with = trimmed_mean(std::move(error)), product = (plan.indirect + with) * (n_samples + cost * m);
+        if (product >= least) continue;
+        least = product;
+        plan.samples = std::uint64_t(m);
+        plan.direct_with = with;
+    }
+    return plan;
 }
 
 Image average_images(std::size_t n_parts, const std::function<Image(std::size_t)>& part) {

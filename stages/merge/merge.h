@@ -20,6 +20,7 @@ struct Options {
     bool zip = false;                // compress the output
     std::string direct;              // emission and direct light by themselves, to be blended in
     bool no_blend = false;           // leave the parts' own picture as it is
+    bool plan_direct = false;        // say how many samples of direct light pay, and stop
 };
 
 /// Binds the options to the command line; `options` must outlive `command`.

@@ -79,6 +79,7 @@ Image direct_noise(std::uint32_t size, int n, std::mt19937_64& random) {
 
 // Light of further samples weighs by its own variance, which is small where they happened to be dark; the window holds
 // that down. Judged by Student's t over 32 blends of 40 x 40 pixels; a bias of 0.8 % would be seen in nine of ten runs.
+// Break seen to fail: variances of single pixels instead of windows, p = 2e-12.
 TEST(Blend, WithFurtherDirectLightIsUnbiasedAndTakesIt) {
     std::mt19937_64 random(11);
     std::vector<double> means, weights;
@@ -109,6 +110,50 @@ TEST(Blend, WithFurtherDirectLightIsUnbiasedAndTakesIt) {
     const Image blend = merge::blend_images(8, [&](std::size_t i) { return biased[i]; }, &direct);
     EXPECT_GT(mean_of(blend, "Blend.Direct"), 0.85);
     EXPECT_NEAR(mean_of(blend), 1, 0.08);
+}
+
+/// Parts whose clusters are hopeless for direct light (variance 1 of an own sample), whose other light has variance 1 however
+/// it is estimated.
+std::vector<Image> parts_of_unit_variance(std::size_t n_parts, double cluster_factor, bool indirect, std::mt19937_64& random) {
+    std::exponential_distribution<double> exponential(1);
+    std::vector<Image> parts;
+    for (std::size_t i = 0; i < n_parts; ++i) {
+        Image part = noise_part(64, random, 0);
+        std::vector<float> direct = part.interleaved("DirectCluster"), other(direct.size()), all(direct.size(), 1.0f);
+        for (float& value : direct) value *= float(cluster_factor);
+        if (indirect)
+            for (std::size_t p = 0; p < other.size(); p += 3) other[p] = other[p + 1] = other[p + 2] = float(exponential(random));
+        part.set_layer("DirectCluster", "RGB", direct);
+        for (const char* layer : {"IndirectPath", "IndirectOwn", "IndirectCluster"}) part.set_layer(layer, "RGB", other);
+        part.set_layer("", "RGB", all);
+        parts.push_back(std::move(part));
+    }
+    return parts;
+}
+
+// Eight parts of a sample. Own samples come with the parts: of E_d(0) = 1/8 and E_i = 1/8, further ones pay where
+// (1/8 + 1/m) (8 + c m) is below 1.9, least at m / 8 = sqrt(1 / c). Breaks seen to fail: costs left out, own samples
+// taken for worthless, the variance of a sample for that of the mean.
+TEST(DirectPlan, TakesAsManySamplesAsPay) {
+    std::mt19937_64 random(13);
+    const auto planned = [](const std::vector<Image>& parts, double cost) {
+        return merge::plan_direct(parts.size(), [&](std::size_t i) { return parts[i]; }, cost);
+    };
+    const auto both = parts_of_unit_variance(8, 10, true, random);
+    const merge::DirectPlan plan = planned(both, 1.0 / 16);
+    std::printf("    direct %.4f, with %llu further samples %.4f, indirect %.4f\n", plan.direct, static_cast<unsigned long long>(plan.samples), plan.direct_with, plan.indirect);
+    EXPECT_NEAR(plan.direct, 0.125 / 1.01, 0.01);
+    EXPECT_NEAR(plan.indirect, 0.125 / 1.01, 0.01);
+    EXPECT_NEAR(plan.direct_with, 1.0 / 32 / 1.01, 0.003);
+    EXPECT_EQ(plan.samples, 32u);
+    EXPECT_EQ(planned(both, 1.0 / 4).samples, 0u);
+    EXPECT_EQ(planned(both, 1.0 / 256).samples, 128u);
+
+    // Clusters that are as good as 64 samples: (8 + c m) / (64 + m) falls with m where c is below 1/8, and must fall
+    // below 8 / 72, what clusters and own samples make without.
+    const auto easy = parts_of_unit_variance(8, 1, false, random);
+    EXPECT_EQ(planned(easy, 0.05).samples, 128u);
+    EXPECT_EQ(planned(easy, 0.2).samples, 0u);
 }
 
 /// A lamp far above, small or large, and a board between it and the floor.
