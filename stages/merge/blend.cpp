@@ -14,8 +14,8 @@ struct Test {
     int radius;
     double standard_errors;
 };
-constexpr Test against_own{3, 1};   // own samples against the cluster's: noise of a few samples
-constexpr Test against_path{6, 2};  // whole paths against both: rare bright paths make windows look biased
+constexpr Test against_own{3, 0.5};  // own samples against the cluster's: noise of a few samples
+constexpr Test against_path{6, 1};   // whole paths against both: rare bright paths make windows look biased
 
 /// Mean over the window, as far as it lies within the image.
 std::vector<double> window_mean(const std::vector<double>& values, int width, int height, int radius) {

@@ -152,8 +152,9 @@ std::unique_ptr<Scene> ring_caustic(double alpha) {
                                  32, 24, 6});
 }
 
-// The criterion: never above path tracing by more than 5 %, whatever the roughness. Not reached at alpha 0.3, where
-// clusters blur the caustic most: 1.19 over ten runs of 16 passes, held below 1.3 here until the blend does better.
+// The criterion: never above path tracing by more than 5 %, whatever the roughness. Clusters blur the caustic most at
+// alpha 0.3, where the blend is at 1.048 over eight runs of 16 passes: just within, so held below 1.1 there, and below
+// 1.2 in the short run, whose reference is noisy. Break seen to fail: bias believed only from two standard errors on (1.25).
 TEST(StabilitySpecular, RingCausticIsNoWorseThanPathTracing) {
     const std::vector<double> alphas = full_run() ? std::vector{0.3, 0.2, 0.1, 0.05, 0.03, 0.02, 0.01, 0.0} : std::vector{0.3, 0.0};
     const int runs = full_run() ? 16 : 2;
@@ -166,7 +167,7 @@ TEST(StabilitySpecular, RingCausticIsNoWorseThanPathTracing) {
             sum.blend += e.blend, sum.cluster += e.cluster, sum.paths += e.paths;
         }
         std::printf("    alpha %.2f: error over that of path tracing: blend %.3f, clusters %.3f\n", alpha, sum.blend / sum.paths, sum.cluster / sum.paths);
-        EXPECT_LT(sum.blend, (alpha > 0.1 ? 1.3 : 1.05) * sum.paths) << alpha;
+        EXPECT_LT(sum.blend, (alpha > 0.1 ? full_run() ? 1.1 : 1.2 : 1.05) * sum.paths) << alpha;
     }
 }
 
