@@ -47,9 +47,11 @@ define pools
 1 spp, K 8|SPP=1 K=8 PASSES=16
 1 spp, K 16|SPP=1 K=16 PASSES=16
 2 spp, K 16|SPP=2 K=16 PASSES=8
+2 spp, K 32|SPP=2 K=32 PASSES=8
 4 spp, K 8|SPP=4 K=8 PASSES=4
 4 spp, K 16|SPP=4 K=16 PASSES=4
 4 spp, K 32|SPP=4 K=32 PASSES=4
+4 spp, K 64|SPP=4 K=64 PASSES=4
 endef
 define directs
 none|DIRECT=0

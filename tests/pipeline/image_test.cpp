@@ -3,6 +3,8 @@
 
 #include "formats/image.h"
 
+#include <fmt/format.h>
+
 #include <algorithm>
 #include <cmath>
 #include <utility>
@@ -88,6 +90,31 @@ TEST_F(MakeImage, more_passes_keep_the_finished_ones) {
     const std::string added = bytes_of(image("x", small + "SPP=1 PASSES=3"));
     EXPECT_EQ(fs::last_write_time(folder / "x/pathgraph/pass-0.exr"), time);
     EXPECT_TRUE(added == bytes_of(image("y", small + "SPP=1 PASSES=3")));
+}
+
+// How many further samples of direct light pay is measured, and is the same each time; none leave nothing to be blended.
+TEST_F(MakeImage, direct_light_is_planned_from_the_passes) {
+    int paid = 0, free = 0;
+    for (const char* scene : {"cornell-box", "environment-map"}) {
+        const std::string variables = fmt::format("SCENE=scenes/{}.xml DEFINES='resx=24 resy=16' SPP=2 PASSES=4", scene), name = scene;
+        const fs::path exr = image(name + "-1", variables + " THREADS=1"), again = image(name + "-2", variables + " THREADS=2");
+        EXPECT_TRUE(bytes_of(exr) == bytes_of(again)) << scene;
+        EXPECT_TRUE(up_to_date(name + "-1", variables));
+        const fs::path work = folder / (name + "-1") / "pathgraph";
+        const std::string samples = bytes_of(work / "direct.samples");
+        (samples == "0\n" ? free : paid) += 1;
+        EXPECT_EQ(fs::file_size(work / "direct.exr") == 0, samples == "0\n") << scene;
+        if (samples != "0\n") EXPECT_EQ(std::to_string(read_image(work / "direct.exr").samples) + "\n", samples);
+        // A number that is asked for is taken.
+        image(name + "-1", variables + " DIRECT=6");
+        EXPECT_EQ(read_image(work / "direct.exr").samples, 6u);
+        EXPECT_FALSE(bytes_of(exr) == bytes_of(again)) << scene;
+    }
+    EXPECT_EQ(paid, 1);
+    EXPECT_EQ(free, 1);
+    const Outcome few = sh(stage("merge") + " --plan-direct " + (folder / "cornell-box-1/pathgraph/pass-0.exr").string());
+    EXPECT_EQ(few.code, 2);
+    EXPECT_NE(few.err.find("only a blend takes direct light: 4 or more parts"), std::string::npos) << few.err;
 }
 
 TEST_F(MakeImage, a_changed_texture_traces_again) {
