@@ -185,6 +185,7 @@ void run(const Options& options, app::Report& report) {
         throw InputError(occlusion ? "--occlusion: needs --scene" : fmt::format("--scene {}: only --occlusion needs it", options.scene));
     std::unique_ptr<Scene> scene;
     std::uint64_t rays = 0;
+    double load_s = 0;
     Image image;
     if (options.radiance.empty()) {
         image = path_traced_image(graph, options.threads);
@@ -200,7 +201,9 @@ void run(const Options& options, app::Report& report) {
                     throw InputError(fmt::format("--members {}: {} has clusters of more than {} vertices", options.gather.members, options.clusters, max_lanes));
         }
         if (occlusion) {
+            const double before_s = report.cost().cpu_s;
             scene = load_scene(options.scene, parse_defines(options.defines));
+            load_s = report.cost().cpu_s - before_s;
             const std::string hash = content_hash_text(scene->content_hash);
             if (graph.provenance.inputs.empty() || graph.provenance.inputs[0].hash != hash)
                 throw InputError(fmt::format("{}: {} was traced in another scene, or with other -D values", options.scene, options.graph));
@@ -236,6 +239,7 @@ void run(const Options& options, app::Report& report) {
     if (subsets) cost.parents.push_back(parent_of(options.output, options.clusters));
     if (occlusion) cost.sources = {std::filesystem::path(options.scene).filename()};
     cost.rays = rays;
+    cost.load_s = load_s;
     write_cost(cost, options.output);
     report.done("{} paths, {} vertices", graph.n_paths(), graph.n_vertices());
 }
