@@ -110,10 +110,10 @@ namespace {
 
 /// What a sample of direct light costs, over a sample of path graphs: fixed figures and counts of rays, for the answer
 /// reaches bytes, and clocks never say the same twice. A ray of a path that is traced, clustered, refined and gathered
-/// costs about six times one of a picture of direct light, of which a sample takes three (camera, light, BSDF): 11 times
-/// in cornell-box, 4 in dining-room, 6 in staircase.
+/// costs about five times one of a picture of direct light, of which a sample takes three (camera, light, BSDF): 7 times
+/// in cornell-box, 5 in dining-room and staircase, 4 in sponza.
 double cost_of_direct(const std::string& part) {
-    constexpr double rays_of_direct = 3, graph_over_picture = 6;
+    constexpr double rays_of_direct = 3, graph_over_picture = 5;
     // The rays of a part are those of its graph, which are known by their costs even where the graph is gone.
     std::filesystem::path file = part;
     for (Cost cost = read_cost(file);; cost = read_cost(file)) {
