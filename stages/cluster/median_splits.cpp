@@ -30,14 +30,49 @@ Extent extent_of(std::span<const Point> points) {
     return e;
 }
 
-/// Puts the points with the n_left smallest coordinates first.
-void divide(std::span<Point> points, int axis, std::size_t n_left) {
-    const auto c = std::size_t(axis);
-    std::nth_element(points.begin(), points.begin() + std::ptrdiff_t(n_left), points.end(),
-                     [c](const Point& a, const Point& b) {
-                         return a.x[c] < b.x[c] || (a.x[c] == b.x[c] && a.vertex < b.vertex);
-                     });
-}
+/// Puts the points with the n_left smallest coordinates first: by bins of the range, so that only those of one bin are
+/// compared with each other, and without a branch on where a point goes.
+class Divider {
+  public:
+    void operator()(std::span<Point> points, int axis, std::size_t n_left, float low, float high) {
+        const auto c = std::size_t(axis);
+        const auto first = points.begin();
+        if (points.size() <= compared || !(high - low > 1e-30f)) {
+            select(points, c, n_left);
+            return;
+        }
+        bins_.resize(points.size());
+        std::array<std::uint32_t, n_bins> counts{};
+        const float scale = float(n_bins) / (high - low);
+        for (std::size_t i = 0; i < points.size(); ++i) {
+            bins_[i] = std::uint8_t(std::min(int((points[i].x[c] - low) * scale), n_bins - 1));
+            ++counts[bins_[i]];
+        }
+        std::size_t bin = 0, below = 0;
+        while (below + counts[bin] <= n_left) below += counts[bin++];
+        spare_.assign(points.begin(), points.end());
+        std::array<std::size_t, 3> next{0, below, below + counts[bin]};
+        for (std::size_t i = 0; i < points.size(); ++i)
+            points[next[std::size_t(bins_[i] >= bin) + std::size_t(bins_[i] > bin)]++] = spare_[i];
+        select({first + std::ptrdiff_t(below), counts[bin]}, c, n_left - below);
+    }
+
+  private:
+    static constexpr int n_bins = 256;
+    static constexpr std::size_t compared = 48;  // points that are faster compared than counted
+
+    static void select(std::span<Point> points, std::size_t c, std::size_t n_left) {
+        std::nth_element(points.begin(), points.begin() + std::ptrdiff_t(n_left), points.end(),
+                         [c](const Point& a, const Point& b) {
+                             return a.x[c] < b.x[c] || (a.x[c] == b.x[c] && a.vertex < b.vertex);
+                         });
+    }
+
+    std::vector<Point> spare_;
+    std::vector<std::uint8_t> bins_;
+};
+/// Kept by each thread: as much memory as a bucket has points, which fresh for each would be fresh pages.
+thread_local Divider divide;
 
 /// Puts the points below the middle of the range first; both sides get some.
 std::size_t divide_range(std::span<Point> points, int axis, float low, float high) {
@@ -76,7 +111,7 @@ class Splitter {
             const std::size_t n_pieces = (n + splits_.k - 1) / splits_.k;
             const std::size_t left_pieces = (n_pieces + (mix64(key) & 1)) / 2;
             n_left = std::clamp<std::size_t>(n * left_pieces / n_pieces, 1, n - 1);
-            divide(points, position, n_left);
+            divide(points, position, n_left, extent.low[std::size_t(position)], extent.high[std::size_t(position)]);
         }
         split(points.first(n_left), 2 * key + 1);
         split(points.subspan(n_left), 2 * key + 2);
@@ -116,7 +151,7 @@ std::int32_t Buckets::cut(std::span<Point> points, std::uint32_t per_bucket, std
         // Off the median by up to a tenth, so that borders of the largest pieces move from pass to pass too.
         const double part = 0.4 + 0.2 * double(unit_float(std::uint32_t(mix64(key) >> 32)));
         n_left = std::clamp<std::size_t>(std::size_t(part * double(n)), 1, n - 1);
-        divide(points, position, n_left);
+        divide(points, position, n_left, extent.low[axis], extent.high[axis]);
     }
     float at = points[n_left].x[axis];
     for (const Point& p : points.subspan(n_left)) at = std::min(at, p.x[axis]);

@@ -11,8 +11,8 @@
 namespace loom::cluster {
 namespace {
 
-/// Enough for figures to three digits; all of them would cost a fifth of the clustering.
-constexpr std::size_t clusters_to_measure = 16384;
+/// Enough for figures to a percent; all of them would cost a fifth of the clustering.
+constexpr std::size_t clusters_to_measure = 4096;
 
 }  // namespace
 

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "formats/io/octahedral.h"
+#include "stages/cluster/median_splits.h"
 #include "stages/cluster/nearest_centres.h"
 #include "stages/core/sampling/sampler.h"
 #include "stages/core/transport/cluster_quality.h"
@@ -303,6 +304,58 @@ TEST(SharingRule, ReadsTexturesAtTheVertex) {
     EXPECT_TRUE(shares(2)) << "just the limit, in half precision";
     EXPECT_FALSE(shares(3));
     EXPECT_TRUE(SharingRule(g, 0)(1)) << "without a limit every finite width shares";
+}
+
+/// The rule of split_by_medians() for points of one normal, by sorting: sets of vertices, piece by piece.
+void split_by_sorting(std::vector<Point> points, std::uint32_t k, std::uint64_t key, std::vector<std::vector<std::uint32_t>>& pieces) {
+    const std::size_t n = points.size();
+    if (n <= k) {
+        std::vector<std::uint32_t>& piece = pieces.emplace_back();
+        for (const Point& p : points) piece.push_back(p.vertex);
+        std::sort(piece.begin(), piece.end());
+        return;
+    }
+    std::size_t axis = 0;
+    float widest = -1;
+    for (std::size_t c = 0; c < 3; ++c) {
+        const auto [low, high] = std::minmax_element(points.begin(), points.end(), [c](const Point& a, const Point& b) { return a.x[c] < b.x[c]; });
+        if (high->x[c] - low->x[c] > widest) widest = high->x[c] - low->x[c], axis = c;
+    }
+    std::sort(points.begin(), points.end(), [axis](const Point& a, const Point& b) {
+        return a.x[axis] < b.x[axis] || (a.x[axis] == b.x[axis] && a.vertex < b.vertex);
+    });
+    const std::size_t n_pieces = (n + k - 1) / k, n_left = n * ((n_pieces + (mix64(key) & 1)) / 2) / n_pieces;
+    split_by_sorting({points.begin(), points.begin() + std::ptrdiff_t(n_left)}, k, 2 * key + 1, pieces);
+    split_by_sorting({points.begin() + std::ptrdiff_t(n_left), points.end()}, k, 2 * key + 2, pieces);
+}
+
+// Spread evenly, on a few planes (ties), with one point so far away that the rest shares a bin, and all at one place.
+// Breaks seen to fail: the bin of the median itself not divided; ties not broken by vertex.
+TEST(MedianSplits, AreThoseOfSorting) {
+    for (const int kind : {0, 1, 2, 3})
+        for (const std::size_t n : {std::size_t(33), std::size_t(500), std::size_t(5000)}) {
+            std::vector<Point> points(n);
+            for (std::size_t i = 0; i < n; ++i) {
+                Point& p = points[i];
+                p = {{}, std::uint32_t(mix64(i) % n * n + i), 0};
+                for (std::size_t c = 0; c < 3; ++c) {
+                    const float u = uniform(3 * i + c);
+                    p.x[c] = kind == 1 ? std::floor(4 * u) : kind == 3 ? 0.5f : u;
+                }
+                if (kind == 2 && i == n / 2) p.x[1] = 1e9f;
+            }
+            std::vector<std::vector<std::uint32_t>> expected;
+            split_by_sorting(points, 16, 7, expected);
+            std::vector<std::uint32_t> sizes;
+            cluster::split_by_medians(points, {16, cluster::infinite_spread, 7}, sizes);
+            ASSERT_EQ(sizes.size(), expected.size());
+            std::size_t at = 0;
+            for (std::size_t i = 0; i < sizes.size(); ++i) {
+                std::vector<std::uint32_t> piece;
+                for (std::uint32_t j = 0; j < sizes[i]; ++j) piece.push_back(points[at++].vertex);
+                EXPECT_EQ(piece, expected[i]) << "kind " << kind << ", " << n << " points, piece " << i;
+            }
+        }
 }
 
 }  // namespace
