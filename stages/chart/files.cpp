@@ -31,7 +31,7 @@ std::string words_for(const std::string& column) {
     static const std::map<std::string, std::string> words{
         {"cpu_s", "CPU time (s)"},
         {"wall_s", "wall time (s)"},
-        {"render_s", "render time (CPU s but for reading the scene)"},
+        {"render_s", "render time (CPU s)"},
         {"samples", "samples per pixel"},
         {"relmse", "relMSE"},
         {"relmse_trimmed", "relMSE, 0.1 % trimmed"},
