@@ -1,6 +1,7 @@
 # What path graphs cost and bring on many scenes, one row each: OUT/table.tsv, printed as a table.
 #
-#   cost    CPU seconds per sample of every pixel and stage, at the scene's own size, reading the scene not counted;
+#   cost    CPU seconds per sample of every pixel and stage, at the scene's own size, reading the scene not counted, of
+#           four passes of four samples as make image takes them (a process reuses the memory of its passes);
 #           the samples of direct light that the blend took at small size included, as many as pay there (direct_spp);
 #           their sum over that of path tracing is the cost ratio
 #   error   relMSE at small size after 1 sample and after 16, plain and without the 0.1 % worst pixels, against
@@ -40,13 +41,13 @@ $(OUT)/$(call name,$(1))/row.tsv: $(1) pipelines/table.mk pipelines/still.mk $(w
 	@echo '$(call name,$(1))' >&2
 	@$$(call picture,load,METHOD=pt SPP=1 DEFINES="resx=16 resy=16")
 	@$$(call picture,cost-pt,METHOD=pt SPP=4)
-	@$$(call picture,cost-pathgraph,METHOD=pathgraph SPP=4 PASSES=1)
+	@$$(call picture,cost-pathgraph,METHOD=pathgraph SPP=4 PASSES=4 DIRECT=0)
 	@$$(call picture,cost-direct,METHOD=pt SPP=16 TRACE="--max-depth 2")
 	@set -e; ref='$(REFERENCES)/$(call name,$(1))_ref.exr'; var='$(REFERENCES)/$(call name,$(1))_var.exr'; \
 	load=$$(call seconds,load,loom-trace); \
 	plain=$$(call seconds,cost-pt,loom-trace); trace=$$(call seconds,cost-pathgraph,loom-trace); \
 	cluster=$$(call seconds,cost-pathgraph,loom-cluster); refine=$$(call seconds,cost-pathgraph,loom-refine); \
-	gather=$$(call seconds,cost-pathgraph,loom-gather); direct=$$(call seconds,cost-direct,loom-trace); \
+	gather=$$(call seconds,cost-pathgraph,loom-gather); merge=$$(call seconds,cost-pathgraph,loom-merge); direct=$$(call seconds,cost-direct,loom-trace); \
 	if [ -f "$$$$ref" ]; then \
 		size=$$$$($(BUILD)/bin/loom-inspect --quiet --json "$$$$ref" | tr -d ' \n' | \
 			sed -E 's/.*"dataWindow":"x0to([0-9]+),y0to([0-9]+)".*/\1 \2/' | awk '{ print "resx=" $$$$1 + 1, "resy=" $$$$2 + 1 }'); \
@@ -59,18 +60,18 @@ $(OUT)/$(call name,$(1))/row.tsv: $(1) pipelines/table.mk pipelines/still.mk $(w
 	$$(call picture,pt-16,METHOD=pt SPP=16 DEFINES="$$$$size"); \
 	$$(call picture,pathgraph-16,METHOD=pathgraph SPP=4 PASSES=4 DEFINES="$$$$size"); \
 	n=$$$$(cat $$(@D)/pathgraph-16/pathgraph/direct.samples); \
-	ratio=$$$$(awk "BEGIN { print (($$$$trace - $$$$load + $$$$cluster + $$$$refine + $$$$gather) / 4 + ($$$$direct - $$$$load) / 16 * $$$$n / 16) / (($$$$plain - $$$$load) / 4) }"); \
+	ratio=$$$$(awk "BEGIN { print (($$$$trace - $$$$load + $$$$cluster + $$$$refine + $$$$gather + $$$$merge) / 16 + ($$$$direct - $$$$load) / 16 * $$$$n / 16) / (($$$$plain - $$$$load) / 4) }"); \
 	equal=$$$$(awk "BEGIN { print int(16 * $$$$ratio + 0.5) }"); \
 	$$(call picture,pt-equal,METHOD=pt SPP=$$$$equal DEFINES="$$$$size"); \
 	$(compare) --quiet --tsv --reference "$$$$ref" $$$${var:+$$$$([ -f "$$$$var" ] && echo --reference-variance "$$$$var")} \
 		$$(foreach p,pt-1 pathgraph-1 pt-16 pathgraph-16 pt-equal,$$(p)=$$(@D)/$$(p)/image.exr) >$$(@D)/errors.tsv; \
 	awk -F'\t' -v OFS='\t' -v scene='$(call name,$(1))' -v load="$$$$load" -v plain="$$$$plain" -v trace="$$$$trace" \
-		-v cluster="$$$$cluster" -v refine="$$$$refine" -v gather="$$$$gather" -v direct="$$$$direct" -v n="$$$$n" -v ratio="$$$$ratio" -v equal="$$$$equal" \
+		-v cluster="$$$$cluster" -v refine="$$$$refine" -v gather="$$$$gather" -v merge="$$$$merge" -v direct="$$$$direct" -v n="$$$$n" -v ratio="$$$$ratio" -v equal="$$$$equal" \
 		'NR == 1 { for (i = 1; i <= NF; ++i) at[$$$$i] = i; next } \
 		{ net = $$$$at["relmse_net"]; e[$$$$2] = net; t[$$$$2] = $$$$at["relmse_trimmed"] - $$$$at["reference_noise"]; c[$$$$2] = $$$$at["corr_right"] } \
-		END { print "scene", "pt_s", "trace_s", "cluster_s", "refine_s", "gather_s", "direct_spp", "direct_s", "cost_ratio", "pt_1", "pathgraph_1", \
+		END { print "scene", "pt_s", "trace_s", "cluster_s", "refine_s", "gather_s", "merge_s", "direct_spp", "direct_s", "cost_ratio", "pt_1", "pathgraph_1", \
 			"gain_1_trimmed", "pt_16", "pathgraph_16", "gain_16_trimmed", "equal_spp", "equal_gain", "equal_gain_trimmed", "corr_right"; \
-		print scene, (plain - load) / 4, (trace - load) / 4, cluster / 4, refine / 4, gather / 4, n, (direct - load) / 16 * n / 16, ratio, e["pt-1"], \
+		print scene, (plain - load) / 4, (trace - load) / 16, cluster / 16, refine / 16, gather / 16, merge / 16, n, (direct - load) / 16 * n / 16, ratio, e["pt-1"], \
 			e["pathgraph-1"], t["pt-1"] / t["pathgraph-1"], e["pt-16"], e["pathgraph-16"], t["pt-16"] / t["pathgraph-16"], equal, \
 			e["pt-equal"] / e["pathgraph-16"], t["pt-equal"] / t["pathgraph-16"], c["pathgraph-16"] }' $$(@D)/errors.tsv >$$@
 endef
