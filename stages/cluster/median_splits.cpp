@@ -36,7 +36,6 @@ class Divider {
   public:
     void operator()(std::span<Point> points, int axis, std::size_t n_left, float low, float high) {
         const auto c = std::size_t(axis);
-        const auto first = points.begin();
         if (points.size() <= compared || !(high - low > 1e-30f)) {
             select(points, c, n_left);
             return;
@@ -54,7 +53,7 @@ class Divider {
         std::array<std::size_t, 3> next{0, below, below + counts[bin]};
         for (std::size_t i = 0; i < points.size(); ++i)
             points[next[std::size_t(bins_[i] >= bin) + std::size_t(bins_[i] > bin)]++] = spare_[i];
-        select({first + std::ptrdiff_t(below), counts[bin]}, c, n_left - below);
+        select(points.subspan(below, counts[bin]), c, n_left - below);
     }
 
   private:
