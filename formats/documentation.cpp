@@ -6,6 +6,7 @@
 #include "formats/image.h"
 #include "formats/path_graph.h"
 #include "formats/radiance.h"
+#include "formats/transient_cube.h"
 
 namespace loom {
 namespace {
@@ -49,7 +50,7 @@ std::string section() {
 }  // namespace
 
 std::string formats_markdown() {
-    return std::string(preamble) + section<PathGraph>() + section<Clusters>() + section<Radiance>() +
+    return std::string(preamble) + section<PathGraph>() + section<Clusters>() + section<Radiance>() + section<TransientCube>() +
            fmt::format(
                "\n## {} {}.{} (OpenEXR)\n\nfloat32, row 0 on top; the header says `samples` per pixel "
                "too.\n\n{}",

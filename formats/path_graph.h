@@ -131,6 +131,13 @@ struct PathGraphHeader {
         std::string sampler = "independent";
     } tracing;
 
+    /// What a time-resolved film asks for; empty columns for any other.
+    struct Transient {
+        Column<std::uint32_t> n_bins;
+        Column<double> start_opl, bin_width_opl, sigma_opl;
+        Column<std::uint8_t> camera_segment;
+    } transient;
+
     struct Materials {
         std::vector<std::string> id;
         Column<std::uint8_t> kind, distribution, two_sided, nonlinear, sample_visible, textured;
@@ -157,7 +164,7 @@ struct PathGraphHeader {
 /// The declaration of the format; the same for every way in which the columns can lie in memory.
 template <template <class> class ColumnOf>
 struct PathGraphOf : PathGraphHeader, PathRows<ColumnOf> {
-    static constexpr FormatId format{"path_graph", 1, 0};
+    static constexpr FormatId format{"path_graph", 1, 1};
 
     template <class Self, class Visitor>
     static void fields(Self& g, Visitor& v);
@@ -285,6 +292,15 @@ void PathGraphOf<ColumnOf>::fields(Self& g, Visitor& v) {
     v.value("tracing/roulette_depth", t.roulette_depth, "", "1", "depth from which roulette is played");
     v.value("tracing/sampler", t.sampler, "", "1",
             "sampler; its numbers are a function of (seed, pixel, sample, dimension)");
+
+    auto& w = g.transient;
+    v.optional("transient/n_bins", w.n_bins, 1, "film", "1", "time-resolved film: number of bins");
+    v.optional("transient/start_opl", w.start_opl, 1, "film", "m", "optical path length at which the first bin begins");
+    v.optional("transient/bin_width_opl", w.bin_width_opl, 1, "film", "m", "optical path length of a bin");
+    v.optional("transient/sigma_opl", w.sigma_opl, 1, "film", "m",
+               "standard deviation of the film's Gaussian temporal filter; 0: box");
+    v.optional("transient/camera_segment", w.camera_segment, 1, "film", "1",
+               "1: lengths count from the camera, 0: from the first hit");
 
     PathRows<ColumnOf>::row_fields(g, v);
 

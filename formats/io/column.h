@@ -71,6 +71,22 @@ struct PlacedColumn {
     }
 };
 
+/// One array of known length whose elements are written to the file one by one: Hdf5Writer::fill.
+template <class T>
+class LateColumn {
+  public:
+    using Element = T;
+
+    LateColumn() = default;
+    explicit LateColumn(std::size_t size) : size_(size) {}
+    std::array<std::span<const T>, 0> pieces() const { return {}; }
+    std::size_t size() const { return size_; }
+    bool empty() const { return size_ == 0; }
+
+  private:
+    std::size_t size_ = 0;
+};
+
 /// One array whose consecutive pieces lie apart, in memory that outlives it: what a writer takes without
 /// anyone having joined it.
 template <class T>

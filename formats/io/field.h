@@ -10,6 +10,7 @@
 #include <string>
 #include <string_view>
 #include <type_traits>
+#include <utility>
 #include <vector>
 
 #include "formats/io/column.h"
@@ -115,6 +116,14 @@ class FieldVisitor {
     void field(std::string_view name, C& column, std::size_t width, std::string_view axes,
                std::string_view units, std::string_view text, Finite finite = Finite::required) {
         add(name, column, width, axes, units, text, Presence::required, finite);
+    }
+    /// Rows of several axes: `row_shape` has the extents after the first.
+    template <class C>
+    void grid(std::string_view name, C& column, std::vector<std::size_t> row_shape, std::string_view axes,
+              std::string_view units, std::string_view text, Finite finite = Finite::required) {
+        self().column_of(Field{name, element_type<typename C::Element>(), std::move(row_shape), axes, units, text,
+                               Presence::required, finite},
+                         column);
     }
     template <class C>
     void optional(std::string_view name, C& column, std::size_t width, std::string_view axes,

@@ -39,6 +39,10 @@ std::size_t first_nonfinite(std::span<const Half> values) {
 
 void FieldChecker::check_length(const Field& field, std::size_t n_elements) {
     if (!problem_.empty()) return;
+    if (field.row_size() == 0) {
+        problem_ = fmt::format("{}: has rows without elements", field.name);
+        return;
+    }
     const std::size_t rows = n_elements / field.row_size();
     if (rows * field.row_size() != n_elements) {
         problem_ =

@@ -8,6 +8,7 @@
 #include <algorithm>
 #include <cerrno>
 #include <cstring>
+#include <utility>
 
 #include "formats/io/hdf5_handle.h"
 
@@ -126,13 +127,20 @@ struct Hdf5Writer::Impl {
             fail(field.name);
         const haddr_t offset = H5Dget_offset(made.get());
         if (offset == HADDR_UNDEF) fail(field.name);
-        reserved.push_back({offset, std::move(pieces)});
+        reserved.push_back({std::string(field.name), offset, std::move(pieces)});
     }
 
-    /// Fills the reserved datasets of the closed file, in the order in which they lie.
+    /// From here on only the bytes of reserved datasets are written.
+    void close_structure() {
+        if (fd >= 0) return;
+        if (H5Fflush(file.get(), H5F_SCOPE_LOCAL) < 0 || !file.close()) fail("the file");
+        fd = ::open(output.partial().c_str(), O_WRONLY | O_CLOEXEC);
+        if (fd < 0) fail("the file", std::strerror(errno));
+    }
+
+    /// Fills the reserved datasets whose pieces are known, in the order in which they lie.
     void fill_reserved(Sync sync) {
-        const int fd = ::open(output.partial().c_str(), O_WRONLY | O_CLOEXEC);
-        bool good = fd >= 0;
+        bool good = true;
         for (auto r = reserved.begin(); good && r != reserved.end(); ++r) {
             off_t at = static_cast<off_t>(r->offset), kicked = at;
             for (auto piece = r->pieces.begin(); good && piece != r->pieces.end(); ++piece) {
@@ -145,17 +153,23 @@ struct Hdf5Writer::Impl {
             }
         }
         const int error = errno;
-        if (fd >= 0 && ::close(fd) != 0 && good) fail("the file", std::strerror(errno));
+        if (::close(std::exchange(fd, -1)) != 0 && good) fail("the file", std::strerror(errno));
         if (!good) fail("the file", std::strerror(error));
     }
 
     struct Reserved {
+        std::string name;
         haddr_t offset;
         Pieces pieces;
     };
     std::vector<Reserved> reserved;
     OutputFile output;
     Hdf5Handle file;
+    int fd = -1;  // of the file whose structure is complete
+
+    ~Impl() {
+        if (fd >= 0) ::close(fd);
+    }
 };
 
 Hdf5Writer::Hdf5Writer(const std::filesystem::path& path, const FormatId& format,
@@ -190,7 +204,7 @@ Hdf5Writer::Hdf5Writer(const std::filesystem::path& path, const FormatId& format
 Hdf5Writer::~Hdf5Writer() = default;
 
 void Hdf5Writer::commit(Sync sync) {
-    if (H5Fflush(impl_->file.get(), H5F_SCOPE_LOCAL) < 0 || !impl_->file.close()) impl_->fail("the file");
+    impl_->close_structure();
     impl_->fill_reserved(sync);
     impl_->output.commit(sync);
 }
@@ -198,6 +212,12 @@ void Hdf5Writer::commit(Sync sync) {
 void Hdf5Writer::write(const Field& field, const std::vector<std::size_t>& extents,
                        std::span<const std::byte> data) {
     impl_->dataset(field, extents, disk_type(field.type).get(), data.data());
+}
+
+void Hdf5Writer::fill_bytes(std::string_view name, std::size_t first, std::span<const std::byte> bytes) {
+    impl_->close_structure();
+    for (const Impl::Reserved& r : impl_->reserved)
+        if (r.name == name && !write_at(impl_->fd, bytes, static_cast<off_t>(r.offset + first))) impl_->fail(name, std::strerror(errno));
 }
 
 void Hdf5Writer::reserve(const Field& field, const std::vector<std::size_t>& extents, Pieces pieces) {

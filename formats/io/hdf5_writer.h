@@ -15,6 +15,11 @@ class Hdf5Writer : public FieldVisitor<Hdf5Writer> {
   public:
     Hdf5Writer(const std::filesystem::path& path, const FormatId& format, const Provenance& provenance);
     ~Hdf5Writer();
+    /// Once all fields are declared: writes elements of a LateColumn from element `first` on, in any order, at once.
+    template <class T>
+    void fill(std::string_view name, std::size_t first, std::span<const T> values) {
+        fill_bytes(name, first * sizeof(T), std::as_bytes(values));
+    }
     /// Syncs the file and gives it its name. Without it nothing is left.
     void commit(Sync sync);
 
@@ -42,6 +47,7 @@ class Hdf5Writer : public FieldVisitor<Hdf5Writer> {
   private:
     using Pieces = std::vector<std::span<const std::byte>>;
     struct Impl;
+    void fill_bytes(std::string_view name, std::size_t first, std::span<const std::byte> bytes);
     void reserve(const Field& field, const std::vector<std::size_t>& extents, Pieces pieces);
     void write(const Field& field, const std::vector<std::size_t>& extents, std::span<const std::byte> data);
     void write_texts(const Field& field, const std::vector<std::size_t>& extents,

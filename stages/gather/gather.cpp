@@ -34,16 +34,13 @@ FirstHit first_hit(const PathGraph& g, std::size_t path, const ShadingPoint& at)
 /// in: first light edge of the path; out: that of the next path
 Spectrum path_radiance(const GraphReader& reader, std::size_t path, std::size_t& edge, FirstHit& first) {
     const PathGraph& g = reader.graph();
-    const auto& e = g.light_edges;
     Spectrum L = rgb(g.paths.Le, path);
-    Spectrum beta(1);
-    const std::uint64_t begin = g.paths.first_vertex[path], end = g.paths.first_vertex[path + 1];
-    for (std::uint64_t j = begin; j < end; ++j) {
-        const ShadingPoint at = reader.vertex(j);
-        if (j == begin) first = first_hit(g, path, at);
-        for (; edge < e.vertex.size() && e.vertex[edge] == j; ++edge) L += beta * own_light(reader, at, j, edge);
-        if (j + 1 < end) beta *= own_continuation(reader, at, j, continuation_direction(g, j));
-    }
+    walk_path(
+        reader, path, edge,
+        [&](std::size_t j, const ShadingPoint& at) {
+            if (j == g.paths.first_vertex[path]) first = first_hit(g, path, at);
+        },
+        [&](std::size_t, std::size_t, const Spectrum& light) { L += light; });
     return L;
 }
 

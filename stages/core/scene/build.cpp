@@ -120,6 +120,11 @@ void build_sensor(const Object& root, Scene& scene) {
     if (const ObjectPtr film = o->child(Category::film)) {
         s.width = std::uint32_t(film->get_int("width", 768));
         s.height = std::uint32_t(film->get_int("height", 576));
+        if (film->plugin == "transient_hdr_film") {
+            scene.transient.n_bins = std::uint32_t(film->get_int("temporal_bins", 2048));
+            scene.transient.start_opl = film->get_double("start_opl", 0.0);
+            scene.transient.bin_width_opl = film->get_double("bin_width_opl", 0.003);
+        }
         if (const ObjectPtr filter = film->child(Category::rfilter)) {
             if (filter->plugin == "box") {
                 s.filter = Filter::box;
@@ -160,8 +165,13 @@ void build_limits(const Object& root, Scene& scene) {
     ObjectPtr o = root.child(Category::integrator);
     while (o && o->child(Category::integrator)) o = o->child(Category::integrator);
     if (!o) return;
-    scene.max_depth = o->plugin == "direct" ? 2 : o->get_int("max_depth", -1);
+    const bool transient = o->plugin.starts_with("transient_");
+    scene.max_depth = o->plugin == "direct" ? 2 : o->get_int("max_depth", transient ? 6 : -1);
     scene.rr_depth = o->get_int("rr_depth", 5);
+    if (!transient) return;
+    scene.transient.camera_segment = !o->get_bool("camera_unwarp", false);
+    if (o->get_string("temporal_filter", "box") == "gaussian")
+        scene.transient.sigma_opl = o->get_double("gaussian_stddev", 2.0) * scene.transient.bin_width_opl;
 }
 
 Framef frame_of(const Matrix4d& world) {

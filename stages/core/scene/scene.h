@@ -108,8 +108,17 @@ struct SceneFeatures {
     bool delta_lobes = false;
 };
 
+/// What a time-resolved film asks for, in optical path lengths (m).
+struct TransientFilm {
+    std::uint32_t n_bins = 0;  // 0: the film is not time-resolved
+    double start_opl = 0, bin_width_opl = 0;
+    double sigma_opl = 0;        // of a Gaussian temporal filter; 0: box
+    bool camera_segment = true;  // lengths count from the camera, not from the first hit
+};
+
 struct Scene {
     Sensor sensor;
+    TransientFilm transient;
     int max_depth = -1;  // longest path in edges; -1: no limit
     int rr_depth = 5;
     std::vector<Shape> shapes;

@@ -192,7 +192,12 @@ std::vector<PluginSchema> make_table() {
                            {"burn", number, ignored},
                            {"tonemap_method", string, ignored}},
         {{rfilter}}, legacy | ignored);
-    not_yet(film, {"specfilm", "transient_hdr_film", "phasor_hdr_film", "mfilm", "tiledhdrfilm"});
+    add(film, "transient_hdr_film",
+        image + Parameters{{"temporal_bins", integer, positive},
+                           {"start_opl", number},
+                           {"bin_width_opl", number, positive}},
+        {{rfilter}});
+    not_yet(film, {"specfilm", "phasor_hdr_film", "mfilm", "tiledhdrfilm"});
     add(rfilter, "box", {{"radius", number, positive}});
     add(rfilter, "tent", {{"radius", number, positive}});
     add(rfilter, "gaussian", {{"stddev", number, positive}, {"radius", number, positive}});
@@ -232,7 +237,12 @@ std::vector<PluginSchema> make_table() {
              {"strict_normals", boolean, legacy | ignored}});
     for (const std::string_view type : {"moment", "aov", "adaptive", "irrcache"})
         add(integrator, type, {{"aovs", string, ignored}}, {{integrator, 1, any_number}}, ignored);
-    not_yet(integrator, {"transient_path", "transient_nlos_path", "transient_prbvolpath",
+    add(integrator, "transient_path",
+        depths + Parameters{{"camera_unwarp", boolean},
+                            {"temporal_filter", string, 0, "box|gaussian"},
+                            {"gaussian_stddev", number, positive},
+                            {"block_size", integer, ignored}});
+    not_yet(integrator, {"transient_nlos_path", "transient_prbvolpath",
                          "transient_prb_volpath", "depth", "stokes", "field", "ao", "vpl", "multichannel"});
 
     // Textures

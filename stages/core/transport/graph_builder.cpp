@@ -68,6 +68,14 @@ void describe_scene(const Scene& scene, PathGraphHeader& g) {
     g.sensor.rfilter = s.filter == Filter::box ? "box" : s.filter == Filter::tent ? "tent" : "gaussian";
     g.sensor.rfilter_radius = s.filter_radius;
 
+    if (const TransientFilm& film = scene.transient; film.n_bins > 0) {
+        g.transient.n_bins = {film.n_bins};
+        g.transient.start_opl = {film.start_opl};
+        g.transient.bin_width_opl = {film.bin_width_opl};
+        g.transient.sigma_opl = {film.sigma_opl};
+        g.transient.camera_segment = {std::uint8_t(film.camera_segment)};
+    }
+
     auto& out = g.materials;
     const auto& in = scene.materials;
     using M = BsdfModel;

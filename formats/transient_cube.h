@@ -1,0 +1,128 @@
+#pragma once
+// transient_cube: an image whose pixels are histograms over the optical path length of the light.
+
+#include <cstdint>
+#include <filesystem>
+#include <memory>
+#include <span>
+#include <string>
+
+#include "formats/io/documenter.h"
+#include "formats/io/field.h"
+#include "formats/io/mapped_file.h"
+#include "formats/io/output_file.h"
+#include "formats/io/provenance.h"
+
+namespace loom {
+
+class Hdf5Writer;
+
+/// m/ns
+inline constexpr double speed_of_light = 0.299792458;
+
+/// What a cube says of itself. Lengths are optical path lengths in units of the scene, which are metres_per_unit long.
+struct TransientCubeHeader {
+    struct Film {
+        std::uint32_t width = 0, height = 0;
+        std::uint64_t samples_per_pixel = 0;
+    } film;
+
+    struct Time {
+        std::uint32_t n_bins = 0;
+        double start_opl = 0, bin_width_opl = 0, gate_opl = 0;
+        std::string unit = "opl";  // or "ns": in which the user thinks
+        double metres_per_unit = 1;
+        std::uint8_t camera_segment = 1;
+    } time;
+
+    struct Response {
+        std::string pulse = "delta";
+        double length_opl = 0, tail_opl = 0, period_opl = 0;
+    } response;
+
+    Provenance provenance;
+
+    std::size_t n_pixels() const { return std::size_t{film.width} * film.height; }
+    std::size_t row_size() const { return std::size_t{film.width} * time.n_bins * 3; }  // numbers of a row y
+    /// Ticks for people: length or time, as `unit` says, of an optical path length.
+    double in_unit(double opl) const { return time.unit == "ns" ? opl * time.metres_per_unit / speed_of_light : opl; }
+};
+
+template <template <class> class ColumnOf>
+struct TransientCubeOf : TransientCubeHeader {
+    static constexpr FormatId format{"transient_cube", 1, 0};
+
+    ColumnOf<float> radiance, var_mean;              // [y, x, bin, channel]
+    ColumnOf<float> before, after, never, steady;    // [y, x, channel]
+
+    template <class Self, class Visitor>
+    static void fields(Self& c, Visitor& v);
+};
+
+struct TransientCube : TransientCubeOf<Column> {
+    std::shared_ptr<const MappedFile> storage;
+
+    /// The invariants that go beyond types, lengths and finite floats; empty when all hold.
+    std::string problem() const;
+};
+
+/// Rows y of a cube; of each array `row_size()` or 3 width numbers per row.
+struct TransientRows {
+    std::span<const float> radiance, var_mean, before, after, never, steady;
+};
+
+/// Writes a cube by rows, in any order, without ever holding it.
+class TransientCubeWriter {
+  public:
+    TransientCubeWriter(const std::filesystem::path& path, const TransientCubeHeader& header);
+    ~TransientCubeWriter();
+    /// NEEDS one caller at a time.
+    void write_rows(std::uint32_t first_row, const TransientRows& rows);
+    /// Once all rows are written: syncs the file and gives it its name. Without it nothing is left.
+    void commit(Sync sync = Sync::yes);
+
+  private:
+    std::size_t row_size_, width_;
+    std::unique_ptr<Hdf5Writer> writer_;
+};
+
+/// Reads, maps and checks the whole file.
+/// throws:  InputError naming the file and the dataset
+TransientCube read_transient_cube(const std::filesystem::path& path);
+
+template <template <class> class ColumnOf>
+template <class Self, class Visitor>
+void TransientCubeOf<ColumnOf>::fields(Self& c, Visitor& v) {
+    v.value("film/width", c.film.width, "", "px", "image width");
+    v.value("film/height", c.film.height, "", "px", "image height");
+    v.value("film/samples_per_pixel", c.film.samples_per_pixel, "", "1", "paths per pixel");
+
+    auto& t = c.time;
+    v.value("time/n_bins", t.n_bins, "", "1", "number of bins");
+    v.value("time/start_opl", t.start_opl, "", "m", "optical path length at which bin 0 opens; bin k opens k bin_width_opl later");
+    v.value("time/bin_width_opl", t.bin_width_opl, "", "m", "from bin to bin");
+    v.value("time/gate_opl", t.gate_opl, "", "m", "how long a bin is open");
+    v.value("time/unit", t.unit, "", "1", "opl or ns: how pictures of this cube are labelled");
+    v.value("time/metres_per_unit", t.metres_per_unit, "", "m",
+            "length of a unit of the scene: an optical path length l takes l metres_per_unit / 0.299792458 ns");
+    v.value("time/camera_segment", t.camera_segment, "", "1", "1: lengths count from the camera, 0: from the first hit");
+
+    auto& r = c.response;
+    v.value("response/pulse", r.pulse, "", "1", "delta, box, gaussian, expgauss, table, or modulated: sine, square");
+    v.value("response/length_opl", r.length_opl, "", "m", "length of a box pulse, standard deviation of a Gaussian one; 0 for others");
+    v.value("response/tail_opl", r.tail_opl, "", "m", "mean of the exponential part of expgauss; 0 for others");
+    v.value("response/period_opl", r.period_opl, "", "m", "period of a modulation; 0 for pulses");
+
+    const std::size_t width = c.film.width, bins = c.time.n_bins;
+    constexpr std::string_view unit = "W m^-2 sr^-1";
+    v.grid("radiance", c.radiance, {width, bins, 3}, "y,x,bin,channel", unit,
+           "mean radiance that each bin records, not divided by its width; row 0 on top, channels R G B", Finite::counted);
+    v.grid("var_mean", c.var_mean, {width, bins, 3}, "y,x,bin,channel", "(W m^-2 sr^-1)^2", "variance of that mean", Finite::counted);
+    v.grid("before", c.before, {width, 3}, "y,x,channel", unit, "radiance that arrives before bin 0 opens", Finite::counted);
+    v.grid("after", c.after, {width, 3}, "y,x,channel", unit, "radiance that arrives after the last bin", Finite::counted);
+    v.grid("never", c.never, {width, 3}, "y,x,channel", unit, "radiance of lights at infinity, which has no time of arrival", Finite::counted);
+    v.grid("steady", c.steady, {width, 3}, "y,x,channel", unit,
+           "radiance at all times: with gates that tile the time, sum of the bins + before + after + never", Finite::counted);
+}
+
+}  // namespace loom

@@ -1,0 +1,174 @@
+#include <tbb/enumerable_thread_specific.h>
+
+#include <algorithm>
+
+#include "stages/core/app/report.h"
+#include "stages/core/transport/parallel.h"
+#include "stages/core/transport/time_of_flight.h"
+#include "stages/transient/transient.h"
+
+namespace loom::transient {
+namespace {
+
+/// What a pixel has recorded: sums over its paths of what each bin gets, and of its square.
+class Histogram {
+  public:
+    explicit Histogram(std::uint32_t n_bins) : sum_(3 * n_bins), square_(3 * n_bins) {}
+
+    void add(std::uint32_t bin, const Rgb<double>& of_path) {
+        for (int c = 0; c < 3; ++c) {
+            sum_[3 * bin + c] += of_path[c];
+            square_[3 * bin + c] += sqr(of_path[c]);
+        }
+    }
+    void clear() {
+        std::fill(sum_.begin(), sum_.end(), 0.0);
+        std::fill(square_.begin(), square_.end(), 0.0);
+        before = after = never = steady = {};
+    }
+    void write(double n, float* mean, float* var_mean) const {
+        for (std::size_t i = 0; i < sum_.size(); ++i) {
+            const double m = sum_[i] / n;
+            mean[i] = float(m);
+            var_mean[i] = n > 1 ? float(std::max(square_[i] / n - sqr(m), 0.0) / (n - 1)) : 0.0f;
+        }
+    }
+
+    Rgb<double> before, after, never, steady;
+
+  private:
+    std::vector<double> sum_, square_;
+};
+
+/// What one thread works with: histograms of the pixels of a chunk, and the bins that the path at hand has reached.
+class Worker {
+  public:
+    Worker(const TimeResponse& response, std::size_t n_pixels)
+        : histograms(n_pixels, Histogram(response.n_bins)), response_(response), of_path_(response.n_bins) {}
+
+    void add(Histogram& pixel, const Spectrum& light, double opl) {
+        const Rgb<double> L(light);
+        pixel.steady += L;
+        if (std::isinf(opl)) {
+            pixel.never += L;
+            return;
+        }
+        const auto outside = response_.spread(opl, [&](std::uint32_t bin, double weight) {
+            if (is_black(of_path_[bin])) touched_.push_back(bin);
+            of_path_[bin] += L * weight;
+        });
+        pixel.before += L * outside.before;
+        pixel.after += L * outside.after;
+    }
+    /// The path is through: what it has brought to each bin is one sample.
+    void end_path(Histogram& pixel) {
+        for (const std::uint32_t bin : touched_) {
+            pixel.add(bin, of_path_[bin]);
+            of_path_[bin] = {};
+        }
+        touched_.clear();
+    }
+
+    std::vector<Histogram> histograms;
+
+  private:
+    const TimeResponse& response_;
+    std::vector<Rgb<double>> of_path_;
+    std::vector<std::uint32_t> touched_;
+};
+
+/// Rows of the cube in memory.
+struct Block {
+    std::vector<float> radiance, var_mean, before, after, never, steady;
+
+    Block(std::size_t n_pixels, std::uint32_t n_bins)
+        : radiance(n_pixels * n_bins * 3), var_mean(radiance.size()), before(3 * n_pixels), after(before), never(before), steady(before) {}
+
+    TransientRows rows(std::size_t n_pixels, std::uint32_t n_bins) const {
+        const auto first = [](const std::vector<float>& all, std::size_t n) { return std::span(all).first(n); };
+        return {first(radiance, n_pixels * n_bins * 3), first(var_mean, n_pixels * n_bins * 3), first(before, 3 * n_pixels),
+                first(after, 3 * n_pixels), first(never, 3 * n_pixels), first(steady, 3 * n_pixels)};
+    }
+};
+
+void put(std::vector<float>& to, std::size_t pixel, const Rgb<double>& sum, double n) {
+    for (int c = 0; c < 3; ++c) to[3 * pixel + c] = float(sum[c] / n);
+}
+
+}  // namespace
+
+void bin_graphs(std::span<const PathGraph> graphs, const TimeResponse& response, const Timing& timing, std::uint64_t max_bytes, int threads,
+                app::Progress& progress, const std::function<void(std::uint32_t, const TransientRows&)>& take) {
+    const std::size_t width = graphs[0].sensor.width, height = graphs[0].sensor.height, n_pixels = width * height;
+    const std::size_t row_bytes = width * response.n_bins * 3 * 2 * sizeof(float);
+    const std::size_t block_rows = std::clamp<std::size_t>(max_bytes / row_bytes, 1, height);
+    // As many pixels side by side as their histograms fit a cache: light edges are then read in order.
+    const std::size_t chunk = std::clamp<std::size_t>((256 << 10) / (response.n_bins * 3 * 2 * sizeof(double)), 1, 256);
+    std::vector<GraphReader> readers;
+    std::uint64_t samples = 0;
+    for (const PathGraph& g : graphs) {
+        readers.emplace_back(g);
+        samples += g.tracing.samples_per_pixel;
+    }
+    const GroupIndex group{timing.group_index};
+    Block block(block_rows * width, response.n_bins);
+    tbb::enumerable_thread_specific<Worker> workers([&] { return Worker(response, chunk); });
+    for (std::size_t first_row = 0; first_row < height; first_row += block_rows) {
+        const std::size_t first = first_row * width, n = std::min(block_rows, height - first_row) * width;
+        parallel_chunks(n, chunk, threads, [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
+            Worker& worker = workers.local();
+            for (std::size_t i = 0; i < end - begin; ++i) worker.histograms[i].clear();
+            for (const GraphReader& reader : readers) {
+                const PathGraph& g = reader.graph();
+                for (std::uint64_t s = 0; s < g.tracing.samples_per_pixel; ++s) {
+                    const std::size_t first_path = s * n_pixels + first + begin;
+                    std::size_t edge = first_light_edge(g, g.paths.first_vertex[first_path]);
+                    for (std::size_t i = 0; i < end - begin; ++i) {
+                        Histogram& pixel = worker.histograms[i];
+                        walk_in_time(reader, first_path + i, timing.camera_segment, group, edge,
+                                     [&](const Spectrum& L, double opl) { worker.add(pixel, L, opl); });
+                        worker.end_path(pixel);
+                    }
+                }
+            }
+            for (std::size_t i = 0; i < end - begin; ++i) {
+                const Histogram& pixel = worker.histograms[i];
+                const std::size_t at = begin + i;
+                pixel.write(double(samples), &block.radiance[at * response.n_bins * 3], &block.var_mean[at * response.n_bins * 3]);
+                put(block.before, at, pixel.before, double(samples));
+                put(block.after, at, pixel.after, double(samples));
+                put(block.never, at, pixel.never, double(samples));
+                put(block.steady, at, pixel.steady, double(samples));
+            }
+            progress.add(end - begin);
+        });
+        take(std::uint32_t(first_row), block.rows(n, response.n_bins));
+    }
+}
+
+Window window_of(const PathGraph& graph, const Timing& timing) {
+    constexpr std::size_t looked_at = 65536;
+    const GraphReader reader(graph);
+    const GroupIndex group{timing.group_index};
+    std::vector<std::pair<double, double>> arrivals;  // (opl, luminance)
+    double energy = 0;
+    const std::size_t step = std::max<std::size_t>(graph.n_paths() / looked_at, 1);
+    for (std::size_t path = 0; path < graph.n_paths(); path += step) {
+        std::size_t edge = first_light_edge(graph, graph.paths.first_vertex[path]);
+        walk_in_time(reader, path, timing.camera_segment, group, edge, [&](const Spectrum& L, double opl) {
+            const double y = luminance(L);
+            if (!std::isfinite(opl) || !(y > 0)) return;
+            arrivals.emplace_back(opl, y);
+            energy += y;
+        });
+    }
+    if (arrivals.empty()) return {};
+    std::sort(arrivals.begin(), arrivals.end());
+    double late = 0;
+    std::size_t last = arrivals.size() - 1;
+    while (last > 0 && late + arrivals[last].second < 1e-3 * energy) late += arrivals[last--].second;
+    const double start = arrivals.front().first, end = arrivals[last].first;
+    return {start, end > start ? end : start + 1};
+}
+
+}  // namespace loom::transient

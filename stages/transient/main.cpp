@@ -1,0 +1,11 @@
+#include "stages/transient/transient.h"
+
+#include "stages/core/app/command.h"
+
+int main(int argc, char** argv) {
+    using namespace loom;
+    transient::Options options;
+    app::Command command{"transient: bin the paths of a graph by when their light arrives"};
+    transient::declare(command, options);
+    return command.execute(argc, argv, [&] { transient::run(options, command.report); });
+}

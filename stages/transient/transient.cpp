@@ -1,0 +1,223 @@
+#include "stages/transient/transient.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <filesystem>
+#include <fstream>
+#include <map>
+#include <sstream>
+
+#include "formats/io/cost.h"
+#include "formats/io/error.h"
+#include "stages/core/app/command.h"
+#include "stages/core/app/values.h"
+
+namespace loom::transient {
+namespace {
+
+constexpr std::uint32_t default_bins = 300;
+
+/// Optical path lengths, in units of the scene, of what the user gave.
+class Lengths {
+  public:
+    explicit Lengths(const Options& options) : factor_(options.unit == Unit::ns ? speed_of_light / options.metres_per_unit : 1) {}
+    double operator()(double in_unit) const { return in_unit * factor_; }
+
+  private:
+    double factor_;
+};
+
+std::vector<std::pair<float, float>> parse_group_index(const std::vector<std::string>& texts) {
+    std::vector<std::pair<float, float>> table;
+    for (const std::string& text : texts) {
+        const auto equals = text.find('=');
+        const auto phase = app::parse_number<float>(text.substr(0, equals));
+        const auto group = equals == std::string::npos ? std::nullopt : app::parse_number<float>(text.substr(equals + 1));
+        if (!phase || !group || !(*phase > 0) || !(*group > 0))
+            throw InputError(fmt::format("--group-index {}: expected PHASE=GROUP, two positive numbers", text));
+        table.emplace_back(*phase, *group);
+    }
+    return table;
+}
+
+Pulse read_pulse_table(const std::string& file, const Lengths& lengths) {
+    std::ifstream in(file);
+    std::vector<double> at, power;
+    std::string line;
+    for (int number = 1; std::getline(in, line); ++number) {
+        line = line.substr(0, line.find('#'));
+        if (line.find_first_not_of(" \t\r") == std::string::npos) continue;
+        std::istringstream words(line);
+        double t, p;
+        std::string rest;
+        if (!(words >> t >> p) || words >> rest) throw InputError(fmt::format("{}:{}: expected two numbers, when and power", file, number));
+        at.push_back(lengths(t));
+        power.push_back(p);
+    }
+    try {
+        return Pulse::table(std::move(at), std::move(power));
+    } catch (const InputError& error) {
+        throw InputError(fmt::format("{}: {}", file, error.what()));
+    }
+}
+
+double positive(double value, const char* option, const char* what) {
+    if (!(value > 0)) throw InputError(fmt::format("{}: missing; it is {}", option, what));
+    return value;
+}
+
+/// Fills the pulse, and says it in the header.
+void set_pulse(const Options& options, double film_sigma, const Lengths& lengths, TimeResponse& response, TransientCubeHeader& header) {
+    auto& said = header.response;
+    const double length = lengths(options.pulse_length), tail = lengths(options.pulse_tail);
+    Shape shape = options.pulse;
+    if (shape == Shape::film) {
+        shape = film_sigma > 0 ? Shape::gaussian : Shape::delta;
+        said.length_opl = film_sigma;
+    } else if (shape == Shape::box || shape == Shape::gaussian || shape == Shape::expgauss) {
+        said.length_opl = positive(length, "--pulse-length", shape == Shape::box ? "how long the light is on" : "the pulse's standard deviation");
+    } else if (options.pulse_length != 0) {
+        throw InputError("--pulse-length: only a box, gaussian or expgauss pulse has one");
+    }
+    if ((shape == Shape::expgauss) != (tail != 0)) throw InputError("--pulse-tail: goes with --pulse expgauss");
+    if ((shape == Shape::table) != !options.pulse_table.empty()) throw InputError("--pulse-table: goes with --pulse table");
+    switch (shape) {
+        case Shape::film:
+        case Shape::delta: break;
+        case Shape::box: said.pulse = "box", response.pulse = Pulse::box(said.length_opl); break;
+        case Shape::gaussian: said.pulse = "gaussian", response.pulse = Pulse::gaussian(said.length_opl); break;
+        case Shape::expgauss:
+            said.pulse = "expgauss";
+            said.tail_opl = positive(tail, "--pulse-tail", "the mean delay");
+            response.pulse = Pulse::exponential_gaussian(said.length_opl, said.tail_opl);
+            break;
+        case Shape::table: said.pulse = "table", response.pulse = read_pulse_table(options.pulse_table, lengths); break;
+        case Shape::sine:
+        case Shape::square:
+            said.pulse = shape == Shape::sine ? "sine" : "square";
+            response.modulation = shape == Shape::sine ? Modulation::sine : Modulation::square;
+            break;
+    }
+}
+
+/// Refuses graphs that are not of one film, or hold the same samples.
+void check_graphs(const std::vector<std::string>& names, const std::vector<PathGraph>& graphs, const std::vector<InputId>& ids) {
+    std::map<std::string, std::string> name_by_hash;
+    for (std::size_t i = 0; i < graphs.size(); ++i) {
+        const auto [known, inserted] = name_by_hash.try_emplace(ids[i].hash, names[i]);
+        if (!inserted) throw InputError(fmt::format("{}: holds the same samples as {}", names[i], known->second));
+        const auto scene = [](const PathGraph& g) { return g.provenance.inputs.empty() ? std::string() : g.provenance.inputs[0].hash; };
+        if (graphs[i].sensor.width != graphs[0].sensor.width || graphs[i].sensor.height != graphs[0].sensor.height)
+            throw InputError(fmt::format("{}: is {} x {}, but {} is {} x {}", names[i], graphs[i].sensor.width, graphs[i].sensor.height, names[0],
+                                         graphs[0].sensor.width, graphs[0].sensor.height));
+        if (scene(graphs[i]) != scene(graphs[0])) throw InputError(fmt::format("{}: was traced in another scene than {}, or with other -D values", names[i], names[0]));
+    }
+}
+
+}  // namespace
+
+void declare(app::Command& command, Options& options) {
+    command.files("graphs", options.graphs, "path graphs of one scene with different samples (.h5)").required();
+    command.output("-o,--output", options.output, "transient cube (.h5)");
+    command.choice("--unit", options.unit, "of all lengths here, and of the cube's labels: optical path length in units of the scene, or nanoseconds",
+                   {{"opl", Unit::opl}, {"ns", Unit::ns}});
+    command.option("--metres-per-unit", options.metres_per_unit, "length of a unit of the scene", app::Range<double>{1e-12, 1e12, "m"});
+    command.option("--bins", options.bins, "number of bins (the film's, else 300)", app::Range<std::uint32_t>{1, 1u << 24});
+    command.option("--start", options.start, "where the first bin opens (the film's, else where light first arrives)");
+    command.option("--width", options.width, "from bin to bin (the film's, else so that 99.9 % of the light is within)", app::Range<double>{1e-12, 1e12});
+    command.option("--gate", options.gate, "how long a bin is open (as --width: bins tile the time)", app::Range<double>{1e-12, 1e12});
+    command.choice("--pulse", options.pulse, "the light in time: the film's, all at once, for a while, Gaussian, Gaussian with an exponential tail, from a file; or modulated, --bins phases of one period",
+                   {{"film", Shape::film}, {"delta", Shape::delta}, {"box", Shape::box}, {"gaussian", Shape::gaussian}, {"expgauss", Shape::expgauss},
+                    {"table", Shape::table}, {"sine", Shape::sine}, {"square", Shape::square}});
+    command.option("--pulse-length", options.pulse_length, "of box: how long; of gaussian and expgauss: standard deviation", app::Range<double>{0, 1e12});
+    command.option("--pulse-tail", options.pulse_tail, "of expgauss: mean delay", app::Range<double>{0, 1e12});
+    command.file("--pulse-table", options.pulse_table, "of table: a text file, when and power in each line");
+    command.option("--period", options.period, "of sine and square", app::Range<double>{0, 1e12});
+    command.flag("--unwarp", options.unwarp, "count lengths from the first hit, not from the camera");
+    command.option("--group-index", options.group_index, "PHASE=GROUP: light whose phase index is the first travels by the second");
+    command.option("--memory", options.memory_MiB, "for rows that are worked on at a time", app::Range<std::uint64_t>{1, 1u << 20, "MiB"});
+    command.threads(options.threads);
+    command.example("loom-transient graph.h5 -o cube.h5 --unit ns --start 10 --width 0.05 --bins 400 --pulse gaussian --pulse-length 0.1");
+}
+
+void run(const Options& options, app::Report& report) {
+    if (options.output.empty()) throw InputError("--output: missing (an .h5 file)");
+    check_output_path(options.output);
+    const Lengths lengths(options);
+    std::vector<PathGraph> graphs;
+    TransientCubeHeader header;
+    for (const std::string& file : options.graphs) {
+        graphs.push_back(read_path_graph(file));
+        header.provenance.inputs.push_back(identify(file));
+        header.film.samples_per_pixel += graphs.back().tracing.samples_per_pixel;
+    }
+    check_graphs(options.graphs, graphs, header.provenance.inputs);
+    const auto& film = graphs[0].transient;
+    const bool has_film = !film.n_bins.empty();
+
+    Timing timing{!options.unwarp && (!has_film || film.camera_segment[0] != 0), parse_group_index(options.group_index)};
+    TimeResponse response;
+    set_pulse(options, has_film ? film.sigma_opl[0] : 0, lengths, response, header);
+    response.n_bins = options.bins.value_or(has_film ? film.n_bins[0] : response.modulation == Modulation::none ? default_bins : 4);
+    if (response.modulation != Modulation::none) {
+        if (options.start || options.width || options.gate) throw InputError("--pulse sine and square: their bins are phases, with no --start, --width or --gate");
+        if (!options.bins) response.n_bins = 4;
+        if (response.n_bins < 2 || (response.modulation == Modulation::square && response.n_bins % 2 != 0))
+            throw InputError(fmt::format("--bins {}: {} needs {} phases", response.n_bins, header.response.pulse, response.modulation == Modulation::sine ? "two or more" : "an even number of"));
+        response.period = header.response.period_opl = lengths(positive(options.period, "--period", "the period of the modulation"));
+        response.start = 0;
+        response.width = response.gate = response.period / response.n_bins;
+    } else {
+        if (options.period != 0) throw InputError("--period: goes with --pulse sine and square");
+        const Window window = has_film || (options.start && options.width) ? Window{} : window_of(graphs[0], timing);
+        response.start = options.start ? lengths(*options.start) : has_film ? film.start_opl[0] : window.start;
+        response.width = options.width ? lengths(*options.width) : has_film ? film.bin_width_opl[0] : (window.end - response.start) / response.n_bins;
+        if (!(response.width > 0)) throw InputError(fmt::format("--start {}: no light arrives after it; give --width", *options.start));
+        response.gate = options.gate ? lengths(*options.gate) : response.width;
+    }
+
+    header.film.width = graphs[0].sensor.width;
+    header.film.height = graphs[0].sensor.height;
+    header.time = {response.n_bins, response.start, response.width, response.gate, options.unit == Unit::ns ? "ns" : "opl", options.metres_per_unit, timing.camera_segment};
+    header.provenance.stage = report.name();
+    header.provenance.command = report.command();
+    header.provenance.seed = graphs[0].provenance.seed;
+    header.provenance.plan = fmt::format("on: {} pulse, {}; off: {}", header.response.pulse, timing.camera_segment ? "camera segment" : "lengths from the first hit",
+                                         response.pulse.is_delta() && response.modulation == Modulation::none ? "derivatives by interior terms alone (the response jumps at borders of bins)" : "nothing");
+    const std::uint64_t cube_bytes = 2 * sizeof(float) * header.row_size() * header.film.height, max_bytes = options.memory_MiB << 20;
+    report.info("{} x {} pixels, {} bins of {:.6g} {} from {:.6g}: {}, of which {} in memory", header.film.width, header.film.height, response.n_bins,
+                header.in_unit(response.width), header.time.unit == "ns" ? "ns" : "m", header.in_unit(response.start), app::bytes_text(cube_bytes),
+                app::bytes_text(std::min(cube_bytes, max_bytes)));
+
+    Rgb<double> steady, inside, before, after, never;
+    {
+        TransientCubeWriter writer(options.output, header);
+        app::Progress progress(report, "binning", header.n_pixels());
+        const auto add_up = [](std::span<const float> values, Rgb<double>& sum) {
+            for (std::size_t i = 0; i < values.size(); i += 3) sum += Rgb<double>(values[i], values[i + 1], values[i + 2]);
+        };
+        bin_graphs(graphs, response, timing, max_bytes, options.threads, progress, [&](std::uint32_t first_row, const TransientRows& rows) {
+            writer.write_rows(first_row, rows);
+            add_up(rows.radiance, inside);
+            add_up(rows.before, before);
+            add_up(rows.after, after);
+            add_up(rows.never, never);
+            add_up(rows.steady, steady);
+        });
+        writer.commit();
+    }
+    const auto share = [&](const Rgb<double>& part) { return luminance(steady) > 0 ? 100 * luminance(part) / luminance(steady) : 0.0; };
+    if (!std::isfinite(luminance(steady))) report.warn("light that is not finite is in the sums");
+
+    Cost cost = report.cost();
+    cost.plan = header.provenance.plan;
+    for (const PathGraph& g : graphs) cost.samples += g.n_paths();
+    cost.bytes_written = std::filesystem::file_size(options.output);
+    for (const std::string& file : options.graphs) cost.parents.push_back(parent_of(options.output, file));
+    write_cost(cost, options.output);
+    report.done("{} paths; of their light {:.4g} % in the bins, {:.3g} % before, {:.3g} % after, {:.3g} % never", cost.samples, share(inside), share(before),
+                share(after), share(never));
+}
+
+}  // namespace loom::transient

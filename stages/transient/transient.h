@@ -1,0 +1,71 @@
+#pragma once
+// loom-transient: histograms over time from the paths of path graphs, without tracing a ray.
+
+#include <cstdint>
+#include <functional>
+#include <optional>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "formats/path_graph.h"
+#include "formats/transient_cube.h"
+#include "stages/core/transport/time_response.h"
+
+namespace loom::app {
+class Command;
+class Progress;
+class Report;
+}  // namespace loom::app
+
+namespace loom::transient {
+
+enum class Unit { opl, ns };
+enum class Shape { film, delta, box, gaussian, expgauss, table, sine, square };
+
+struct Options {
+    std::vector<std::string> graphs;  // path graphs of one scene with different samples
+    std::string output;               // transient cube (.h5)
+
+    // Lengths are in `unit`; what is not given is the film's.
+    Unit unit = Unit::opl;
+    double metres_per_unit = 1;
+    std::optional<std::uint32_t> bins;
+    std::optional<double> start, width, gate;
+    Shape pulse = Shape::film;
+    double pulse_length = 0, pulse_tail = 0;  // of a box: length; Gaussian: standard deviation; and of its tail
+    std::string pulse_table;                  // two columns
+    double period = 0;                        // of sine and square
+    bool unwarp = false;
+    std::vector<std::string> group_index;     // PHASE=GROUP
+
+    std::uint64_t memory_MiB = 1024;
+    int threads = 0;  // 0: all
+};
+
+void declare(app::Command& command, Options& options);
+
+/// How long light takes.
+struct Timing {
+    bool camera_segment = true;                          // counts
+    std::vector<std::pair<float, float>> group_index{};  // of light whose phase index is the first
+};
+
+/// Bins paths by optical path length and hands on rows of the cube, of several graphs together.
+///   radiance[k] = mean over paths of sum over light edges of L S_e[k](opl)
+/// Sums are in double precision, path by path in the order of graphs and samples, for any number of threads.
+/// in:      graphs     of one sensor
+///          max_bytes  for the rows that are worked on at a time
+void bin_graphs(std::span<const PathGraph> graphs, const TimeResponse& response, const Timing& timing, std::uint64_t max_bytes, int threads,
+                app::Progress& progress, const std::function<void(std::uint32_t first_row, const TransientRows&)>& take);
+
+/// The window that the light of a graph asks for: from its first light to where all but 0.1 % has arrived.
+struct Window {
+    double start = 0, end = 1;
+};
+Window window_of(const PathGraph& graph, const Timing& timing);
+
+/// throws: InputError
+void run(const Options& options, app::Report& report);
+
+}  // namespace loom::transient

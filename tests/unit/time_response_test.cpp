@@ -1,0 +1,222 @@
+// S_e against quadrature, its derivatives against differences, its energy.
+#include <gtest/gtest.h>
+
+#include <cmath>
+
+#include "formats/io/error.h"
+#include "stages/core/transport/time_response.h"
+
+namespace loom {
+namespace {
+
+struct NamedPulse {
+    const char* name;
+    Pulse pulse;
+};
+
+std::vector<NamedPulse> smooth_pulses() {
+    return {{"box", Pulse::box(0.7)},
+            {"gaussian", Pulse::gaussian(0.3)},
+            {"expgauss", Pulse::exponential_gaussian(0.2, 0.5)},
+            {"expgauss, long tail", Pulse::exponential_gaussian(0.02, 2)},
+            {"expgauss, short tail", Pulse::exponential_gaussian(0.5, 0.01)},
+            {"table", Pulse::table({-0.5, 0.1, 0.4, 2}, {0, 3, 1, 0.5})}};
+}
+
+/// Composite Simpson rule over n even intervals; the integrands jump or bend at multiples of the pieces only.
+template <class F>
+double integral(F f, double a, double b, int n = 20000) {
+    const double h = (b - a) / n;
+    double sum = f(a) + f(b);
+    for (int i = 1; i < n; ++i) sum += f(a + i * h) * (i % 2 == 1 ? 4 : 2);
+    return sum * h / 3;
+}
+
+// Break seen to fail: exp(v^2 - u v) instead of exp(v^2 / 2 - u v) in the tail's part.
+TEST(TimeResponse, ArrivedIsTheIntegralOfPower) {
+    for (const auto& [name, pulse] : smooth_pulses()) {
+        SCOPED_TRACE(name);
+        for (const double s : {-0.4, -0.01, 0.05, 0.3, 0.69, 1.5, 3.0}) {
+            double sum = 0;  // piece by piece, so that no jump or bend lies within
+            double from = pulse.begin();
+            for (const double to : {-0.5, 0.0, 0.1, 0.4, 0.7, 2.0, s})
+                if (to > from && to <= s && to <= pulse.end()) {
+                    const double inset = 1e-12;
+                    sum += integral([&](double x) { return pulse.power(x); }, from + inset, to - inset);
+                    from = to;
+                }
+            if (s > from && from < pulse.end()) sum += integral([&](double x) { return pulse.power(x); }, from, std::min(s, pulse.end()));
+            EXPECT_NEAR(pulse.arrived(s), sum, 2e-8) << s;
+        }
+        EXPECT_EQ(pulse.arrived(pulse.begin() - 1e-9), 0);
+        EXPECT_EQ(pulse.arrived(pulse.end() + 1e-9), 1);
+        EXPECT_NEAR(pulse.arrived(pulse.begin() + 1e-12), 0, 1e-11);
+        EXPECT_NEAR(pulse.arrived(pulse.end() - 1e-12), 1, 1e-11);
+    }
+}
+
+// Far out on the rising side both factors of the exponential Gaussian leave the range of a double; their product does not.
+TEST(TimeResponse, ExponentialGaussianIsTameWhereItsFactorsAreNot) {
+    const Pulse pulse = Pulse::exponential_gaussian(1, 0.01);  // exp(v^2 / 2) = exp(5000)
+    const Pulse gaussian = Pulse::gaussian(1);
+    for (double s = -8; s < 8; s += 0.25) {
+        ASSERT_TRUE(std::isfinite(pulse.power(s)));
+        EXPECT_NEAR(pulse.power(s), gaussian.power(s - 0.01), 1e-4) << s;  // the tail is a delay of 0.01
+        EXPECT_NEAR(pulse.arrived(s), gaussian.arrived(s - 0.01), 1e-4) << s;
+    }
+}
+
+/// f(k, tof) for each response.
+std::vector<std::pair<std::string, TimeResponse>> responses() {
+    std::vector<std::pair<std::string, TimeResponse>> all;
+    for (const auto& [name, pulse] : smooth_pulses()) {
+        all.push_back({name, {24, 1.5, 0.25, 0.25, pulse, {}, 1}});
+        all.push_back({std::string(name) + ", long gate", {24, 1.5, 0.25, 0.6, pulse, {}, 1}});
+    }
+    all.push_back({"sine", {6, 0, 0.5, 0.5, Pulse::delta(), Modulation::sine, 3}});
+    all.push_back({"square", {6, 0, 0.5, 0.5, Pulse::delta(), Modulation::square, 3}});
+    return all;
+}
+
+TEST(TimeResponse, WeightIsPulseTimesGateByQuadrature) {
+    for (const auto& [name, r] : responses()) {
+        if (r.modulation != Modulation::none) continue;
+        SCOPED_TRACE(name);
+        // S_e[k] = integral over the gate of the power that arrives then.
+        for (const double tof : {1.31, 1.93, 2.777, 4.2})
+            for (const std::uint32_t k : {0u, 1u, 4u, 11u}) {
+                const double open = r.start + k * r.width;
+                std::vector<double> cuts{open, open + r.gate};
+                for (const double bend : {-0.5, 0.0, 0.1, 0.4, 0.7, 2.0})
+                    if (tof + bend > open && tof + bend < open + r.gate) cuts.push_back(tof + bend);
+                std::sort(cuts.begin(), cuts.end());
+                double sum = 0;
+                for (std::size_t i = 0; i + 1 < cuts.size(); ++i)
+                    sum += integral([&](double t) { return r.pulse.power(t - tof); }, cuts[i] + 1e-13, cuts[i + 1] - 1e-13);
+                EXPECT_NEAR(r.weight(k, tof), sum, 1e-8) << tof << " " << k;
+            }
+    }
+}
+
+// Light and sensor modulated over a period: their product, by quadrature.
+TEST(TimeResponse, ModulationIsTheProductOfLightAndSensor) {
+    const double period = 3;
+    for (const Modulation modulation : {Modulation::sine, Modulation::square}) {
+        const TimeResponse r{6, 0, 0.5, 0.5, Pulse::delta(), modulation, period};
+        // Energy of the light in a period is 1; the sensor's mean over the bins is 1 / n.
+        const auto wave = [&](double t) {
+            const double x = t / period - std::floor(t / period);
+            return modulation == Modulation::sine ? 1 + std::cos(2 * pi_double * x) : x < 0.5 ? 2.0 : 0.0;
+        };
+        for (const double tof : {0.3, 1.1, 2.9, 7.4})
+            for (std::uint32_t k = 0; k < r.n_bins; ++k) {
+                const int n = 600000;
+                double sum = 0;
+                for (int i = 0; i < n; ++i) {
+                    const double t = (i + 0.5) * period / n;
+                    sum += wave(t - tof) * wave(t - k * period / r.n_bins);
+                }
+                sum /= n;
+                EXPECT_NEAR(r.weight(k, tof), sum / r.n_bins, 1e-5) << tof << " " << k;
+            }
+    }
+}
+
+// Break seen to fail: S_e derived by start instead of tof (sign).
+TEST(TimeResponse, DerivativesAgreeWithDifferences) {
+    using D = Dual<1, double>;
+    const double h = 1e-6;
+    for (const auto& [name, r] : responses()) {
+        SCOPED_TRACE(name);
+        for (const double tof : {1.613, 1.937, 2.771, 4.211})
+            for (std::uint32_t k = 0; k < r.n_bins; ++k) {
+                const D w = r.weight(k, D::variable(tof, 0));
+                EXPECT_EQ(w.value, r.weight(k, tof));
+                EXPECT_NEAR(w.d[0], (r.weight(k, tof + h) - r.weight(k, tof - h)) / (2 * h), 2e-5) << tof << " " << k;
+            }
+    }
+}
+
+// What bins, before and after get adds up to all of the light.
+TEST(TimeResponse, EnergyIsKept) {
+    for (const auto& [name, r] : responses()) {
+        if (r.gate != r.width) continue;
+        SCOPED_TRACE(name);
+        for (double tof = 0; tof < 9; tof += 0.0371) {
+            double sum = 0;
+            const auto outside = r.spread(tof, [&](std::uint32_t k, double w) {
+                ASSERT_LT(k, r.n_bins);
+                EXPECT_NEAR(w, r.weight(k, tof), 1e-14);
+                sum += w;
+            });
+            EXPECT_NEAR(sum + outside.before + outside.after, 1, 1e-13) << tof;
+            EXPECT_GE(outside.before, 0);
+            EXPECT_GE(outside.after, 0);
+        }
+    }
+}
+
+// Overlapping gates: spread() visits exactly the bins that record something.
+TEST(TimeResponse, SpreadOfLongGatesIsEveryWeight) {
+    for (const auto& [name, r] : responses()) {
+        SCOPED_TRACE(name);
+        for (double tof = 0; tof < 9; tof += 0.173) {
+            std::vector<double> visited(r.n_bins, 0.0);
+            r.spread(tof, [&](std::uint32_t k, double w) { visited[k] += w; });
+            for (std::uint32_t k = 0; k < r.n_bins; ++k) EXPECT_NEAR(visited[k], r.weight(k, tof), 1e-14) << tof << " " << k;
+        }
+    }
+}
+
+// METHODS 4.4, window edges: an arrival on a border belongs to the bin that opens there, one rounding below to the one
+// that closes; none of the window's neighbours gets anything.
+TEST(TimeResponse, BordersOfTheWindow) {
+    const TimeResponse r{8, 2, 0.5, 0.5, Pulse::delta(), {}, 1};
+    const auto bin_of = [&](double tof, TimeResponse::Outside& outside) {
+        std::int64_t bin = -1;
+        outside = r.spread(tof, [&](std::uint32_t k, double w) {
+            EXPECT_EQ(w, 1);
+            EXPECT_EQ(bin, -1);
+            bin = k;
+        });
+        return bin;
+    };
+    TimeResponse::Outside outside;
+    for (int k = 0; k < 8; ++k) {
+        const double border = 2 + 0.5 * k;
+        EXPECT_EQ(bin_of(border, outside), k);
+        EXPECT_EQ(bin_of(std::nextafter(border, 9.0), outside), k);
+        EXPECT_EQ(outside.before + outside.after, 0);
+        EXPECT_EQ(bin_of(std::nextafter(border, 0.0), outside), k - 1);
+        EXPECT_EQ(outside.before, k == 0 ? 1 : 0);
+    }
+    EXPECT_EQ(bin_of(6.0, outside), -1);
+    EXPECT_EQ(outside.after, 1);
+    EXPECT_EQ(bin_of(std::nextafter(6.0, 0.0), outside), 7);
+    EXPECT_EQ(outside.after, 0);
+}
+
+// METHODS 4.2, 3.3: a pulse as long as the gate gives frame k the part 1 - f and frame k + 1 the part f.
+TEST(TimeResponse, BoxByBoxIsTheTent) {
+    const TimeResponse r{10, 1, 0.2, 0.2, Pulse::box(0.2), {}, 1};
+    for (double tof = 1.0; tof < 2.6; tof += 0.037) {
+        const double x = (tof - 1) / 0.2, f = x - std::floor(x);
+        const auto k = std::int64_t(std::floor(x));
+        EXPECT_NEAR(r.weight(k, tof), 1 - f, 1e-12);
+        EXPECT_NEAR(r.weight(k + 1, tof), f, 1e-12);
+        EXPECT_NEAR(r.weight(k + 2, tof), 0, 1e-12);
+    }
+    // Longer than the gate: a trapezoid that peaks at gate / length.
+    const TimeResponse wide{10, 0, 0.2, 0.2, Pulse::box(0.5), {}, 1};
+    EXPECT_NEAR(wide.weight(5, 0.7), 0.4, 1e-12);
+}
+
+TEST(TimeResponse, BadTablesAreRefused) {
+    EXPECT_THROW(Pulse::table({0}, {1}), InputError);
+    EXPECT_THROW(Pulse::table({0, 0}, {1, 1}), InputError);
+    EXPECT_THROW(Pulse::table({0, 1}, {1, -1}), InputError);
+    EXPECT_THROW(Pulse::table({0, 1}, {0, 0}), InputError);
+}
+
+}  // namespace
+}  // namespace loom
