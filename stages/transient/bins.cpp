@@ -5,7 +5,7 @@
 #include "stages/core/app/report.h"
 #include "stages/core/transport/parallel.h"
 #include "stages/core/transport/time_of_flight.h"
-#include "stages/transient/transient.h"
+#include "stages/transient/shared.h"
 
 namespace loom::transient {
 namespace {
@@ -26,11 +26,12 @@ class Histogram {
         std::fill(square_.begin(), square_.end(), 0.0);
         before = after = never = steady = {};
     }
-    void write(double n, float* mean, float* var_mean) const {
+    /// in: n_paths  in all;  n  samples, of as many paths each
+    void write(double n_paths, double n, float* mean, float* var_mean) const {
         for (std::size_t i = 0; i < sum_.size(); ++i) {
-            const double m = sum_[i] / n;
+            const double m = sum_[i] / n_paths, per_path = n / n_paths;
             mean[i] = float(m);
-            var_mean[i] = n > 1 ? float(std::max(square_[i] / n - sqr(m), 0.0) / (n - 1)) : 0.0f;
+            var_mean[i] = n > 1 ? float(std::max(square_[i] / n * sqr(per_path) - sqr(m), 0.0) / (n - 1)) : 0.0f;
         }
     }
 
@@ -60,8 +61,8 @@ class Worker {
         pixel.before += L * outside.before;
         pixel.after += L * outside.after;
     }
-    /// The path is through: what it has brought to each bin is one sample.
-    void end_path(Histogram& pixel) {
+    /// What each bin has got since the last one is one sample.
+    void end_sample(Histogram& pixel) {
         for (const std::uint32_t bin : touched_) {
             pixel.add(bin, of_path_[bin]);
             of_path_[bin] = {};
@@ -84,6 +85,15 @@ struct Block {
     Block(std::size_t n_pixels, std::uint32_t n_bins)
         : radiance(n_pixels * n_bins * 3), var_mean(radiance.size()), before(3 * n_pixels), after(before), never(before), steady(before) {}
 
+    void set(std::size_t pixel, const Histogram& h, double n_paths, double n, std::uint32_t n_bins) {
+        h.write(n_paths, n, &radiance[pixel * n_bins * 3], &var_mean[pixel * n_bins * 3]);
+        for (int c = 0; c < 3; ++c) {
+            before[3 * pixel + c] = float(h.before[c] / n_paths);
+            after[3 * pixel + c] = float(h.after[c] / n_paths);
+            never[3 * pixel + c] = float(h.never[c] / n_paths);
+            steady[3 * pixel + c] = float(h.steady[c] / n_paths);
+        }
+    }
     TransientRows rows(std::size_t n_pixels, std::uint32_t n_bins) const {
         const auto first = [](const std::vector<float>& all, std::size_t n) { return std::span(all).first(n); };
         return {first(radiance, n_pixels * n_bins * 3), first(var_mean, n_pixels * n_bins * 3), first(before, 3 * n_pixels),
@@ -91,57 +101,74 @@ struct Block {
     }
 };
 
-void put(std::vector<float>& to, std::size_t pixel, const Rgb<double>& sum, double n) {
-    for (int c = 0; c < 3; ++c) to[3 * pixel + c] = float(sum[c] / n);
+/// The same for pixels side by side, whose light edges lie one behind the other.
+void bin_own(Worker& worker, const GraphReader& reader, const Timing& timing, const GroupIndex& group, std::size_t first_pixel, std::size_t n) {
+    const PathGraph& g = reader.graph();
+    for (std::uint64_t s = 0; s < g.tracing.samples_per_pixel; ++s) {
+        const std::size_t first_path = s * g.n_pixels() + first_pixel;
+        std::size_t edge = first_light_edge(g, g.paths.first_vertex[first_path]);
+        for (std::size_t i = 0; i < n; ++i) {
+            walk_in_time(reader, first_path + i, timing.camera_segment, group, edge,
+                         [&](const Spectrum& L, double opl) { worker.add(worker.histograms[i], L, opl); });
+            worker.end_sample(worker.histograms[i]);
+        }
+    }
+}
+
+/// in: by_graph  a graph counts as one sample of each pixel, for the paths of one graph know of each other
+void bin_shared(Worker& worker, const SharedArrivals& shared, bool by_graph, std::size_t first_pixel, std::size_t n) {
+    const PathGraph& g = shared.graph();
+    for (std::size_t i = 0; i < n; ++i) {
+        Histogram& pixel = worker.histograms[i];
+        for (std::uint64_t s = 0; s < g.tracing.samples_per_pixel; ++s) {
+            shared.walk(s * g.n_pixels() + first_pixel + i, [&](const Spectrum& L, double opl) { worker.add(pixel, L, opl); });
+            if (!by_graph) worker.end_sample(pixel);
+        }
+        if (by_graph) worker.end_sample(pixel);
+    }
 }
 
 }  // namespace
 
-void bin_graphs(std::span<const PathGraph> graphs, const TimeResponse& response, const Timing& timing, std::uint64_t max_bytes, int threads,
-                app::Progress& progress, const std::function<void(std::uint32_t, const TransientRows&)>& take) {
-    const std::size_t width = graphs[0].sensor.width, height = graphs[0].sensor.height, n_pixels = width * height;
+void bin_graphs(std::span<const PathGraph> graphs, std::span<SharedArrivals> shared, const TimeResponse& response, const Timing& timing,
+                std::uint64_t max_bytes, int threads, app::Progress& progress, const std::function<void(std::uint32_t, const TransientRows&)>& take) {
+    const std::size_t width = graphs[0].sensor.width, height = graphs[0].sensor.height;
     const std::size_t row_bytes = width * response.n_bins * 3 * 2 * sizeof(float);
     const std::size_t block_rows = std::clamp<std::size_t>(max_bytes / row_bytes, 1, height);
-    // As many pixels side by side as their histograms fit a cache: light edges are then read in order.
+    // As many pixels side by side as their histograms fit a cache.
     const std::size_t chunk = std::clamp<std::size_t>((256 << 10) / (response.n_bins * 3 * 2 * sizeof(double)), 1, 256);
     std::vector<GraphReader> readers;
-    std::uint64_t samples = 0;
+    double n_paths = 0;
     for (const PathGraph& g : graphs) {
         readers.emplace_back(g);
-        samples += g.tracing.samples_per_pixel;
+        n_paths += double(g.tracing.samples_per_pixel);
+    }
+    const bool by_graph = shared.size() > 1;
+    std::size_t span = block_rows * width;  // of pixels that are prepared at a time
+    if (!shared.empty()) {
+        std::size_t bytes = 0;
+        for (const SharedArrivals& s : shared) bytes += s.bytes_per_pixel();
+        span = std::clamp<std::size_t>(max_bytes / bytes, chunk, span);
     }
     const GroupIndex group{timing.group_index};
     Block block(block_rows * width, response.n_bins);
     tbb::enumerable_thread_specific<Worker> workers([&] { return Worker(response, chunk); });
     for (std::size_t first_row = 0; first_row < height; first_row += block_rows) {
         const std::size_t first = first_row * width, n = std::min(block_rows, height - first_row) * width;
-        parallel_chunks(n, chunk, threads, [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
-            Worker& worker = workers.local();
-            for (std::size_t i = 0; i < end - begin; ++i) worker.histograms[i].clear();
-            for (const GraphReader& reader : readers) {
-                const PathGraph& g = reader.graph();
-                for (std::uint64_t s = 0; s < g.tracing.samples_per_pixel; ++s) {
-                    const std::size_t first_path = s * n_pixels + first + begin;
-                    std::size_t edge = first_light_edge(g, g.paths.first_vertex[first_path]);
-                    for (std::size_t i = 0; i < end - begin; ++i) {
-                        Histogram& pixel = worker.histograms[i];
-                        walk_in_time(reader, first_path + i, timing.camera_segment, group, edge,
-                                     [&](const Spectrum& L, double opl) { worker.add(pixel, L, opl); });
-                        worker.end_path(pixel);
-                    }
-                }
-            }
-            for (std::size_t i = 0; i < end - begin; ++i) {
-                const Histogram& pixel = worker.histograms[i];
-                const std::size_t at = begin + i;
-                pixel.write(double(samples), &block.radiance[at * response.n_bins * 3], &block.var_mean[at * response.n_bins * 3]);
-                put(block.before, at, pixel.before, double(samples));
-                put(block.after, at, pixel.after, double(samples));
-                put(block.never, at, pixel.never, double(samples));
-                put(block.steady, at, pixel.steady, double(samples));
-            }
-            progress.add(end - begin);
-        });
+        for (std::size_t from = 0; from < n; from += span) {
+            const std::size_t n_span = std::min(span, n - from);
+            for (SharedArrivals& s : shared) s.prepare(first + from, n_span, threads);
+            parallel_chunks(n_span, chunk, threads, [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
+                Worker& worker = workers.local();
+                for (std::size_t i = 0; i < end - begin; ++i) worker.histograms[i].clear();
+                const std::size_t pixel = first + from + begin;
+                for (const SharedArrivals& s : shared) bin_shared(worker, s, by_graph, pixel, end - begin);
+                if (shared.empty())
+                    for (const GraphReader& reader : readers) bin_own(worker, reader, timing, group, pixel, end - begin);
+                for (std::size_t i = 0; i < end - begin; ++i) block.set(from + begin + i, worker.histograms[i], n_paths, by_graph ? double(shared.size()) : n_paths, response.n_bins);
+                progress.add(end - begin);
+            });
+        }
         take(std::uint32_t(first_row), block.rows(n, response.n_bins));
     }
 }

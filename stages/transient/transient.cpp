@@ -12,6 +12,7 @@
 #include "formats/io/error.h"
 #include "stages/core/app/command.h"
 #include "stages/core/app/values.h"
+#include "stages/transient/shared.h"
 
 namespace loom::transient {
 namespace {
@@ -119,6 +120,7 @@ void check_graphs(const std::vector<std::string>& names, const std::vector<PathG
 
 void declare(app::Command& command, Options& options) {
     command.files("graphs", options.graphs, "path graphs of one scene with different samples (.h5)").required();
+    command.files("--clusters", options.clusters, "clusters of these graphs, in their order (.h5): first hits share the light of their cluster");
     command.output("-o,--output", options.output, "transient cube (.h5)");
     command.choice("--unit", options.unit, "of all lengths here, and of the cube's labels: optical path length in units of the scene, or nanoseconds",
                    {{"opl", Unit::opl}, {"ns", Unit::ns}});
@@ -153,6 +155,17 @@ void run(const Options& options, app::Report& report) {
         header.film.samples_per_pixel += graphs.back().tracing.samples_per_pixel;
     }
     check_graphs(options.graphs, graphs, header.provenance.inputs);
+    std::vector<Clusters> clusters;
+    if (!options.clusters.empty() && options.clusters.size() != graphs.size())
+        throw InputError(fmt::format("--clusters: {} files for {} graphs", options.clusters.size(), graphs.size()));
+    for (std::size_t i = 0; i < options.clusters.size(); ++i) {
+        clusters.push_back(read_clusters(options.clusters[i]));
+        require_clusters_of(graphs[i], header.provenance.inputs[i], clusters[i], options.clusters[i]);
+        if (graphs[i].tracing.samples_per_pixel != graphs[0].tracing.samples_per_pixel)
+            throw InputError(fmt::format("{}: has {} samples per pixel, but {} has {}; graphs that share light must have as many", options.graphs[i],
+                                         graphs[i].tracing.samples_per_pixel, options.graphs[0], graphs[0].tracing.samples_per_pixel));
+    }
+    for (const std::string& file : options.clusters) header.provenance.inputs.push_back(identify(file));
     const auto& film = graphs[0].transient;
     const bool has_film = !film.n_bins.empty();
 
@@ -183,7 +196,8 @@ void run(const Options& options, app::Report& report) {
     header.provenance.stage = report.name();
     header.provenance.command = report.command();
     header.provenance.seed = graphs[0].provenance.seed;
-    header.provenance.plan = fmt::format("on: {} pulse, {}; off: {}", header.response.pulse, timing.camera_segment ? "camera segment" : "lengths from the first hit",
+    header.provenance.plan = fmt::format("on: {}{} pulse, {}; off: {}", clusters.empty() ? "" : "light shared by clusters at first hits, ", header.response.pulse,
+                                         timing.camera_segment ? "camera segment" : "lengths from the first hit",
                                          response.pulse.is_delta() && response.modulation == Modulation::none ? "derivatives by interior terms alone (the response jumps at borders of bins)" : "nothing");
     const std::uint64_t cube_bytes = 2 * sizeof(float) * header.row_size() * header.film.height, max_bytes = options.memory_MiB << 20;
     report.info("{} x {} pixels, {} bins of {:.6g} {} from {:.6g}: {}, of which {} in memory", header.film.width, header.film.height, response.n_bins,
@@ -197,7 +211,9 @@ void run(const Options& options, app::Report& report) {
         const auto add_up = [](std::span<const float> values, Rgb<double>& sum) {
             for (std::size_t i = 0; i < values.size(); i += 3) sum += Rgb<double>(values[i], values[i + 1], values[i + 2]);
         };
-        bin_graphs(graphs, response, timing, max_bytes, options.threads, progress, [&](std::uint32_t first_row, const TransientRows& rows) {
+        std::vector<SharedArrivals> shared;
+        for (std::size_t i = 0; i < clusters.size(); ++i) shared.emplace_back(graphs[i], clusters[i], timing, options.threads);
+        bin_graphs(graphs, shared, response, timing, max_bytes, options.threads, progress, [&](std::uint32_t first_row, const TransientRows& rows) {
             writer.write_rows(first_row, rows);
             add_up(rows.radiance, inside);
             add_up(rows.before, before);
@@ -215,6 +231,7 @@ void run(const Options& options, app::Report& report) {
     for (const PathGraph& g : graphs) cost.samples += g.n_paths();
     cost.bytes_written = std::filesystem::file_size(options.output);
     for (const std::string& file : options.graphs) cost.parents.push_back(parent_of(options.output, file));
+    for (const std::string& file : options.clusters) cost.parents.push_back(parent_of(options.output, file));
     write_cost(cost, options.output);
     report.done("{} paths; of their light {:.4g} % in the bins, {:.3g} % before, {:.3g} % after, {:.3g} % never", cost.samples, share(inside), share(before),
                 share(after), share(never));

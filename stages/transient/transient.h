@@ -24,7 +24,8 @@ enum class Unit { opl, ns };
 enum class Shape { film, delta, box, gaussian, expgauss, table, sine, square };
 
 struct Options {
-    std::vector<std::string> graphs;  // path graphs of one scene with different samples
+    std::vector<std::string> graphs;    // path graphs of one scene with different samples
+    std::vector<std::string> clusters;  // of these graphs, in their order; empty: paths alone
     std::string output;               // transient cube (.h5)
 
     // Lengths are in `unit`; what is not given is the film's.
@@ -45,6 +46,8 @@ struct Options {
 
 void declare(app::Command& command, Options& options);
 
+class SharedArrivals;
+
 /// How long light takes.
 struct Timing {
     bool camera_segment = true;                          // counts
@@ -56,8 +59,10 @@ struct Timing {
 /// Sums are in double precision, path by path in the order of graphs and samples, for any number of threads.
 /// in:      graphs     of one sensor
 ///          max_bytes  for the rows that are worked on at a time
-void bin_graphs(std::span<const PathGraph> graphs, const TimeResponse& response, const Timing& timing, std::uint64_t max_bytes, int threads,
-                app::Progress& progress, const std::function<void(std::uint32_t first_row, const TransientRows&)>& take);
+///          shared     the same graphs with their clusters, or none: paths alone
+void bin_graphs(std::span<const PathGraph> graphs, std::span<SharedArrivals> shared, const TimeResponse& response, const Timing& timing,
+                std::uint64_t max_bytes, int threads, app::Progress& progress,
+                const std::function<void(std::uint32_t first_row, const TransientRows&)>& take);
 
 /// The window that the light of a graph asks for: from its first light to where all but 0.1 % has arrived.
 struct Window {

@@ -1,0 +1,112 @@
+#pragma once
+// Light of first hits shared by their clusters, with its time.
+//
+// A path's first vertex j takes the light edges and the continuations of all members k of its cluster, as refining does
+// (PG eq. 7 to 12), and what each continuation's own path brings from there on:
+//   sum_e f_j cos_j / rho_e L_e  at  |x_0 x_j| + eta_e |x_j y_e|
+//   sum_k f_j cos_j / rho_k L'   at  |x_0 x_j| + eta_k |x_j x_(k+1)| + the rest of path k,    L' of each light of that rest
+// Lengths are those of the polyline through x_j itself: exact for it. What errs is the light: it is that which x_k saw.
+
+#include <span>
+#include <vector>
+
+#include "formats/clusters.h"
+#include "stages/core/transport/cluster_edges.h"
+#include "stages/core/transport/time_of_flight.h"
+#include "stages/transient/transient.h"
+
+namespace loom::transient {
+
+class SharedArrivals {
+  public:
+    /// Graph and clusters are borrowed.
+    SharedArrivals(const PathGraph& graph, const Clusters& clusters, const Timing& timing, int threads);
+
+    const PathGraph& graph() const { return reader_.graph(); }
+    /// Works out what the paths of pixels [first, first + n) take from whom; forgets the ones before.
+    void prepare(std::size_t first_pixel, std::size_t n, int threads);
+    /// on_light(L, opl) for each light that a path brings.
+    /// needs:   prepare() of its pixel
+    template <class OnLight>
+    void walk(std::size_t path, OnLight&& on_light) const;
+    /// Bytes that prepare() takes for a pixel, about.
+    std::size_t bytes_per_pixel() const;
+
+  private:
+    struct Leg {
+        Spectrum factor;  // own estimate of what comes along it
+        double opl = 0;
+    };
+    /// What a first vertex takes from the cluster: light edge or end of a continuation, and by which factor (of an edge
+    /// its light included).
+    struct Taken {
+        Spectrum factor;
+        std::uint32_t from;
+        bool is_light;
+    };
+    static constexpr std::uint32_t nobody = 0xffffffffu;
+
+    double length_of(double phase_eta, const Point3<double>& a, const Point3<double>& b) const { return group_.of(float(phase_eta)) * distance(a, b); }
+    double edge_length(std::size_t edge, const Point3<double>& from) const;
+    void take_all(ClusterShading& shading, std::size_t cluster, std::span<const std::uint32_t> slot_of_lane);
+    /// Lights of path from vertex j on, times `beta`.
+    template <class OnLight>
+    void own_rest(std::size_t j, Spectrum beta, double opl, OnLight&& on_light) const;
+
+    GraphReader reader_;
+    const Clusters& clusters_;
+    bool camera_segment_;
+    GroupIndex group_;
+    std::vector<std::uint32_t> first_edge_;         // vertex+1
+    std::vector<std::uint32_t> cluster_of_;         // by vertex
+    std::vector<Leg> continuation_, light_;         // by vertex, by light edge
+    std::size_t first_pixel_ = 0, n_prepared_ = 0;
+    std::vector<std::uint32_t> slot_of_;            // by vertex: of the prepared path that starts there
+    std::vector<bool> is_first_;                    // by vertex: of its path
+    std::vector<std::vector<Taken>> taken_;         // by slot: pixel - first pixel + sample * n
+};
+
+template <class OnLight>
+void SharedArrivals::own_rest(std::size_t j, Spectrum beta, double opl, OnLight&& on_light) const {
+    for (;; ++j) {
+        for (std::uint32_t e = first_edge_[j]; e < first_edge_[j + 1]; ++e) on_light(beta * light_[e].factor, opl + light_[e].opl);
+        if (!(graph().vertices.flags[j] & vertex_flag::continued)) return;
+        beta *= continuation_[j].factor;
+        opl += continuation_[j].opl;
+    }
+}
+
+template <class OnLight>
+void SharedArrivals::walk(std::size_t path, OnLight&& on_light) const {
+    const PathGraph& g = graph();
+    const Spectrum Le = rgb(g.paths.Le, path);
+    const std::uint64_t j = g.paths.first_vertex[path];
+    if (j == g.paths.first_vertex[path + 1]) {
+        if (!is_black(Le)) on_light(Le, double(INFINITY));
+        return;
+    }
+    const Point3<double> x = position(g, j);
+    const double opl = camera_segment_ ? length_of(g.vertices.eta.empty() ? 1.0f : g.vertices.eta[j], camera_point(g, path), x) : 0.0;
+    if (!is_black(Le)) on_light(Le, opl);
+    if (cluster_of_[j] == nobody) {
+        own_rest(j, Spectrum(1), opl, on_light);
+        return;
+    }
+    const std::size_t pixel = path % g.n_pixels(), sample = path / g.n_pixels();
+    for (const Taken& t : taken_[sample * n_prepared_ + pixel - first_pixel_]) {
+        if (t.is_light) {
+            on_light(t.factor, opl + edge_length(t.from, x));
+        } else {
+            const float eta = g.vertices.eta.empty() ? 1.0f : g.vertices.eta[t.from];
+            own_rest(t.from, t.factor, opl + length_of(eta, x, position(g, t.from)), on_light);
+        }
+    }
+    // What its own delta lobe has found is no other's.
+    if (is_delta(Lobe(g.vertices.lobe[j]))) {
+        for (std::uint32_t e = first_edge_[j]; e < first_edge_[j + 1]; ++e)
+            if (LightTechnique(g.light_edges.technique[e]) == LightTechnique::bsdf_hit) on_light(light_[e].factor, opl + light_[e].opl);
+        if (g.vertices.flags[j] & vertex_flag::continued) own_rest(j + 1, continuation_[j].factor, opl + continuation_[j].opl, on_light);
+    }
+}
+
+}  // namespace loom::transient
