@@ -245,6 +245,37 @@ TEST(TimeOfFlight, ManySegmentsAddUpExactly) {
     EXPECT_LT(std::abs(double((opl[1] - exact) / exact)), 1e-12);
 }
 
+// Narrow bins far away: 1e-4 at 4000. METHODS 4.4, 3. In single precision the lengths themselves are 2.4e-4 apart.
+TEST(TimeOfFlight, NarrowBinsFarAwayAreHit) {
+    const TimeResponse response = bins(2000, 4000, 1e-4);
+    int misses = 0, misses_in_float = 0;
+    for (std::uint32_t k = 0; k < response.n_bins; ++k) {
+        const double tof = 4000 + (k + 0.5) * 1e-4;
+        response.spread(tof, [&](std::uint32_t bin, double) { misses += bin != k; });
+        response.spread(double(float(tof)), [&](std::uint32_t bin, double) { misses_in_float += bin != k; });
+    }
+    EXPECT_EQ(misses, 0);
+    std::printf("    of %u arrivals %d would miss their bin in single precision\n", response.n_bins, misses_in_float);
+    EXPECT_GT(misses_in_float, 500);
+}
+
+// The same room in another unit: the same histogram over bins of that unit. Paths are the same but for what the offset
+// of rays, which has a length of its own, moves.
+TEST(TimeOfFlight, UnitOfTheSceneChangesNothing) {
+    const auto of = [](double scale) {
+        const std::string body = fmt::format(R"(<shape type="cube"><transform name="to_world"><scale x="{0}" y="{0}" z="{0}"/></transform><boolean name="flip_normals" value="true"/>
+<bsdf type="diffuse"><rgb name="reflectance" value="0.7"/></bsdf></shape><emitter type="point"><point name="position" x="{1}" y="{1}" z="{1}"/><rgb name="intensity" value="{2}"/></emitter>)",
+                                             scale, 0.3 * scale, scale * scale);
+        const std::string sensor = fmt::format(R"(type="perspective"><float name="fov" value="70"/><float name="near_clip" value="0.001"/><transform name="to_world"><lookat origin="{0}, 0, 0" target="{1}, 0, 0" up="0, 0, 1"/></transform>)",
+                                               -0.9 * scale, scale);
+        return cube_of(graph_of(sensor, body, 16, 6, 64), bins(60, 0, 0.2 * scale)).histogram();
+    };
+    const auto a = of(1), b = of(8);
+    double difference = 0, sum = 0;
+    for (std::size_t k = 0; k < a.size(); ++k) difference += std::abs(a[k] - b[k]), sum += a[k];
+    EXPECT_LT(difference, 1e-3 * sum);
+}
+
 /// The glossy box: every kind of lobe, glass and a lamp.
 PathGraph glossy_graph(int size, std::uint64_t spp, std::uint64_t seed = 11) {
     const auto scene = testing::own_scene("glossy-box.xml", size, size, {});
