@@ -78,7 +78,8 @@ void Radiance::fields(Self& r, Visitor& v) {
     v.value("settings/as_printed", s.as_printed, "", "1", "1: the paper's equations to the letter, biased");
 
     v.field("vertices/L", r.L, 3, "vertex,rgb", "W m^-2 sr^-1",
-            "radiance that the vertex reflects towards wo; its own emission is not in it", Finite::counted);
+            "radiance that the vertex reflects towards wo; its own emission is not in it; where steps from darkness count "
+            "bounces, that of a first hit, but of one bounce less at all other vertices", Finite::counted);
     v.optional("paths/direct", r.direct, 3, "path,rgb", "W m^-2 sr^-1",
                "part of L at the first vertex that arrives straight from lights; 0 for paths without vertices",
                Finite::counted);

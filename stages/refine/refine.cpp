@@ -20,17 +20,18 @@ constexpr int longest_exact_depth = 16;
 struct Schedule {
     Start start;
     int iterations;
+    bool counts_bounces;
     std::string why;
 };
 
 /// A depth limit ends light at a number of bounces from the camera, but a vertex that is shared has no depth.
-/// Steps from darkness count bounces too.
+/// Steps from darkness count bounces too: what a first hit's continuation brings has one less than the first hit.
 Schedule schedule(const PathGraph& graph, const Options& options) {
     const int depth = graph.tracing.max_depth;
     if (options.start == Start::automatic && depth >= 0 && depth <= longest_exact_depth)
-        return {Start::zero, std::max(depth - 2, 0), fmt::format("from darkness, {} steps: paths have at most {} edges", std::max(depth - 2, 0), depth)};
-    if (options.start == Start::zero) return {Start::zero, options.iterations, fmt::format("from darkness, {} steps", options.iterations)};
-    return {Start::paths, options.iterations, fmt::format("from the radiance of the paths, {} steps", options.iterations)};
+        return {Start::zero, std::max(depth - 2, 0), true, fmt::format("from darkness, {} steps: paths have at most {} edges", std::max(depth - 2, 0), depth)};
+    if (options.start == Start::zero) return {Start::zero, options.iterations, false, fmt::format("from darkness, {} steps", options.iterations)};
+    return {Start::paths, options.iterations, false, fmt::format("from the radiance of the paths, {} steps", options.iterations)};
 }
 
 /// value(j): what vertex j reflects, as a Light.
@@ -105,7 +106,7 @@ Radiance refine_radiance(const PathGraph& graph, const Clusters& clusters, const
     if (plan.start == Start::zero)
         for (std::size_t k = 0; k < system.n_unknowns; ++k) system.at[k].X = system.at[k].B;
     indirect = {};
-    const auto log = solve(system, first_hits, {plan.iterations, options.clamp, options.epsilon, options.threads}, radiance_of(system), [&](const Iteration& i) {
+    const auto log = solve(system, first_hits, {plan.iterations, options.clamp, options.epsilon, options.threads, plan.counts_bounces}, radiance_of(system), [&](const Iteration& i) {
         residual.push_back(i.residual);
         image_change.push_back(i.image_change);
         result.clamped_share = i.clamped_share;

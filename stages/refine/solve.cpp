@@ -64,8 +64,13 @@ class Reduced {
     AllSums first_step(LightColumn X);
     /// The next Y; it becomes the present one by accept().
     AllSums step();
-    void accept() { std::swap(Y_, next_); }
-    void expand(LightColumn X) const;
+    void accept() {
+        std::swap(Y_, next_);
+        has_previous_ = true;
+    }
+    /// X from Y.
+    /// none_but_first_hits: the others from the Y before; after the first step they keep the start
+    void expand(LightColumn X, bool none_but_first_hits) const;
 
   private:
     struct Edges {
@@ -97,6 +102,7 @@ class Reduced {
     std::vector<std::uint32_t> private_from_;
     std::vector<Light> private_gain_;
     HugeArray<Light> Y_, next_, base_;
+    bool has_previous_ = false;  // in next_
     // Of flat clusters: sums of albedos, over all vertices and over first hits; and of all their B.
     HugeArray<Light> albedo_sum_, image_albedo_sum_;
     AllSums flat_base_;
@@ -310,19 +316,22 @@ AllSums Reduced::sums_of_step() const {
     return sums;
 }
 
-void Reduced::expand(LightColumn X) const {
+void Reduced::expand(LightColumn X, bool none_but_first_hits) const {
+    const auto set = [&](std::size_t k, auto&& value) {
+        if (!none_but_first_hits || first_hit_[k])
+            X[k] = value(Y_);
+        else if (has_previous_)
+            X[k] = value(next_);
+    };
     for_clusters([&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
-        for (std::uint64_t c = begin; c < end; ++c) {
-            const std::uint32_t first = s_.first[c];
-            if (!s_.flat[c]) {
-                for (int l = 0; l < size(c); ++l) X[first + std::size_t(l)] = Y_[rows(c) + std::size_t(l)];
-                continue;
-            }
-            const Quad S = quad(Y_[c]);
-            for (std::uint32_t k = first; k < s_.first[c + 1]; ++k) X[k] = light(quad(s_.at[k].B) + quad(s_.at[k].albedo) * S);
-        }
+        for (std::uint64_t c = begin; c < end; ++c)
+            for (std::uint32_t k = s_.first[c]; k < s_.first[c + 1]; ++k)
+                set(k, [&](const HugeArray<Light>& Y) {
+                    const Light& y = Y[home_[k]];
+                    return s_.flat[c] ? light(quad(s_.at[k].B) + quad(s_.at[k].albedo) * quad(y)) : y;
+                });
     });
-    for (std::size_t k = s_.first.back(); k < s_.n_unknowns; ++k) X[k] = Y_[home_[k]];
+    for (std::size_t k = s_.first.back(); k < s_.n_unknowns; ++k) set(k, [&](const HugeArray<Light>& Y) { return Y[home_[k]]; });
 }
 
 }  // namespace
@@ -337,14 +346,17 @@ std::vector<Iteration> solve(const System& s, std::span<const std::uint32_t> fir
         const AllSums sums = i == 0 ? reduced.first_step(X) : reduced.step();
         const Iteration iteration{ratio(sums.all.change, sums.all.total), ratio(sums.image.change, sums.image.total),
                                   ratio(sums.all.taken, sums.all.given)};
-        if (!std::isfinite(iteration.residual)) break;
+        if (!std::isfinite(iteration.residual)) {
+            if (!log.empty()) reduced.expand(X, false);
+            return log;
+        }
         if (i > 0) reduced.accept();
         log.push_back(iteration);
         if (step) step(iteration);
         if (sums.all.change > 3 * least && iteration.residual > rounding) break;
         least = std::min(least, sums.all.change);
     }
-    if (!log.empty()) reduced.expand(X);
+    reduced.expand(X, options.last_for_first_hits);
     return log;
 }
 

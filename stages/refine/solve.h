@@ -16,6 +16,7 @@ struct SolveOptions {
     Clamp clamp = Clamp::column;
     float epsilon = 1e-3f;
     int threads = 0;
+    bool last_for_first_hits = false;  // the last step is for first hits alone: all others keep the light that it took
 };
 
 /// A light of each unknown: an array, or a column of the system's rows.
