@@ -9,25 +9,33 @@
 namespace loom::merge {
 namespace {
 
-/// Over which window bias is looked for, and by how many standard errors it must show.
+/// Over which window bias is looked for, and by how many standard errors it must show. Noise that few paths bring is not
+/// seen in most windows of that size, which then look biased, and quiet: it is measured over a wider one as well.
 struct Test {
     int radius;
     double standard_errors;
+    int noise_radius;
 };
-constexpr Test against_own{3, 0.5};  // own samples against the cluster's: noise of a few samples
-constexpr Test against_path{6, 1};   // whole paths against both: rare bright paths make windows look biased
+constexpr Test direct_against_own{3, 0.5, 3};
+constexpr Test against_own{3, 0.5, 27};  // own samples against the cluster's: noise of a few samples
+constexpr Test against_path{6, 1, 54};   // whole paths against both
 
-/// Mean over the window, as far as it lies within the image.
+/// Mean over the window, as far as it lies within the image. A window is the end of one block of its length and the
+/// beginning of the next: whatever its size one sum of two, and nothing is lost beside values that are far larger.
 std::vector<double> window_mean(const std::vector<double>& values, int width, int height, int radius) {
-    const auto along = [radius](const std::vector<double>& in, int n, int stride, int n_lines, int line_stride) {
-        std::vector<double> out(in.size());
-        for (int line = 0; line < n_lines; ++line)
+    const auto along = [length = 2 * radius + 1, radius](const std::vector<double>& in, int n, int stride, int n_lines, int line_stride) {
+        std::vector<double> out(in.size()), from_block_begin(std::size_t(n) + 1), to_block_end(std::size_t(n) + 1);
+        for (int line = 0; line < n_lines; ++line) {
+            const std::size_t first = std::size_t(line) * line_stride;
+            for (int i = 0; i < n; ++i) from_block_begin[i] = in[first + std::size_t(i) * stride] + (i % length ? from_block_begin[i - 1] : 0);
+            for (int i = n; i-- > 0;) to_block_end[i] = in[first + std::size_t(i) * stride] + ((i + 1) % length ? to_block_end[i + 1] : 0);
             for (int i = 0; i < n; ++i) {
-                double sum = 0;
-                const int begin = std::max(i - radius, 0), end = std::min(i + radius + 1, n);
-                for (int k = begin; k < end; ++k) sum += in[std::size_t(line) * line_stride + std::size_t(k) * stride];
-                out[std::size_t(line) * line_stride + std::size_t(i) * stride] = sum / (end - begin);
+                const int begin = std::max(i - radius, 0), last = std::min(i + radius, n - 1);
+                double sum = begin % length ? to_block_end[begin] : from_block_begin[last];
+                if (last / length > begin / length) sum += from_block_begin[last];
+                out[first + std::size_t(i) * stride] = sum / (last + 1 - begin);
             }
+        }
         return out;
     };
     return along(along(values, width, 1, height, width), height, width, width, 1);
@@ -86,10 +94,11 @@ struct PairSums {
             cov[i] = (bd[i] / n - mean * b[i] / n) / (n - 1) * importance[i];
         }
         bias2 = significant(bias2, width, height, test);
+        const std::vector<double> wide = window_mean(var, width, height, test.noise_radius);
         var = window_mean(var, width, height, test.radius);
-        cov = window_mean(cov, width, height, test.radius);
+        cov = window_mean(cov, width, height, test.noise_radius);
         for (std::size_t i = 0; i < d.size(); ++i) {
-            const double under = bias2[i] + var[i];
+            const double under = bias2[i] + std::max(var[i], wide[i]);
             bias2[i] = under > 0 ? std::clamp((bias2[i] - cov[i]) / under, 0.0, 1.0) : 0.0;
         }
         return bias2;
@@ -321,8 +330,8 @@ Image blend_images(std::size_t n_parts, const std::function<Image(std::size_t)>&
     for (int half = 0; half < 2; ++half) {
         const TripleSums& other = indirect[1 - half];
         Weights& w = weights[half];
-        w.direct = direct_image ? shared_direct[1 - half].weights(direct_y, direct_var_y, importance, width, height, against_own)
-                                : direct[1 - half].weights(importance, width, height, against_own);
+        w.direct = direct_image ? shared_direct[1 - half].weights(direct_y, direct_var_y, importance, width, height, direct_against_own)
+                                : direct[1 - half].weights(importance, width, height, direct_against_own);
         w.own = other.own.weights(importance, width, height, against_own);
         w.path = other.against_blend(w.own).weights(importance, width, height, against_path);
     }
@@ -387,7 +396,7 @@ DirectPlan plan_direct(std::size_t n_parts, const std::function<Image(std::size_
     std::vector<double> importance = window_mean(luminance_sum, width, height, against_own.radius);
     for (double& y : importance) y = 1 / (sqr(y / double(n_parts)) + 0.01);
 
-    const auto d = direct[0].errors(importance, width, height, against_own);
+    const auto d = direct[0].errors(importance, width, height, direct_against_own);
     std::vector<double> indirect = own[0].errors(importance, width, height, against_own).best;
     const std::vector<double> by_path = path[0].errors(importance, width, height, against_path).best;
     for (std::size_t p = 0; p < indirect.size(); ++p) indirect[p] = std::min(indirect[p], by_path[p]);

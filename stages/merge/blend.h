@@ -18,10 +18,11 @@ bool has_estimates(const Image& image);
 /// Mean of the parts, in which direct and indirect light are each blended pixel by pixel from two estimates A, B:
 ///   x = B + t (A - B),   t = (b^2 - cov(B, A - B)) / (b^2 + var(A - B))   within [0, 1]
 /// with b^2 = mean(A - B)^2 - var(A - B) the squared bias of B less a multiple of its standard error; all of
-/// luminance, over a window around the pixel. First own samples (A) against the cluster (B); for indirect light then
-/// whole paths (A), the only estimate without any bias, against that blend (B), with a wider window and a stricter
-/// test. The weights of even parts are applied to odd ones and the other way round: a weight that knew the noise of
-/// what it weighs would favour dark samples.
+/// luminance, over a window around the pixel; noise of indirect light counts as at least that of a far wider one, which
+/// knows of rarer paths. First own samples (A) against the cluster (B); for indirect light then whole paths (A), the
+/// only estimate without any bias, against that blend (B), with a wider window and a stricter test. The weights of even
+/// parts are applied to odd ones and the other way round: a weight that knew the noise of what it weighs would favour
+/// dark samples.
 /// in:      part   reads part i; called twice for each, so that memory does not grow with their number
 ///          direct  emission and direct light of independent samples, with VarMean: then A for direct light in place of
 ///                  the parts' own samples, since many such samples cost as much as few whole paths   PG figure 10

@@ -60,6 +60,38 @@ TEST(Blend, OfNoiseIsUnbiased) {
         }
 }
 
+// One path in 200 brings all light (squared error 50), so that most windows see none of it and clusters there look too
+// bright: what is rare must not be taken for bias. Breaks seen to fail: noise of the window alone (37; 12 where only whole
+// paths, 32 where only own samples are weighed so).
+TEST(Blend, DoesNotTakeRareLightForBias) {
+    std::mt19937_64 random(15);
+    std::bernoulli_distribution found(1.0 / 200);
+    double blend_error = 0, cluster_error = 0, mean = 0;
+    const int runs = 8;
+    for (int run = 0; run < runs; ++run) {
+        std::vector<Image> parts;
+        for (int i = 0; i < 4; ++i) {
+            Image part = noise_part(96, random, 0, true);
+            std::vector<float> rare(3 * part.n_pixels());
+            for (const char* layer : {"IndirectPath", "IndirectOwn"}) {
+                for (std::size_t p = 0; p < rare.size(); p += 3) rare[p] = rare[p + 1] = rare[p + 2] = found(random) ? 200.0f : 0.0f;
+                part.set_layer(layer, "RGB", rare);
+            }
+            parts.push_back(std::move(part));
+        }
+        const Image blend = merge::blend_images(4, [&](std::size_t i) { return parts[i]; });
+        const Image cluster = merge::average_images(4, [&](std::size_t i) { return parts[i]; });
+        for (std::size_t p = 0; p < blend.n_pixels(); ++p) {
+            blend_error += sqr(blend.find("G")[p] - 1.0) / runs / double(blend.n_pixels());
+            cluster_error += sqr(cluster.find("G")[p] - 1.0) / runs / double(blend.n_pixels());
+        }
+        mean += mean_of(blend) / runs;
+    }
+    std::printf("    squared error: blend %.4f, clusters %.4f; mean of the blend %.4f\n", blend_error, cluster_error, mean);
+    EXPECT_LT(blend_error, 3 * cluster_error);
+    EXPECT_NEAR(mean, 1, 0.01);
+}
+
 /// Direct light by itself: each pixel the mean of n exponential numbers around 1, with their variance.
 Image direct_noise(std::uint32_t size, int n, std::mt19937_64& random) {
     Image image;
