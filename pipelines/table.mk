@@ -6,7 +6,9 @@
 #           their sum over that of path tracing is the cost ratio
 #   error   relMSE at small size after 1 sample and after 16, plain and without the 0.1 % worst pixels, against
 #           REFERENCES/NAME_ref.exr where it is, else a path-traced reference
-#   equal   path tracing given as many samples as take the time of those 16: its error over that of path graphs
+#   equal   path tracing given as many samples as take the time of those 16: its error over that of path graphs; errors
+#           are means over REPLICATES pictures with their own random numbers, se the standard error of the plain gain:
+#           a few bright pixels decide the error of one picture
 #
 # Rows are made one at a time, so that their costs do not disturb each other; what is made stays.
 
@@ -17,12 +19,15 @@
 
 # SCENES=  ## scene files (the shared ones where they are, else a few of the project's own)
 # REFERENCES=  ## folder of NAME_ref.exr and NAME_var.exr
+# REPLICATES=  ## pictures over which errors are averaged (1)
 # REFERENCE_SPP=  ## samples per pixel of a reference that is path traced (4096)
 BUILD ?= build
 shared := $(wildcard ../shared/scenes/*/scene_v3.xml ../shared/scenes/*/scene_glossy_v3.xml ../shared/scenes/*/scene_area_v3.xml)
 SCENES := $(or $(strip $(SCENES)),$(shared),scenes/cornell-box.xml scenes/glossy-box.xml)
 REFERENCES := $(or $(strip $(REFERENCES)),../shared/oracles/scenes)
 REFERENCE_SPP := $(or $(strip $(REFERENCE_SPP)),4096)
+REPLICATES := $(or $(strip $(REPLICATES)),1)
+seeds := $(shell seq 0 $$(($(REPLICATES) - 1)))
 OUT := $(or $(strip $(OUT)),out/table)
 
 compare := $(BUILD)/bin/loom-compare
@@ -55,25 +60,30 @@ $(OUT)/$(call name,$(1))/row.tsv: $(1) pipelines/table.mk pipelines/still.mk $(w
 		size='resx=256 resy=256'; ref=$$(@D)/reference/image.exr; var=; \
 		$$(call picture,reference,METHOD=pt SPP=64 PASSES=$$$$(($(REFERENCE_SPP) / 64)) SEED=77 DEFINES="$$$$size"); \
 	fi; \
-	$$(call picture,pt-1,METHOD=pt SPP=1 DEFINES="$$$$size"); \
-	$$(call picture,pathgraph-1,METHOD=pathgraph SPP=1 PASSES=1 DEFINES="$$$$size"); \
-	$$(call picture,pt-16,METHOD=pt SPP=16 DEFINES="$$$$size"); \
-	$$(call picture,pathgraph-16,METHOD=pathgraph SPP=4 PASSES=4 DEFINES="$$$$size"); \
-	n=$$$$(cat $$(@D)/pathgraph-16/pathgraph/direct.samples); \
+	for s in $(seeds); do \
+		$$(call picture,pt-1-$$$$s,METHOD=pt SPP=1 SEED=$$$$s DEFINES="$$$$size"); \
+		$$(call picture,pathgraph-1-$$$$s,METHOD=pathgraph SPP=1 PASSES=1 SEED=$$$$s DEFINES="$$$$size"); \
+		$$(call picture,pt-16-$$$$s,METHOD=pt SPP=16 SEED=$$$$s DEFINES="$$$$size"); \
+		$$(call picture,pathgraph-16-$$$$s,METHOD=pathgraph SPP=4 PASSES=4 SEED=$$$$s DEFINES="$$$$size"); \
+	done; \
+	n=$$$$(cat $(seeds:%=$$(@D)/pathgraph-16-%/pathgraph/direct.samples) | awk '{ n += $$$$1 } END { print n / NR }'); \
 	ratio=$$$$(awk "BEGIN { print (($$$$trace - $$$$load + $$$$cluster + $$$$refine + $$$$gather + $$$$merge) / 16 + ($$$$direct - $$$$load) / 16 * $$$$n / 16) / (($$$$plain - $$$$load) / 4) }"); \
 	equal=$$$$(awk "BEGIN { print int(16 * $$$$ratio + 0.5) }"); \
-	$$(call picture,pt-equal,METHOD=pt SPP=$$$$equal DEFINES="$$$$size"); \
+	for s in $(seeds); do $$(call picture,pt-equal-$$$$s,METHOD=pt SPP=$$$$equal SEED=$$$$s DEFINES="$$$$size"); done; \
 	$(compare) --quiet --tsv --reference "$$$$ref" $$$${var:+$$$$([ -f "$$$$var" ] && echo --reference-variance "$$$$var")} \
-		$$(foreach p,pt-1 pathgraph-1 pt-16 pathgraph-16 pt-equal,$$(p)=$$(@D)/$$(p)/image.exr) >$$(@D)/errors.tsv; \
+		$$(foreach p,pt-1 pathgraph-1 pt-16 pathgraph-16 pt-equal,$$(foreach s,$(seeds),$$(p)=$$(@D)/$$(p)-$$(s)/image.exr)) >$$(@D)/errors.tsv; \
 	awk -F'\t' -v OFS='\t' -v scene='$(call name,$(1))' -v load="$$$$load" -v plain="$$$$plain" -v trace="$$$$trace" \
-		-v cluster="$$$$cluster" -v refine="$$$$refine" -v gather="$$$$gather" -v merge="$$$$merge" -v direct="$$$$direct" -v n="$$$$n" -v ratio="$$$$ratio" -v equal="$$$$equal" \
+		-v cluster="$$$$cluster" -v refine="$$$$refine" -v gather="$$$$gather" -v merge="$$$$merge" -v direct="$$$$direct" -v n="$$$$n" -v R=$(REPLICATES) -v ratio="$$$$ratio" -v equal="$$$$equal" \
 		'NR == 1 { for (i = 1; i <= NF; ++i) at[$$$$i] = i; next } \
-		{ net = $$$$at["relmse_net"]; e[$$$$2] = net; t[$$$$2] = $$$$at["relmse_trimmed"] - $$$$at["reference_noise"]; c[$$$$2] = $$$$at["corr_right"] } \
+		{ net = $$$$at["relmse_net"]; e[$$$$2] += net / R; e2[$$$$2] += net * net / R; \
+		  t[$$$$2] += ($$$$at["relmse_trimmed"] - $$$$at["reference_noise"]) / R; c[$$$$2] += $$$$at["corr_right"] / R } \
+		function var_mean(m) { return R > 1 && e2[m] > e[m] * e[m] ? (e2[m] / (e[m] * e[m]) - 1) / (R - 1) : 0 } \
 		END { print "scene", "pt_s", "trace_s", "cluster_s", "refine_s", "gather_s", "merge_s", "direct_spp", "direct_s", "cost_ratio", "pt_1", "pathgraph_1", \
-			"gain_1_trimmed", "pt_16", "pathgraph_16", "gain_16_trimmed", "equal_spp", "equal_gain", "equal_gain_trimmed", "corr_right"; \
+			"gain_1_trimmed", "pt_16", "pathgraph_16", "gain_16_trimmed", "equal_spp", "equal_gain", "equal_gain_se", "equal_gain_trimmed", "corr_right"; \
 		print scene, (plain - load) / 4, (trace - load) / 16, cluster / 16, refine / 16, gather / 16, merge / 16, n, (direct - load) / 16 * n / 16, ratio, e["pt-1"], \
 			e["pathgraph-1"], t["pt-1"] / t["pathgraph-1"], e["pt-16"], e["pathgraph-16"], t["pt-16"] / t["pathgraph-16"], equal, \
-			e["pt-equal"] / e["pathgraph-16"], t["pt-equal"] / t["pathgraph-16"], c["pathgraph-16"] }' $$(@D)/errors.tsv >$$@
+			e["pt-equal"] / e["pathgraph-16"], \
+			e["pt-equal"] / e["pathgraph-16"] * sqrt(var_mean("pt-equal") + var_mean("pathgraph-16")), t["pt-equal"] / t["pathgraph-16"], c["pathgraph-16"] }' $$(@D)/errors.tsv >$$@
 endef
 $(foreach s,$(SCENES),$(eval $(call row,$(s))))
 
