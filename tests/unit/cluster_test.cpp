@@ -266,15 +266,14 @@ TEST(SharingRule, GoesByTheNarrowestLobe) {
         models.push_back(m);
         expected.push_back(shares);
     };
-    for (const BsdfKind kind : {BsdfKind::diffuse, BsdfKind::rough_diffuse, BsdfKind::plastic}) {
+    for (const BsdfKind kind : {BsdfKind::diffuse, BsdfKind::rough_diffuse, BsdfKind::plastic, BsdfKind::rough_plastic}) {
         add(kind, 0, 0, 1, true);
         add(kind, 0, 0, 0.3f, true);
         add(kind, 0, 0, 0, false);
     }
     for (const BsdfKind kind : {BsdfKind::conductor, BsdfKind::dielectric, BsdfKind::thin_dielectric, BsdfKind::null})
         add(kind, 0.5f, 0.5f, 1, false);
-    for (const BsdfKind kind :
-         {BsdfKind::rough_conductor, BsdfKind::rough_dielectric, BsdfKind::rough_plastic, BsdfKind::ward}) {
+    for (const BsdfKind kind : {BsdfKind::rough_conductor, BsdfKind::rough_dielectric, BsdfKind::ward}) {
         add(kind, 0.2f, 0.05f, 1, true);
         add(kind, 0.05f, 0.05f, 1, true);
         add(kind, 0.2f, 0.04f, 1, false);

@@ -12,19 +12,19 @@ namespace {
 constexpr float wide = std::numeric_limits<float>::infinity();
 
 bool has_alpha(BsdfKind kind) {
-    return kind == BsdfKind::rough_conductor || kind == BsdfKind::rough_dielectric || kind == BsdfKind::rough_plastic ||
-           kind == BsdfKind::ward;
+    return kind == BsdfKind::rough_conductor || kind == BsdfKind::rough_dielectric || kind == BsdfKind::ward;
 }
 
-/// Width of the narrowest smooth lobe as a microfacet alpha; 0 when there is no smooth lobe.
+/// Width of the narrowest smooth lobe as a microfacet alpha; 0 when there is no smooth lobe. Plastics share what their
+/// diffuse part takes in, however narrow the coat: in the densities of a cluster its directions are the finder's own.
 float narrowest_lobe(const PathGraph::Materials& m, std::size_t i) {
     switch (BsdfKind(m.kind[i])) {
         case BsdfKind::diffuse:
         case BsdfKind::rough_diffuse:
-        case BsdfKind::plastic: return wide;
+        case BsdfKind::plastic:
+        case BsdfKind::rough_plastic: return wide;
         case BsdfKind::rough_conductor:
         case BsdfKind::rough_dielectric:
-        case BsdfKind::rough_plastic:
         case BsdfKind::ward: return std::min(m.alpha[2 * i], m.alpha[2 * i + 1]);
         case BsdfKind::phong: return std::sqrt(2 / (m.exponent[i] + 2));  // [Walter2007] section 5.2: n = 2 / alpha^2 - 2
         case BsdfKind::conductor:
