@@ -18,7 +18,7 @@ struct Test {
 };
 constexpr Test direct_against_own{3, 0.5, 3};
 constexpr Test against_own{3, 0.5, 27};  // own samples against the cluster's: noise of a few samples
-constexpr Test against_path{6, 1, 54};   // whole paths against both
+constexpr Test against_path{6, 0.5, 54};   // whole paths against both
 
 /// Mean over the window, as far as it lies within the image. A window is the end of one block of its length and the
 /// beginning of the next: whatever its size one sum of two, and nothing is lost beside values that are far larger.
