@@ -153,8 +153,8 @@ std::unique_ptr<Scene> ring_caustic(double alpha) {
 }
 
 // The criterion: never above path tracing by more than 5 %, whatever the roughness. Clusters blur the caustic most at
-// alpha 0.3, where the blend is at 1.048 over eight runs of 16 passes: just within, so held below 1.1 there, and below
-// 1.2 in the short run, whose reference is noisy. Break seen to fail: bias believed only from two standard errors on (1.25).
+// alpha 0.3, where the blend is at 1.036 over sixteen runs of 16 passes (clusters: 3.5); below 1.2 in the short run, whose
+// reference is noisy. Break seen to fail: bias believed only from two standard errors on (1.25).
 TEST(StabilitySpecular, RingCausticIsNoWorseThanPathTracing) {
     const std::vector<double> alphas = full_run() ? std::vector{0.3, 0.2, 0.1, 0.05, 0.03, 0.02, 0.01, 0.0} : std::vector{0.3, 0.0};
     const int runs = full_run() ? 16 : 2;
@@ -167,7 +167,7 @@ TEST(StabilitySpecular, RingCausticIsNoWorseThanPathTracing) {
             sum.blend += e.blend, sum.cluster += e.cluster, sum.paths += e.paths;
         }
         std::printf("    alpha %.2f: error over that of path tracing: blend %.3f, clusters %.3f\n", alpha, sum.blend / sum.paths, sum.cluster / sum.paths);
-        EXPECT_LT(sum.blend, (alpha > 0.1 ? full_run() ? 1.1 : 1.2 : 1.05) * sum.paths) << alpha;
+        EXPECT_LT(sum.blend, (alpha > 0.1 && !full_run() ? 1.2 : 1.05) * sum.paths) << alpha;
     }
 }
 
@@ -202,18 +202,16 @@ TEST(StabilityPlateau, PooledPathsAreConsistent) {
         recipe.k = std::min(128u, std::uint32_t(std::lround(64 * std::pow(double(spp) / double(first), 0.3))));
         const Errors e = errors_of(*scene, 10000, 4, recipe, reference);
         x.push_back(std::log(double(spp)));
-        y.push_back(0.5 * std::log(e.cluster));
+        y.push_back(0.5 * std::log(e.blend));
         std::printf("    4 passes of %4d, K = %3u: clusters %.2e, blend %.2e, paths %.2e\n", int(spp), recipe.k, e.cluster, e.blend, e.paths);
-        EXPECT_LT(e.cluster, 0.6 * e.paths);
-        EXPECT_LT(e.blend, 1.05 * e.paths);
+        EXPECT_LT(e.blend, 0.6 * e.paths);
     }
     std::printf("    slope of the root mean square error %.3f\n", slope_of(x, y));
     EXPECT_LE(slope_of(x, y), full_run() ? -0.4 : -0.3);
 }
 
 // Passes of one sample, clusters of 64: their blur stays, so the blend must let go of them in time. From few passes on,
-// where clusters are far ahead, its error falls slowly (slope -0.23) until paths catch up, then as theirs does: 6 % above
-// it at 2048 passes, which weights cost that are themselves estimates.
+// where clusters are far ahead, its error falls slowly until paths catch up, then as theirs does: 0.99 of it at 2048.
 TEST(StabilityPlateau, BlendLetsGoOfClusters) {
     const auto scene = bright_corner();
     const auto reference = reference_of(*scene, full_run() ? 131072 : 2048);
@@ -228,7 +226,7 @@ TEST(StabilityPlateau, BlendLetsGoOfClusters) {
             blend += e.blend / runs, cluster += e.cluster / runs, paths += e.paths / runs;
         }
         std::printf("    %4d passes: blend %.2e, clusters %.2e, paths %.2e\n", passes, blend, cluster, paths);
-        EXPECT_LT(blend, 1.1 * paths);
+        EXPECT_LT(blend, 1.05 * paths);
         EXPECT_LT(blend, before);
         before = blend;
     }
