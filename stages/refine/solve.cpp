@@ -73,8 +73,10 @@ class Reduced {
     void expand(LightColumn X, bool none_but_first_hits) const;
 
   private:
+    using Given = float[3 * (max_lanes + lane_block)];  // [rgb][padded lane]
     struct Edges {
-        alignas(64) float L[3 * max_lanes], base[3 * max_lanes], out[3 * (max_lanes + lane_block)], base_out[3 * (max_lanes + lane_block)];
+        alignas(64) float L[3 * max_lanes], base[3 * max_lanes];
+        Given out, base_out;
         float taken_in[3];
     };
 
@@ -87,18 +89,24 @@ class Reduced {
     /// Row of Y of the first vertex of a cluster that is not flat.
     std::size_t rows(std::size_t c) const { return s_.n_clusters + general_[c]; }
 
+    /// What cluster c, which is not flat, makes of light L[edge][rgb].
+    void give(std::size_t c, const float* L, Given& out) const;
     float clamp(std::size_t c, const float* taken_in, const float* out, Sums& sums) const;
     AllSums sums_of_step() const;
     static AllSums added(const std::vector<AllSums>& parts);
 
     const System& s_;
     const SolveOptions& options_;
-    decltype(ClusterKernels::apply_block) apply_;
+    const ClusterKernels& kernels_;
     std::vector<std::uint32_t> general_;  // by cluster: vertices of clusters before it that are not flat
     std::vector<std::uint8_t> first_hit_;  // by unknown
     HugeArray<std::uint32_t> home_;       // by unknown: row of Y
-    HugeArray<std::uint32_t> from_;       // by slot: row of Y that the light comes from
-    HugeArray<Light> gain_;               // by slot
+    struct alignas(16) Gain {
+        float r, g, b;
+        std::uint32_t from;  // row of Y that the light comes from
+    };
+    static Quad quad_of(const Gain& g) { return Quad{g.r, g.g, g.b, 0}; }
+    HugeArray<Gain> gain_;                // by slot
     std::vector<std::uint32_t> private_from_;
     std::vector<Light> private_gain_;
     HugeArray<Light> Y_, next_, base_;
@@ -109,21 +117,55 @@ class Reduced {
 };
 
 Reduced::Reduced(const System& s, std::span<const std::uint32_t> first_hits, const SolveOptions& options)
-    : s_(s), options_(options), apply_(cluster_kernels().apply_block), general_(s.n_clusters + 1), first_hit_(s.n_unknowns), home_(s.n_unknowns) {
-    for (std::size_t c = 0; c < s.n_clusters; ++c) general_[c + 1] = general_[c] + (s.flat[c] ? 0u : s.first[c + 1] - s.first[c]);
+    : s_(s), options_(options), kernels_(cluster_kernels()), general_(s.n_clusters + 1), first_hit_(s.n_unknowns), home_(s.n_unknowns) {
+    for (std::size_t c = 0; c < s.n_clusters; ++c) general_[c + 1] = general_[c] + (s.shape[c].flat ? 0u : s.first[c + 1] - s.first[c]);
     const std::size_t n_members = s.first.back(), n_solitary = s.n_unknowns - n_members;
     const std::size_t n_rows = s.n_clusters + general_.back() + n_solitary;
     for_clusters([&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
         for (std::uint64_t c = begin; c < end; ++c)
             for (std::uint32_t k = s.first[c]; k < s.first[c + 1]; ++k)
-                home_[k] = std::uint32_t(s.flat[c] ? c : rows(c) + (k - s.first[c]));
+                home_[k] = std::uint32_t(s.shape[c].flat ? c : rows(c) + (k - s.first[c]));
     });
     for (std::size_t k = n_members; k < s.n_unknowns; ++k) home_[k] = std::uint32_t(n_rows - (s.n_unknowns - k));
     for (const std::uint32_t k : first_hits) first_hit_[k] = 1;
-    from_ = HugeArray<std::uint32_t>(n_members);
-    gain_ = HugeArray<Light>(n_members);
+    gain_ = HugeArray<Gain>(n_members);
     Y_ = HugeArray<Light>(n_rows), next_ = HugeArray<Light>(n_rows), base_ = HugeArray<Light>(n_rows);
     albedo_sum_ = HugeArray<Light>(s.n_clusters), image_albedo_sum_ = HugeArray<Light>(s.n_clusters);
+}
+
+void Reduced::give(std::size_t c, const float* L, Given& out) const {
+    const System::Shape& shape = s_.shape[c];
+    const auto block = s_.block_of(c);
+    const int n_edges = s_.n_edges[c], lanes = s_.lanes(c), stride = shape.n_planes() * lanes, n_scales = shape.n_scales();
+    alignas(64) float scaled[3 * max_lanes];
+    if (shape.channels()) {
+        for (int i = 0; i < 3 * n_edges; ++i) scaled[i] = block.scale[i] * L[i];
+        kernels_.apply_block(block.fraction, scaled, n_edges, lanes, out);
+        return;
+    }
+    const auto scale_by = [&](int lobe) {
+        for (int e = 0; e < n_edges; ++e)
+            for (int channel = 0; channel < 3; ++channel) scaled[3 * e + channel] = block.scale[e * n_scales + lobe] * L[3 * e + channel];
+    };
+    if (shape.coat) {
+        scale_by(shape.base);
+        kernels_.apply_plane(block.fraction + (shape.base_plane ? lanes : 0), stride, scaled, n_edges, lanes, out);
+    } else {
+        std::fill_n(out, 3 * lanes, 0.0f);
+    }
+    if (!shape.base) return;
+    scale_by(0);
+    if (shape.base_plane) {
+        Given base;
+        kernels_.apply_plane(block.fraction, stride, scaled, n_edges, lanes, base);
+        for (int i = 0; i < 3 * lanes; ++i) out[i] += block.tint[i] * base[i];
+        return;
+    }
+    float sum[3] = {};
+    for (int e = 0; e < n_edges; ++e)
+        for (int channel = 0; channel < 3; ++channel) sum[channel] += scaled[3 * e + channel];
+    for (int channel = 0; channel < 3; ++channel)
+        for (int l = 0; l < lanes; ++l) out[channel * lanes + l] += block.tint[channel * lanes + l] * sum[channel];
 }
 
 /// Clamp::cluster: the factor on what cluster c gives.
@@ -154,10 +196,10 @@ AllSums Reduced::first_step(LightColumn X) {
         for (std::uint64_t c = begin; c < end; ++c) {
             const std::uint32_t first = s.first[c];
             const int n = size(c), lanes = padded_lanes(n), n_edges = s.n_edges[c];
-            const bool flat = s.flat[c];
+            const bool flat = s.shape[c].flat;
             if (c + 2 < end)
                 for (std::uint32_t slot = s.first[c + 2], i = 0; i < s.n_edges[c + 2]; ++i) {
-                    const std::uint32_t k = s.edge_end[slot + i];
+                    const std::uint32_t k = s.edges[slot + i].end;
                     __builtin_prefetch(&home_[k]);
                     __builtin_prefetch(&X[k]);
                     __builtin_prefetch(&s.at[k]);
@@ -166,12 +208,12 @@ AllSums Reduced::first_step(LightColumn X) {
             std::fill_n(edges.taken_in, 3, 0.0f);
             for (int e = 0; e < n_edges; ++e) {
                 const std::size_t slot = first + std::size_t(e);
-                const std::uint32_t k = s.edge_end[slot], from = home_[k];
-                const float w = flat ? s.edge_weight[slot] : 0.0f;
-                const Quad weight = flat ? Quad{w, w, w, 0} : quad(s.edge_scale[s.row[c] + std::size_t(e)]);
+                const std::uint32_t k = s.edges[slot].end, from = home_[k];
+                const float w = s.edges[slot].weight;
+                const Quad weight{w, w, w, 0};
                 const bool end_is_flat = from < s.n_clusters;
-                from_[slot] = from;
-                gain_[slot] = light(end_is_flat ? weight * quad(s.at[k].albedo) : weight);
+                const Quad gain = end_is_flat ? weight * quad(s.at[k].albedo) : weight;
+                gain_[slot] = {gain[0], gain[1], gain[2], from};
                 const Quad in = weight * quad(X[k]), base = end_is_flat ? weight * quad(s.at[k].B) : Quad{};
                 if (flat) {
                     S += in, S_base += base;
@@ -185,8 +227,8 @@ AllSums Reduced::first_step(LightColumn X) {
                 Y_[c] = light(S), base_[c] = light(S_base);
                 continue;
             }
-            apply_(s.coefficients.data() + s.block[c], edges.L, n_edges, lanes, edges.out);
-            apply_(s.coefficients.data() + s.block[c], edges.base, n_edges, lanes, edges.base_out);
+            give(c, edges.L, edges.out);
+            give(c, edges.base, edges.base_out);
             const float factor = options_.clamp == Clamp::cluster ? clamp(c, edges.taken_in, edges.out, clamped[chunk].all) : 1.0f;
             for (int l = 0; l < n; ++l) {
                 const Light& B = s.at[first + std::size_t(l)].B;
@@ -224,7 +266,7 @@ AllSums Reduced::first_step(LightColumn X) {
             const Quad S = quad(Y_[c]);
             Quad albedo_sum{}, image_albedo_sum{};
             for (std::uint32_t k = s.first[c]; k < s.first[c + 1]; ++k) {
-                if (!s.flat[c]) {
+                if (!s.shape[c].flat) {
                     compare(parts[chunk], k, quad(Y_[home_[k]]));
                     continue;
                 }
@@ -234,7 +276,7 @@ AllSums Reduced::first_step(LightColumn X) {
                 bases[chunk].all.total += magnitude(B);
                 if (first_hit_[k]) image_albedo_sum += albedo, bases[chunk].image.total += magnitude(B);
             }
-            if (s.flat[c]) albedo_sum_[c] = light(albedo_sum), image_albedo_sum_[c] = light(image_albedo_sum);
+            if (s.shape[c].flat) albedo_sum_[c] = light(albedo_sum), image_albedo_sum_[c] = light(image_albedo_sum);
         }
     });
     for (std::size_t k = n_members; k < s.n_unknowns; ++k) compare(parts.back(), k, quad(Y_[home_[k]]));
@@ -253,22 +295,25 @@ AllSums Reduced::step() {
             const std::uint32_t first = s.first[c];
             const int n = size(c), lanes = padded_lanes(n), n_edges = s.n_edges[c];
             if (c + 2 < end)
-                for (std::uint32_t slot = s.first[c + 2], i = 0; i < s.n_edges[c + 2]; ++i) __builtin_prefetch(&Y_[from_[slot + i]]);
-            if (s.flat[c]) {
+                for (std::uint32_t slot = s.first[c + 2], i = 0; i < s.n_edges[c + 2]; ++i) __builtin_prefetch(&Y_[gain_[slot + i].from]);
+            if (s.shape[c].flat) {
                 Quad S = quad(base_[c]);
-                for (int e = 0; e < n_edges; ++e) S += quad(gain_[first + std::size_t(e)]) * quad(Y_[from_[first + std::size_t(e)]]);
+                for (int e = 0; e < n_edges; ++e) {
+                    const Gain& gain = gain_[first + std::size_t(e)];
+                    S += quad_of(gain) * quad(Y_[gain.from]);
+                }
                 next_[c] = light(S);
                 continue;
             }
             std::fill_n(edges.taken_in, 3, 0.0f);
             for (int e = 0; e < n_edges; ++e) {
                 const std::size_t slot = first + std::size_t(e);
-                const Quad Y = quad(Y_[from_[slot]]), in = quad(gain_[slot]) * Y;
+                const Quad Y = quad(Y_[gain_[slot].from]), in = quad_of(gain_[slot]) * Y;
                 for (int channel = 0; channel < 3; ++channel) edges.L[3 * e + channel] = in[channel];
                 if (options_.clamp == Clamp::cluster)
                     for (int channel = 0; channel < 3; ++channel) edges.taken_in[channel] += Y[channel] / s.edge_survival[slot];
             }
-            apply_(s.coefficients.data() + s.block[c], edges.L, n_edges, lanes, edges.out);
+            give(c, edges.L, edges.out);
             const float factor = options_.clamp == Clamp::cluster ? clamp(c, edges.taken_in, edges.out, clamped[chunk].all) : 1.0f;
             for (int l = 0; l < n; ++l) {
                 const Light& base = base_[rows(c) + std::size_t(l)];
@@ -301,7 +346,7 @@ AllSums Reduced::sums_of_step() const {
     for_clusters([&](std::uint64_t chunk, std::uint64_t begin, std::uint64_t end) {
         AllSums& sums = parts[chunk];
         for (std::uint64_t c = begin; c < end; ++c) {
-            if (s.flat[c]) {
+            if (s.shape[c].flat) {
                 const Quad S = quad(next_[c]), change = S - quad(Y_[c]);
                 sums.all.change += magnitude(change * quad(albedo_sum_[c])), sums.all.total += magnitude(S * quad(albedo_sum_[c]));
                 sums.image.change += magnitude(change * quad(image_albedo_sum_[c])), sums.image.total += magnitude(S * quad(image_albedo_sum_[c]));
@@ -328,7 +373,7 @@ void Reduced::expand(LightColumn X, bool none_but_first_hits) const {
             for (std::uint32_t k = s_.first[c]; k < s_.first[c + 1]; ++k)
                 set(k, [&](const HugeArray<Light>& Y) {
                     const Light& y = Y[home_[k]];
-                    return s_.flat[c] ? light(quad(s_.at[k].B) + quad(s_.at[k].albedo) * quad(y)) : y;
+                    return s_.shape[c].flat ? light(quad(s_.at[k].B) + quad(s_.at[k].albedo) * quad(y)) : y;
                 });
     });
     for (std::size_t k = s_.first.back(); k < s_.n_unknowns; ++k) set(k, [&](const HugeArray<Light>& Y) { return Y[home_[k]]; });

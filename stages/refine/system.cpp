@@ -32,8 +32,8 @@ struct Builder {
     const SystemOptions& options;
     std::span<const std::uint32_t> offsets;  // of light edges
     System& system;
-    std::atomic<std::uint64_t> n_coefficients = 0;  // taken
-    std::atomic<std::uint32_t> n_rows = 0;
+    bool split = false;  // coefficients, where they do
+    std::atomic<std::uint64_t> n_bytes = 0;  // of blocks taken
 
     std::span<const std::uint32_t> members(std::size_t c) const {
         return clusters.member.values().subspan(system.first[c], system.first[c + 1] - system.first[c]);
@@ -45,9 +45,9 @@ struct Builder {
 
     /// One column of a block: f_j cos_j / rho at all vertices of the cluster, in 16 bits of its largest value.
     /// in:  inv_eta2  of each lane   edge_eta2  of the medium that the light comes through
-    void add_column(const ClusterShading& shading, const float* inv_eta2, float edge_eta2, std::size_t row, std::uint16_t* out,
-                    float inv_rho, float q, ChunkResult& result) {
-        float scale[3], sum[3];
+    void add_column(const ClusterShading& shading, const float* inv_eta2, float edge_eta2, float* scale, std::uint16_t* out,
+                    float inv_rho, float q, ChunkResult& result) const {
+        float sum[3];
         shading.fix_row(out, scale, sum);
         for (int channel = 0; channel < 3; ++channel) {
             if (!graph.vertices.eta.empty()) {
@@ -59,7 +59,24 @@ struct Builder {
             scale[channel] *= inv_rho * (1.0f / 65535.0f);
         }
         const float factor = clamped({sum[0], sum[1], sum[2]}, q, result);
-        system.edge_scale[row] = {scale[0] * factor, scale[1] * factor, scale[2] * factor, 0};
+        for (int channel = 0; channel < 3; ++channel) scale[channel] *= factor;
+    }
+
+    /// The same as base and coat.
+    void add_split_column(const ClusterShading& shading, const System::Shape& shape, const float* inv_eta2, float edge_eta2, float* scale,
+                          std::uint16_t* out, float inv_rho, float q, ChunkResult& result) const {
+        float largest[2], sum[3];
+        shading.fix_lobes(shape.base_plane, shape.coat, inv_eta2, out, largest, sum);
+        for (float& s : sum) s *= edge_eta2 * inv_rho;
+        const float unit = inv_rho * clamped({sum[0], sum[1], sum[2]}, q, result);
+        if (shape.base) *scale++ = unit * (shape.base_plane ? largest[0] * (1.0f / 65535.0f) : shading.columns().base[0]);
+        if (shape.coat) *scale = unit * (largest[1] * (1.0f / 65535.0f));
+    }
+
+    System::Shape shape_of(const ClusterShading& shading) const {
+        const ClusterShading::Lobes& lobes = shading.lobes();
+        if (!split || !lobes.split) return {};
+        return {.base = lobes.base, .base_plane = lobes.base && !lobes.one_base, .coat = lobes.coat};
     }
 
     /// Factor of a column with these sums of basic radiance.
@@ -97,7 +114,7 @@ struct Builder {
 
     void add_flat_cluster(std::size_t c, FlatCluster& flat, const ClusterRows& rows, ChunkResult& result) {
         const std::uint32_t begin = system.first[c];
-        system.flat[c] = 1;
+        system.shape[c] = {.flat = true};
         flat.gather_lights(rows.lights, rows.first_light.data() + begin);
         const auto vertex = members(c);
         const float per_attempt = flat.survival_sum() > 0 ? 1 / flat.survival_sum() : 0.0f;
@@ -116,8 +133,7 @@ struct Builder {
                 const bool above = cos > 0;
                 const std::size_t slot = begin + std::size_t(n_edges++);
                 if (above) own_weight = albedo * (cos * inv_pi<float> / row.pdf_w);
-                system.edge_weight[slot] = clamped(passed * (above ? eta2_of_next(row, j) : 0.0f), row.q, result) * (above ? per_attempt : 0.0f);
-                system.edge_end[slot] = j + 1;
+                system.edges[slot] = {clamped(passed * (above ? eta2_of_next(row, j) : 0.0f), row.q, result) * (above ? per_attempt : 0.0f), j + 1};
             }
             new (&system.at[k]) System::Row{{direct.r, direct.g, direct.b}, {albedo.r, albedo.g, albedo.b}, {own.r, own.g, own.b}, {own_weight.r, own_weight.g, own_weight.b}};
         }
@@ -140,24 +156,34 @@ struct Builder {
             direct.r[l] = own.r, direct.g[l] = own.g, direct.b[l] = own.b;
             own_light_of[l] = own, own_weight[l] = weight;
         }
-        const auto n_rows_here = std::uint32_t(std::ranges::count_if(vertex_rows, &VertexRow::continues_shared));
-        system.block[c] = n_coefficients.fetch_add(std::uint64_t(n_rows_here) * 3 * std::uint64_t(lanes));
-        system.row[c] = n_rows.fetch_add(n_rows_here);
-        std::uint16_t* column = system.coefficients.data() + system.block[c];
-        int n_edges = 0;
-        for_each_indirect_edge(shading, graph, options.sharing, [&](int lane, std::uint32_t end, float inv_rho) {
-            const std::size_t slot = begin + std::size_t(n_edges);
+        const auto n_edges = int(std::ranges::count_if(vertex_rows, &VertexRow::continues_shared));
+        const System::Shape shape = system.shape[c] = shape_of(shading);
+        system.n_edges[c] = std::uint16_t(n_edges);
+        system.block[c] = n_bytes.fetch_add(shape.bytes(n_edges, lanes));
+        System::BlockAt<std::byte> at(system.blocks.data() + system.block[c], shape, n_edges, lanes);
+        if (shape.base)
+            for (const float* tint : {shading.columns().tint_r, shading.columns().tint_g, shading.columns().tint_b})
+                at.tint = std::copy_n(tint, lanes, at.tint);
+        std::size_t slot = begin;
+        const auto sink = [&](int lane, std::uint32_t end, float inv_rho) {
             const std::size_t j = shading.vertex(lane);
             const VertexRow& row = shading.row(lane);
-            const float q = row.q, back = shading.to_solid_angle(lane), end_eta2 = eta2_of_next(row, j);
-            own_weight[lane] = back > 0 ? shading.f(lane, back / row.pdf_w) : own_continuation(reader, reader.vertex(j), j, row.next);
-            add_column(shading, direct.inv_eta2, end_eta2, system.row[c] + std::size_t(n_edges), column, inv_rho, q, result);
-            system.edge_end[slot] = end;
+            const float q = row.q, end_eta2 = eta2_of_next(row, j);
+            if (shape.channels()) {
+                const float back = shading.to_solid_angle(lane);
+                own_weight[lane] = back > 0 ? shading.f(lane, back / row.pdf_w) : own_continuation(reader, reader.vertex(j), j, row.next);
+                add_column(shading, direct.inv_eta2, end_eta2, at.scale, at.fraction, inv_rho, q, result);
+            } else {
+                own_weight[lane] = shading.f_of_lobes(lane, 1 / row.pdf_w);
+                add_split_column(shading, shape, direct.inv_eta2, end_eta2, at.scale, at.fraction, inv_rho, q, result);
+            }
             if (!system.edge_survival.empty()) system.edge_survival[slot] = q * end_eta2;
-            column += 3 * lanes;
-            ++n_edges;
-        });
-        system.n_edges[c] = std::uint16_t(n_edges);
+            at.scale += shape.n_scales();
+            at.fraction += shape.n_planes() * lanes;
+            system.edges[slot++] = {1, end};
+        };
+        if (shape.channels()) for_each_indirect_edge(shading, graph, options.sharing, sink);
+        else for_each_direction(shading, sink);
         const auto lights = [&](const ClusterShading&, int lane) { return rows.lights_of(begin + shading.place(lane)); };
         for_each_light_edge(shading, options.sharing, lights, [&](int lane, const LightRow& edge, const Spectrum& light, float inv_rho) {
             const std::size_t j = shading.vertex(lane);
@@ -192,29 +218,26 @@ System build_system(const PathGraph& graph, const Clusters& clusters, const Syst
     s.unknown = HugeArray<std::uint32_t>(s.n_unknowns);
     s.first.assign(clusters.first.begin(), clusters.first.end());
     s.n_edges.resize(s.n_clusters);
-    s.flat.resize(s.n_clusters);
+    s.shape.resize(s.n_clusters);
     s.block.resize(s.n_clusters);
-    s.row.resize(s.n_clusters);
     // Memory is taken where it is used: clusters that need a block take the next piece of what is reserved for all.
-    std::uint64_t most_coefficients = 0;
+    std::uint64_t most_bytes = 0;
     for (std::size_t c = 0; c < s.n_clusters; ++c) {
         const int n = int(s.first[c + 1] - s.first[c]);
-        most_coefficients += std::uint64_t(padded_lanes(n)) * 3 * std::uint64_t(n);
+        most_bytes += System::Shape{}.bytes(n, padded_lanes(n)) + 3 * sizeof(float) * std::size_t(padded_lanes(n));
     }
     const std::size_t n_members = s.first.back();
-    s.edge_end = HugeArray<std::uint32_t>(n_members);
-    s.edge_weight = HugeArray<float>(n_members);
-    s.edge_scale = HugeArray<Light>(n_members);
+    s.edges = HugeArray<System::Edge>(n_members);
     if (options.clamp == Clamp::cluster) {
         s.edge_survival = HugeArray<float>(n_members);
         s.inv_eta2 = HugeArray<float>(n_members);
     }
-    s.coefficients = HugeArray<std::uint16_t>(most_coefficients);
+    s.blocks = HugeArray<std::byte>(most_bytes);
 
     Builder builder{graph, reader, clusters, options, offsets, s};
     // What is of rank one for a direction is not for a point, nor where successes are counted; the clamp by cluster
     // wants the light of each edge by itself.
-    const bool rank_one = options.sharing.reuse == Reuse::directions && !options.sharing.as_printed && options.clamp != Clamp::cluster;
+    const bool rank_one = builder.split = options.sharing.reuse == Reuse::directions && !options.sharing.as_printed && options.clamp != Clamp::cluster;
     // Places by cluster; a cluster that is not flat sorts its own once more.
     if (n_members < s.n_unknowns) std::fill_n(s.unknown.data(), s.n_unknowns, System::nothing);
     parallel_chunks(n_members, 1 << 16, options.threads, [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
@@ -269,20 +292,25 @@ System build_system(const PathGraph& graph, const Clusters& clusters, const Syst
     for (System::Private& p : s.privates) p.end = s.unknown[p.end];
     parallel_chunks(s.n_clusters, 4096, options.threads, [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
         for (std::uint64_t c = begin; c < end; ++c)
-            for (std::uint32_t slot = s.first[c]; slot < s.first[c] + s.n_edges[c]; ++slot) s.edge_end[slot] = s.unknown[s.edge_end[slot]];
+            for (std::uint32_t slot = s.first[c]; slot < s.first[c] + s.n_edges[c]; ++slot) s.edges[slot].end = s.unknown[s.edges[slot].end];
     });
     return s;
 }
 
 Spectrum System::coefficient(std::size_t c, int i, int lane) const {
-    if (flat[c]) {
+    const Shape& of = shape[c];
+    if (of.flat) {
         const Light& a = at[first[c] + std::size_t(lane)].albedo;
-        return Spectrum{a.r, a.g, a.b} * edge_weight[first[c] + std::size_t(i)];
+        return Spectrum{a.r, a.g, a.b} * edges[first[c] + std::size_t(i)].weight;
     }
-    const Light& scale = edge_scale[row[c] + std::size_t(i)];
-    const std::size_t lanes = std::size_t(padded_lanes(int(first[c + 1] - first[c])));
-    const std::uint16_t* fixed = coefficients.data() + block[c] + 3 * std::size_t(i) * lanes + std::size_t(lane);
-    return {fixed[0] * scale.r, fixed[lanes] * scale.g, fixed[2 * lanes] * scale.b};
+    const int n = lanes(c);
+    const auto b = block_of(c);
+    const float* scale = b.scale + i * of.n_scales();
+    const std::uint16_t* fraction = b.fraction + i * of.n_planes() * n + lane;
+    if (of.channels()) return {fraction[0] * scale[0], fraction[n] * scale[1], fraction[2 * n] * scale[2]};
+    Spectrum sum(0);
+    if (of.base) sum = Spectrum{b.tint[lane], b.tint[n + lane], b.tint[2 * n + lane]} * (*scale++ * (of.base_plane ? *fraction : 1));
+    return of.coat ? sum + Spectrum(fraction[of.base_plane ? n : 0] * *scale) : sum;
 }
 
 HugeArray<Light> path_radiance(System& system, const PathGraph& g, int threads) {

@@ -5,7 +5,9 @@
 //
 // Clusters pool their samples: M is never built, but as one block of coefficients per cluster (a row for each vertex,
 // a column for each continuation), followed by the step along each continuation. The block of a flat matte cluster is
-// of rank one (flat_columns.h): an albedo for each vertex times a weight for each continuation.
+// of rank one (flat_columns.h): an albedo for each vertex times a weight for each continuation. Where all coats are grey
+// a coefficient is tint * base + coat, with a tint for each vertex, and base and coat have no colour; seen from one side
+// of one normal the base is of rank one too.
 
 #include "formats/clusters.h"
 #include "stages/core/transport/cluster_edges.h"
@@ -52,17 +54,43 @@ struct System {
     // Clusters. Cluster c has unknowns first[c] to first[c+1]; its edge i is in slot first[c] + i.
     std::vector<std::uint32_t> first;
     std::vector<std::uint16_t> n_edges;
-    std::vector<std::uint8_t> flat;           // 1: of rank one
-    HugeArray<std::uint32_t> edge_end;        // by slot: unknown that the light comes from
-    // Flat ones, with the albedo of each unknown
-    HugeArray<float> edge_weight;             // by slot
-    // The others. Where a cluster's share of these lies differs from run to run.
-    std::vector<std::uint64_t> block;         // first coefficient
-    std::vector<std::uint32_t> row;           // edge i is in row[c] + i
-    HugeArray<Light> edge_scale;              // by row: of a fixed-point coefficient
+    struct Shape {
+        bool flat = false;        // of rank one: no block
+        bool base = false;        // tint times a number of the edge,
+        bool base_plane = false;  // and of the vertex
+        bool coat = false;
+        bool channels() const { return !flat && !base && !coat; }
+        int n_scales() const { return flat ? 0 : channels() ? 3 : base + coat; }
+        int n_planes() const { return flat ? 0 : channels() ? 3 : base_plane + coat; }
+        std::size_t bytes(int n_edges, int lanes) const {
+            return sizeof(float) * std::size_t(n_edges * n_scales() + (base ? 3 * lanes : 0)) + sizeof(std::uint16_t) * std::size_t(n_edges * n_planes()) * std::size_t(lanes);
+        }
+    };
+    std::vector<Shape> shape;
+    struct Edge {
+        float weight;       // flat: times the albedo of each unknown
+        std::uint32_t end;  // unknown that the light comes from
+    };
+    HugeArray<Edge> edges;                    // by slot
+    std::vector<std::uint64_t> block;         // where it starts, in bytes; differs from run to run
+    HugeArray<std::byte> blocks;
     HugeArray<float> edge_survival;           // by slot, times eta^2 of the edge; empty unless the clamp asks for it
     HugeArray<float> inv_eta2;                // by unknown, on the side of wo; empty unless the clamp asks for it
-    HugeArray<std::uint16_t> coefficients;    // [edge][rgb][padded lane]
+    /// Numbers and 16-bit fractions of them.
+    template <class Byte>
+    struct BlockAt {
+        template <class T>
+        using As = std::conditional_t<std::is_const_v<Byte>, const T, T>;
+        As<float>*scale, *tint;       // [edge][rgb, or base and coat]; [rgb][padded lane], if there is a base
+        As<std::uint16_t>* fraction;  // [edge][rgb, or base_plane and coat][padded lane]
+
+        BlockAt(Byte* at, const Shape& shape, int n_edges, int lanes)
+            : scale(reinterpret_cast<As<float>*>(at)),
+              tint(scale + n_edges * shape.n_scales()),
+              fraction(reinterpret_cast<As<std::uint16_t>*>(tint + (shape.base ? 3 * lanes : 0))) {}
+    };
+    BlockAt<const std::byte> block_of(std::size_t c) const { return {blocks.data() + block[c], shape[c], n_edges[c], lanes(c)}; }
+    int lanes(std::size_t c) const { return padded_lanes(int(first[c + 1] - first[c])); }
 
     /// Continuations that only their own vertex uses: delta lobes, solitary vertices.
     struct Private {

@@ -307,6 +307,68 @@ TEST(ClusterShading, RefusesMoreThanItHasLanesFor) {
     EXPECT_EQ(shading->size(), max_lanes);
 }
 
+// The single vertex is told colour by colour: of red, base and coat make up f whatever the colours.
+TEST(ClusterColumns, LobesMakeUpTheSingleVertexOnEveryLevel) {
+    const PathGraph& graph = graph_of_all_bsdfs();
+    const GraphReader reader(graph);
+    const auto columns = std::make_unique<ClusterColumns>();
+    std::vector<ShadingPoint> points;
+    for (std::size_t j = 0; j < std::min<std::size_t>(graph.n_vertices(), max_lanes); ++j) points.push_back(reader.vertex(j));
+    for (const Question& question : questions()) {
+        if (question.ask != Ask::direction) continue;
+        std::vector<float> expected_bits;
+        const auto expect = [&](auto* prepare, auto* evaluate, const char* level) {
+            fill(*columns, reader, points, 0);
+            prepare(*columns);
+            evaluate(*columns, question.v.x, question.v.y, question.v.z);
+            std::vector<float> bits{columns->pdf_sum};
+            for (std::size_t l = 0; l < points.size(); ++l) {
+                const Answer expected = plain(points[l], survival_of(graph, l), question, false);
+                SCOPED_TRACE(graph.materials.id[l]);
+                expect_near(columns->tint_r[l] * columns->base[l] + columns->coat[l], expected.f.r, level, 2e-6f);
+                expect_near(columns->pdf[l], expected.pdf, level, 2e-6f);
+                bits.insert(bits.end(), {columns->tint_g[l], columns->base[l], columns->coat[l], columns->pdf[l]});
+                ASSERT_FALSE(::testing::Test::HasFailure());
+            }
+            if (expected_bits.empty()) expected_bits = bits;
+            ASSERT_EQ(bits, expected_bits) << level;
+        };
+        expect(v2::prepare_tints, v2::evaluate_lobes, "v2");
+        if (__builtin_cpu_supports("x86-64-v3")) expect(v3::prepare_tints, v3::evaluate_lobes, "v3");
+        if (__builtin_cpu_supports("x86-64-v4")) expect(v4::prepare_tints, v4::evaluate_lobes, "v4");
+    }
+}
+
+TEST(ClusterShading, SplitsWhereCoatsAreGrey) {
+    const PathGraph& graph = graph_of_all_bsdfs();
+    const GraphReader reader(graph);
+    const auto shading = std::make_unique<ClusterShading>(reader);
+    std::size_t n_split = 0, n_one_base = 0;
+    for (std::uint32_t j = 0; j < graph.n_vertices(); ++j) {
+        shading->load(std::vector<std::uint32_t>{j, j});
+        if (!shading->lobes().split) continue;
+        SCOPED_TRACE(graph.materials.id[j]);
+        ++n_split;
+        n_one_base += shading->lobes().one_base;
+        for (const Question& question : questions()) {
+            if (question.ask != Ask::direction) continue;
+            shading->light_direction(question.v);
+            const Spectrum expected = shading->f(0, 1);
+            const float density = shading->pdf_bsdf_sum();
+            shading->light_lobes(question.v);
+            const Spectrum f = shading->f_of_lobes(0, 1);
+            for (int channel = 0; channel < 3; ++channel) expect_near(f[channel], expected[channel], "f", 2e-6f);
+            expect_near(shading->pdf_bsdf_sum(), density, "density", 2e-6f);
+            if (!shading->lobes().base) EXPECT_EQ(shading->columns().base[0], 0);
+            if (!shading->lobes().coat) EXPECT_EQ(shading->columns().coat[0], 0);
+            ASSERT_FALSE(::testing::Test::HasFailure());
+        }
+    }
+    EXPECT_GT(n_one_base, 0u);
+    EXPECT_GT(n_split, n_one_base);
+    EXPECT_LT(n_split, graph.n_vertices());
+}
+
 // Break seen to fail: the red radiance used for all channels.
 TEST(ClusterColumns, ApplyBlockIsASumOverEdges) {
     for (const int n : {1, 15, 16, 17, 61, 256})
@@ -318,22 +380,24 @@ TEST(ClusterColumns, ApplyBlockIsASumOverEdges) {
             for (auto& c : coefficient) c = std::uint16_t(65535 * numbers.u() + 0.5f);
             for (auto& L : radiance) L = numbers.u() * numbers.u();
             std::vector<float> expected_bytes;
-            const auto expect = [&](auto* apply, const char* level) {
-                std::vector<float> out(3 * std::size_t(lanes), -1);
+            const auto expect = [&](auto* apply, auto* apply_plane, const char* level) {
+                std::vector<float> out(6 * std::size_t(lanes), -1);
                 apply(coefficient.data(), radiance.data(), n_edges, lanes, out.data());
-                for (int channel = 0; channel < 3; ++channel)
+                apply_plane(coefficient.data() + lanes, 3 * lanes, radiance.data(), n_edges, lanes, out.data() + 3 * lanes);
+                for (int channel = 0; channel < 6; ++channel)
                     for (int l = 0; l < lanes; ++l) {
                         double sum = 0;
-                        for (int e = 0; e < n_edges; ++e) sum += double(coefficient[(3 * e + channel) * lanes + l]) * radiance[3 * e + channel];
+                        for (int e = 0; e < n_edges; ++e)
+                            sum += double(coefficient[(3 * e + (channel < 3 ? channel : 1)) * lanes + l]) * radiance[3 * e + channel % 3];
                         ASSERT_NEAR(out[channel * lanes + l], sum, 1e-5 * sum) << level << " " << n << " " << n_edges;
                     }
                 if (expected_bytes.empty()) expected_bytes = out;
                 ASSERT_EQ(out, expected_bytes) << level;
             };
-            expect(v2::apply_block, "v2");
-            if (__builtin_cpu_supports("x86-64-v3")) expect(v3::apply_block, "v3");
-            if (__builtin_cpu_supports("x86-64-v4")) expect(v4::apply_block, "v4");
-            expect(cluster_kernels().apply_block, "chosen");
+            expect(v2::apply_block, v2::apply_plane, "v2");
+            if (__builtin_cpu_supports("x86-64-v3")) expect(v3::apply_block, v3::apply_plane, "v3");
+            if (__builtin_cpu_supports("x86-64-v4")) expect(v4::apply_block, v4::apply_plane, "v4");
+            expect(cluster_kernels().apply_block, cluster_kernels().apply_plane, "chosen");
         }
 }
 

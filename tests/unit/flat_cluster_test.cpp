@@ -149,14 +149,14 @@ TEST_P(FlatSystem, StepsAreThoseOfAllVertices) {
     const auto log = refine::solve(s, first_hits, {steps}, X);
     ASSERT_EQ(log.size(), std::size_t(steps));
     std::size_t n_flat = 0;
-    for (std::size_t c = 0; c < s.n_clusters; ++c) n_flat += s.flat[c];
+    for (std::size_t c = 0; c < s.n_clusters; ++c) n_flat += s.shape[c].flat;
     EXPECT_GT(n_flat, 0u);
     for (int i = 0; i < steps; ++i) {
         for (std::size_t k = 0; k < s.n_unknowns; ++k) next[k] = wide(s.at[k].B);
         for (std::size_t c = 0; c < s.n_clusters; ++c)
             for (int e = 0; e < s.n_edges[c]; ++e)
                 for (std::uint32_t k = s.first[c]; k < s.first[c + 1]; ++k)
-                    next[k] += Rgbd(s.coefficient(c, e, int(k - s.first[c]))) * plain[s.edge_end[s.first[c] + std::size_t(e)]];
+                    next[k] += Rgbd(s.coefficient(c, e, int(k - s.first[c]))) * plain[s.edges[s.first[c] + std::size_t(e)].end];
         for (const System::Private& p : s.privates) next[p.unknown] += Rgbd(p.weight) * plain[p.end];
         const auto share = [&](const auto& unknowns) {
             double change = 0, total = 0;

@@ -197,7 +197,7 @@ TEST_P(SystemTwin, CoefficientsAndDirectLight) {
                 std::set<std::uint32_t> seen;
                 for (int e = 0; e < s.n_edges[c]; ++e) {
                     const std::size_t slot = s.first[c] + e;
-                    const std::uint32_t end = s.vertex[s.edge_end[slot]];
+                    const std::uint32_t end = s.vertex[s.edges[slot].end];
                     ASSERT_TRUE(seen.insert(end).second);
                     if (!twin.columns.contains(end)) continue;
                     const auto& column = twin.columns.at(end);
@@ -217,12 +217,12 @@ TEST_P(SystemTwin, CoefficientsAndDirectLight) {
                     }
                     sum += column_sum.r + column_sum.g + column_sum.b;
                     taken += (column_sum.r + column_sum.g + column_sum.b) * (1 - factor);
-                    n_flat_edges += s.flat[c];
+                    n_flat_edges += s.shape[c].flat;
                     for (std::size_t k = 0; k < member.size(); ++k) {
                         const Spectrum coefficient = s.coefficient(c, e, int(s.unknown[member[k]] - s.first[c]));
                         for (int channel = 0; channel < 3; ++channel) {
                             const double ours = coefficient[channel];
-                            const double step = s.flat[c] ? 0 : most[channel] * factor / 65535, exact = column[k][channel] * factor;
+                            const double step = s.shape[c].flat ? 0 : most[channel] * factor / 65535, exact = column[k][channel] * factor;
                             const double error = std::abs(ours - exact);
                             ASSERT_LE(error, 0.501 * step + param.tolerance * (exact + 0.1 * most[channel] * factor)) << "cluster " << c;
                             if (exact > 1e-3 * most[channel]) worst_coefficient = std::max(worst_coefficient, (error - 0.5 * step) / exact);
@@ -561,20 +561,20 @@ System ring(std::uint32_t n, float gain, float survival = 1) {
     System s;
     s.n_unknowns = n, s.n_clusters = 1;
     s.vertex = HugeArray<std::uint32_t>(n), s.unknown = HugeArray<std::uint32_t>(n);
-    s.at = HugeArray<System::Row>(n), s.edge_end = HugeArray<std::uint32_t>(n), s.edge_scale = HugeArray<Light>(n);
+    s.at = HugeArray<System::Row>(n), s.edges = HugeArray<System::Edge>(n);
     s.edge_survival = HugeArray<float>(n), s.inv_eta2 = HugeArray<float>(n);
-    s.first = {0, n}, s.n_edges = {std::uint16_t(n)}, s.flat = {0}, s.block = {0}, s.row = {0};
-    s.edge_weight = HugeArray<float>(n);
-    s.coefficients = HugeArray<std::uint16_t>(3ull * n * padded_lanes(int(n)));
+    s.first = {0, n}, s.n_edges = {std::uint16_t(n)}, s.shape = {{}}, s.block = {0};
+    s.blocks = HugeArray<std::byte>(s.shape[0].bytes(int(n), padded_lanes(int(n))));
+    const System::BlockAt<std::byte> block(s.blocks.data(), s.shape[0], int(n), padded_lanes(int(n)));
     for (std::uint32_t j = 0; j < n; ++j) {
         s.vertex[j] = s.unknown[j] = j;
         s.at[j].B = {1, 0.5f, 0.25f, 0};
-        s.edge_end[j] = (j + 1) % n;
-        s.edge_scale[j] = {gain / 65535, gain / 65535, gain / 65535, 0};
+        s.edges[j] = {1, (j + 1) % n};
+        std::fill_n(block.scale + 3 * j, 3, gain / 65535);
         s.edge_survival[j] = survival;
         s.inv_eta2[j] = 1;
         for (int channel = 0; channel < 3; ++channel)
-            s.coefficients[(3 * j + channel) * padded_lanes(int(n)) + j] = 65535;  // to itself alone
+            block.fraction[(3 * j + channel) * padded_lanes(int(n)) + j] = 65535;  // to itself alone
     }
     return s;
 }

@@ -9,6 +9,21 @@ namespace loom {
 
 /// f = reflectance / π                                                         [Lambert1760]
 struct DiffuseFamily : SmoothFamily {
+    static constexpr bool coloured_base = true;
+
+    template <class T>
+    [[gnu::always_inline]] static Rgb<T> tint(const Bsdf<T>& b, const Vector3<T>&) {
+        return b.diffuse;
+    }
+    template <class T>
+    [[gnu::always_inline]] static T p_coat(const Bsdf<T>&, const Vector3<T>&) {
+        return T(0);
+    }
+    template <class T>
+    [[gnu::always_inline]] static LobeValues<T> lobes(const Bsdf<T>&, const Vector3<T>& wo, const Vector3<T>& wi, const T&) {
+        const T pdf = wi.z * inv_pi<T>;
+        return one_sided(wo, wi, {pdf, T(0), pdf});
+    }
     template <class T>
     [[gnu::always_inline]] static BsdfValue<T> f_cos_pdf(const Bsdf<T>& b, const Vector3<T>& wo, const Vector3<T>& wi) {
         const T pdf = wi.z * inv_pi<T>;
@@ -27,6 +42,8 @@ struct DiffuseFamily : SmoothFamily {
 /// The full qualitative fit with interreflection, σ = alpha_u / √2 as in Mitsuba 0.6's `roughdiffuse`.
 ///                                                                    [OrenNayar1994] Eqs. (30)-(35)
 struct RoughDiffuseFamily : DiffuseFamily {
+    static constexpr bool coloured_base = false;
+
     template <class T>
     [[gnu::always_inline]] static BsdfValue<T> f_cos_pdf(const Bsdf<T>& b, const Vector3<T>& wo, const Vector3<T>& wi) {
         using std::atan2;

@@ -5,6 +5,7 @@
 //   choose(bsdf, wo, u_lobe, u)   lobe and direction
 //   delta_lobe(bsdf, wo, lobe)    a lobe without width
 //   albedo(bsdf, wo)              as bsdf.h
+//   tint(bsdf, wo), p_coat(bsdf, wo), lobes(bsdf, wo, wi, p_coat)   where colour and direction come apart: see LobeValues
 // f_cos_pdf and what it calls are inlined by force: a call keeps loops over columns from being vectorised.
 // The bases below stand in for the parts that a family does not have.
 
@@ -26,8 +27,20 @@ struct DeltaLobe {
     T eta{1};
 };
 
+/// A coloured base under a coat: f_cos = tint(wo) base + specular coat. Families with coloured_base give tint(),
+/// p_coat(), the probability of sampling the coat, and lobes(), from which two_lobes() makes their f_cos_pdf().
+template <class T>
+struct LobeValues {
+    T base{}, coat{}, pdf_w{};
+};
+template <class Family, class T>
+[[gnu::always_inline]] inline BsdfValue<T> two_lobes(const Bsdf<T>& b, const Vector3<T>& wo, const Vector3<T>& wi) {
+    const LobeValues<T> v = Family::lobes(b, wo, wi, Family::p_coat(b, wo));
+    return {b.specular * v.coat + Family::tint(b, wo) * v.base, v.pdf_w};
+}
+
 struct SmoothFamily {
-    static constexpr bool smooth = true, delta = false;
+    static constexpr bool smooth = true, delta = false, coloured_base = false;
     template <class T>
     static DeltaLobe<T> delta_lobe(const Bsdf<T>&, const Vector3<T>&, Lobe) {
         return {};
@@ -35,7 +48,7 @@ struct SmoothFamily {
 };
 
 struct DeltaFamily {
-    static constexpr bool smooth = false, delta = true;
+    static constexpr bool smooth = false, delta = true, coloured_base = false;
     template <class T>
     static BsdfValue<T> f_cos_pdf(const Bsdf<T>&, const Vector3<T>&, const Vector3<T>&) {
         return {};
@@ -47,6 +60,12 @@ template <class T>
 BsdfValue<T> one_sided(const Vector3<T>& wo, const Vector3<T>& wi, const Rgb<T>& f_cos, const T& pdf_w) {
     const bool above = wo.z > T(0) && wi.z > T(0);
     return {select(above, f_cos, Rgb<T>()), select(above, pdf_w, T(0))};
+}
+
+template <class T>
+[[gnu::always_inline]] inline LobeValues<T> one_sided(const Vector3<T>& wo, const Vector3<T>& wi, const LobeValues<T>& v) {
+    const bool above = wo.z > T(0) && wi.z > T(0);
+    return {select(above, v.base, T(0)), select(above, v.coat, T(0)), select(above, v.pdf_w, T(0))};
 }
 
 /// Probability of the first of two lobes that reflect `a` and `b`: by what they reflect, so that no sample

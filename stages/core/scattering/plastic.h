@@ -20,7 +20,7 @@ template <class T>
 }
 
 struct PlasticFamily : SmoothFamily {
-    static constexpr bool delta = true;
+    static constexpr bool delta = true, coloured_base = true;
 
     template <class T>
     struct Energy {
@@ -39,13 +39,22 @@ struct PlasticFamily : SmoothFamily {
         return coated_diffuse(b, fresnel_diffuse_reflectance(T(1) / b.eta));
     }
     template <class T>
-    [[gnu::always_inline]] static BsdfValue<T> f_cos_pdf(const Bsdf<T>& b, const Vector3<T>& wo, const Vector3<T>& wi) {
-        const Rgb<T> below = base(b);
-        const Energy<T> e = energy(b, wo, below);
+    [[gnu::always_inline]] static Rgb<T> tint(const Bsdf<T>& b, const Vector3<T>& wo) {
+        return base(b) * (T(1) - fresnel_dielectric(wo.z, b.eta).reflectance);
+    }
+    template <class T>
+    [[gnu::always_inline]] static T p_coat(const Bsdf<T>& b, const Vector3<T>& wo) {
+        return energy(b, wo, base(b)).p_specular();
+    }
+    template <class T>
+    [[gnu::always_inline]] static LobeValues<T> lobes(const Bsdf<T>& b, const Vector3<T>& wo, const Vector3<T>& wi, const T& p) {
         const T cosine = wi.z * inv_pi<T>;
         const T entering = T(1) - fresnel_dielectric(wi.z, b.eta).reflectance;
-        return one_sided(wo, wi, below * (e.transmitted * entering * cosine),
-                         (T(1) - e.p_specular()) * cosine);
+        return one_sided(wo, wi, {entering * cosine, T(0), (T(1) - p) * cosine});
+    }
+    template <class T>
+    [[gnu::always_inline]] static BsdfValue<T> f_cos_pdf(const Bsdf<T>& b, const Vector3<T>& wo, const Vector3<T>& wi) {
+        return two_lobes<PlasticFamily>(b, wo, wi);
     }
     template <class T>
     static ChosenDirection<T> choose(const Bsdf<T>& b, const Vector3<T>& wo, float u_lobe, Point2f u) {
@@ -69,6 +78,8 @@ struct PlasticFamily : SmoothFamily {
 /// differs: the passages through the rough coat come from the table that prepare() made for the model's
 ///          own alpha and eta; a derivative by either holds the table fixed
 struct RoughPlasticFamily : SmoothFamily {
+    static constexpr bool coloured_base = true;
+
     /// What the coat lets through, by linear interpolation of the table.
     template <class T>
     [[gnu::always_inline]] static T transmittance(const BsdfModel& model, const T& cos) {
@@ -89,10 +100,15 @@ struct RoughPlasticFamily : SmoothFamily {
         return coated_diffuse(b, T(b.model->fdr_int));
     }
     template <class T>
-    [[gnu::always_inline]] static BsdfValue<T> f_cos_pdf(const Bsdf<T>& b, const Vector3<T>& wo, const Vector3<T>& wi) {
-        const Rgb<T> below = base(b);
-        const PlasticFamily::Energy<T> e = energy(b, wo, below);
-        const T p_specular = e.p_specular();
+    [[gnu::always_inline]] static Rgb<T> tint(const Bsdf<T>& b, const Vector3<T>& wo) {
+        return base(b) * transmittance(*b.model, wo.z);
+    }
+    template <class T>
+    [[gnu::always_inline]] static T p_coat(const Bsdf<T>& b, const Vector3<T>& wo) {
+        return energy(b, wo, base(b)).p_specular();
+    }
+    template <class T>
+    [[gnu::always_inline]] static LobeValues<T> lobes(const Bsdf<T>& b, const Vector3<T>& wo, const Vector3<T>& wi, const T& p) {
         const MicrofacetDistribution<T> facets(b);
         const Vector3<T> h = normalize(wo + wi);
         const T cos_h = dot(wo, h);
@@ -102,9 +118,12 @@ struct RoughPlasticFamily : SmoothFamily {
         const T specular_pdf =
             b.model->sample_visible ? d * facets.G1_exact(wo) / (T(4) * wo.z) : d * h.z / (T(4) * cos_h);
         const T cosine = wi.z * inv_pi<T>;
-        const T passages = e.transmitted * transmittance(*b.model, wi.z);
-        return one_sided(wo, wi, b.specular * specular + below * (passages * cosine),
-                         p_specular * specular_pdf + (T(1) - p_specular) * cosine);
+        return one_sided(wo, wi, {transmittance(*b.model, wi.z) * cosine, specular,
+                                  p * specular_pdf + (T(1) - p) * cosine});
+    }
+    template <class T>
+    [[gnu::always_inline]] static BsdfValue<T> f_cos_pdf(const Bsdf<T>& b, const Vector3<T>& wo, const Vector3<T>& wi) {
+        return two_lobes<RoughPlasticFamily>(b, wo, wi);
     }
     template <class T>
     static ChosenDirection<T> choose(const Bsdf<T>& b, const Vector3<T>& wo, float u_lobe, Point2f u) {

@@ -2,8 +2,11 @@
 
 namespace loom {
 
-#define LOOM_KERNELS_OF(LEVEL) \
-    ClusterKernels { LEVEL::prepare_lanes, LEVEL::evaluate_direction, LEVEL::evaluate_point, LEVEL::evaluate_delta_point, LEVEL::fix_row, LEVEL::apply_block }
+#define LOOM_KERNELS_OF(LEVEL)                                                                                              \
+    ClusterKernels {                                                                                                        \
+        LEVEL::prepare_lanes, LEVEL::evaluate_direction, LEVEL::prepare_tints, LEVEL::evaluate_lobes, LEVEL::evaluate_point, \
+            LEVEL::evaluate_delta_point, LEVEL::fix_row, LEVEL::fix_lobes, LEVEL::apply_block, LEVEL::apply_plane           \
+    }
 
 const ClusterKernels& cluster_kernels() {
     static const ClusterKernels chosen = [] {

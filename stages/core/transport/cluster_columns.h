@@ -41,6 +41,8 @@ struct ClusterColumns {
     // Answered: f cos and density of BSDF sampling (survival folded in), both times the factor, and its sum.
     LaneColumn f_r, f_g, f_b, pdf;
     float pdf_sum = 0;
+    // The same of materials whose coat is grey: f cos = tint base + coat.
+    LaneColumn tint_r, tint_g, tint_b, p_coat, base, coat;
 };
 
 // Every function answers for all lanes; lanes from n up to the next whole block get 0.
@@ -50,6 +52,9 @@ struct ClusterColumns {
     void prepare_lanes(ClusterColumns& c);                                                                      \
     /* Light from direction (x, y, z), world space: values in sr^-1. */                                         \
     void evaluate_direction(ClusterColumns& c, float x, float y, float z);                                      \
+    /* Where every coat is grey: tints and p_coat, once, then base, coat and density for a direction as above. */          \
+    void prepare_tints(ClusterColumns& c);                                                                      \
+    void evaluate_lobes(ClusterColumns& c, float x, float y, float z);                                          \
     /* Light from the point (x, y, z) of a surface with normal (nx, ny, nz), seen from its front: values per */ \
     /* m^2 of that surface, f cos G and pdf G with G = cos_y / d^2. */                                          \
     void evaluate_point(ClusterColumns& c, float x, float y, float z, float nx, float ny, float nz);            \
@@ -57,9 +62,14 @@ struct ClusterColumns {
     void evaluate_delta_point(ClusterColumns& c, float x, float y, float z);                                    \
     /* f in 16 bits of its largest value: row[rgb][lane]; largest[rgb] and sum[rgb] over the lanes. */          \
     void fix_row(const ClusterColumns& c, std::uint16_t* row, float* largest, float* sum);                      \
+    /* Of base and coat those that are asked for, one after the other: row[lobe][lane], largest[lobe]; and */   \
+    /* sum[rgb] over the lanes of f times a weight. */                                                          \
+    void fix_lobes(const ClusterColumns& c, bool base, bool coat, const float* weight, std::uint16_t* row, float* largest, float* sum); \
     /* sum_e L_e c_e of one cluster: coefficient[e][rgb][lane] 16-bit fixed point, radiance[e][rgb] holds */    \
     /* their scale; out[rgb][lane]. */                                                                          \
-    void apply_block(const std::uint16_t* coefficient, const float* radiance, int n_edges, int lanes, float* out);
+    void apply_block(const std::uint16_t* coefficient, const float* radiance, int n_edges, int lanes, float* out); \
+    /* The same of coefficients without colour, [e][lane], rows of edges `stride` apart. */                     \
+    void apply_plane(const std::uint16_t* coefficient, int stride, const float* radiance, int n_edges, int lanes, float* out);
 
 namespace v2 {
 LOOM_CLUSTER_KERNELS
@@ -75,10 +85,14 @@ LOOM_CLUSTER_KERNELS
 struct ClusterKernels {
     decltype(&v2::prepare_lanes) prepare;
     decltype(&v2::evaluate_direction) direction;
+    decltype(&v2::prepare_tints) prepare_tints;
+    decltype(&v2::evaluate_lobes) lobes;
     decltype(&v2::evaluate_point) point;
     decltype(&v2::evaluate_delta_point) delta_point;
     decltype(&v2::fix_row) fix_row;
+    decltype(&v2::fix_lobes) fix_lobes;
     decltype(&v2::apply_block) apply_block;
+    decltype(&v2::apply_plane) apply_plane;
 };
 const ClusterKernels& cluster_kernels();
 

@@ -62,6 +62,17 @@ void for_each_indirect_edge(ClusterShading& shading, const PathGraph& graph, con
     }
 }
 
+/// The same of directions, with answers as base and coat.
+template <class Sink>
+void for_each_direction(ClusterShading& shading, Sink&& sink) {
+    for (int lane = 0; lane < shading.size(); ++lane) {
+        if (!shading.row(lane).continues_shared()) continue;
+        shading.light_lobes(shading.row(lane).next);
+        const float rho = shading.pdf_bsdf_sum();
+        sink(lane, std::uint32_t(shading.vertex(lane) + 1), rho > 0 ? 1 / rho : 0.0f);
+    }
+}
+
 /// Calls sink(lane, edge, light, inv_rho) for each light edge, light being that of the edge in the measure that is
 /// shared; shading then answers for it. inv_rho as above.
 /// in:      lights(shading, lane)  LightRows of a lane

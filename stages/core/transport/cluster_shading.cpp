@@ -6,6 +6,31 @@
 namespace loom {
 namespace {
 
+bool grey(const Spectrum& s) {
+    return s.r == s.g && s.g == s.b;
+}
+
+/// Whether f cos of a material is a coloured base under a grey coat, and which of the two there are.
+ClusterShading::Lobes lobes_of(const BsdfModel& m, std::uint8_t textured) {
+    const bool grey_specular = grey(m.specular) && !(textured & textured_parameter::specular);
+    switch (m.kind) {
+        case BsdfKind::diffuse:
+        case BsdfKind::plastic: return {.split = true, .base = true};
+        case BsdfKind::rough_plastic:
+        case BsdfKind::phong:
+        case BsdfKind::ward: return {.split = grey_specular, .base = true, .coat = true};
+        case BsdfKind::rough_diffuse: return {.split = grey(m.diffuse) && !(textured & textured_parameter::diffuse), .coat = true};
+        case BsdfKind::rough_conductor: return {.split = grey_specular && grey(m.eta_c) && grey(m.k_c), .coat = true};
+        case BsdfKind::rough_dielectric:
+            return {.split = grey_specular && grey(m.transmittance) && !(textured & textured_parameter::transmittance), .coat = true};
+        case BsdfKind::conductor:
+        case BsdfKind::dielectric:
+        case BsdfKind::thin_dielectric:
+        case BsdfKind::null: break;
+    }
+    return {.split = true};
+}
+
 /// Both octahedral coordinates of a direction in one word.
 std::uint32_t packed(const Column<std::int16_t>& column, std::size_t j) {
     std::uint32_t uv;
@@ -60,6 +85,25 @@ void ClusterShading::load(std::span<const std::uint32_t> vertices, std::span<con
     for (int l = n; l < padded(); ++l) c.survival[l] = 0, attempted_nee_[l] = 0;
     kernels_.prepare(c);
     for (const ClusterColumns::Run& run : c.runs) load_textures(run, g.materials.textured[material[run.begin]]);
+    lobes_ = {.split = true};
+    for (const ClusterColumns::Run& run : c.runs) {
+        const Lobes of_run = lobes_of(*run.model, g.materials.textured[material[run.begin]]);
+        lobes_.split &= of_run.split, lobes_.base |= of_run.base, lobes_.coat |= of_run.coat;
+    }
+    if (!lobes_.split) return;
+    kernels_.prepare_tints(c);
+    lobes_.one_base = lobes_.base && has_one_base(g.materials.textured[material[0]]);
+}
+
+/// One normal, seen from one side, of one material that is opaque.
+bool ClusterShading::has_one_base(std::uint8_t textured) const {
+    const ClusterColumns& c = columns_;
+    const BsdfModel& model = *c.runs[0].model;
+    if (c.runs.size() > 1 || model.opacity < 1 || (textured & textured_parameter::opacity) || !perturbed_.empty()) return false;
+    if (!(c.wo_z[0] > 0) && !model.two_sided) return false;
+    for (int l = 0; l < c.n; ++l)
+        if (c.ns[l] != c.ns[0] || c.wo_z[l] == 0 || (c.wo_z[l] > 0) != (c.wo_z[0] > 0)) return false;
+    return true;
 }
 
 void ClusterShading::load_textures(const ClusterColumns::Run& run, std::uint8_t textured) {
@@ -93,11 +137,17 @@ void ClusterShading::shadow_bumps() {
         columns_.f_r[l] *= factor;
         columns_.f_g[l] *= factor;
         columns_.f_b[l] *= factor;
+        columns_.base[l] *= factor;
+        columns_.coat[l] *= factor;
     }
 }
 
 void ClusterShading::light_direction(const Vector3f& wi) {
     kernels_.direction(columns_, wi.x, wi.y, wi.z);
+    shadow_bumps();
+}
+void ClusterShading::light_lobes(const Vector3f& wi) {
+    kernels_.lobes(columns_, wi.x, wi.y, wi.z);
     shadow_bumps();
 }
 void ClusterShading::light_point(const Point3f& y, const Normal3f& n) {

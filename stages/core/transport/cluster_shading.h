@@ -28,6 +28,9 @@ class ClusterShading {
 
     /// Light from direction wi: f cos and densities in sr^-1.
     void light_direction(const Vector3f& wi);
+    /// Light from direction wi, as base and coat.
+    /// needs:   lobes().split
+    void light_lobes(const Vector3f& wi);
     /// Light from a surface point with its normal turned to the cluster: f cos G and densities per m^2.
     void light_point(const Point3f& y, const Normal3f& n);
     /// Light from a point source: f cos / d^2.
@@ -51,7 +54,25 @@ class ClusterShading {
     int n_next_event() const;
     bool attempted_nee(int lane) const { return attempted_nee_[lane] != 0; }
 
+    /// How f cos splits into tint * base + coat at all vertices.
+    struct Lobes {
+        bool split = false;     // it does: every coat is grey
+        bool base = false, coat = false;
+        bool one_base = false;  // the base is the same at all lanes, whatever the direction
+    };
+    const Lobes& lobes() const { return lobes_; }
+    const ClusterColumns& columns() const { return columns_; }
+    Spectrum f_of_lobes(int lane, float scale) const {
+        const ClusterColumns& c = columns_;
+        const float base = c.base[lane], coat = c.coat[lane];
+        return Spectrum{c.tint_r[lane] * base + coat, c.tint_g[lane] * base + coat, c.tint_b[lane] * base + coat} * scale;
+    }
+    void fix_lobes(bool base, bool coat, const float* weight, std::uint16_t* row, float* largest, float* sum) const {
+        kernels_.fix_lobes(columns_, base, coat, weight, row, largest, sum);
+    }
+
   private:
+    bool has_one_base(std::uint8_t textured) const;
     void load_textures(const ClusterColumns::Run& run, std::uint8_t textured);
     void shadow_bumps();
 
@@ -59,6 +80,7 @@ class ClusterShading {
     RowMaker make_row_;
     const ClusterKernels& kernels_;
     ClusterColumns columns_{};
+    Lobes lobes_;
     std::vector<ShadingPoint> perturbed_;  // with bump or normal maps
     std::vector<int> perturbed_lane_;
     std::vector<VertexRow> own_rows_;

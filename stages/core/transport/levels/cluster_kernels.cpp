@@ -62,7 +62,26 @@ constexpr bool has_facets = std::is_same_v<Family, RoughConductorFamily> || std:
 template <class Family>
 constexpr bool has_base = std::is_same_v<Family, PlasticFamily> || std::is_same_v<Family, RoughPlasticFamily>;
 
-template <class Family, bool beckmann, bool sample_visible, bool nonlinear>
+/// The parameters in a lane.
+[[gnu::always_inline]] inline Bsdf<float> bsdf_of(const ClusterColumns& c, const BsdfModel& model, int l) {
+    Bsdf<float> b;
+    b.model = &model;
+    b.diffuse = {c.diffuse_r[l], c.diffuse_g[l], c.diffuse_b[l]};
+    b.specular = {c.specular_r[l], c.specular_g[l], c.specular_b[l]};
+    b.transmittance = {c.transmittance_r[l], c.transmittance_g[l], c.transmittance_b[l]};
+    b.alpha_u = c.alpha_u[l];
+    b.alpha_v = c.alpha_v[l];
+    b.eta = c.eta[l];
+    return b;
+}
+/// seen_from_behind() is wo.z < this: one comparison of floats, where a bool beside one would keep a loop scalar.
+[[gnu::always_inline]] inline float behind_below(const BsdfModel& model) {
+    return model.two_sided ? 0.0f : -std::numeric_limits<float>::infinity();
+}
+
+enum class Answer { channels, lobes };
+
+template <class Family, Answer answer, bool beckmann, bool sample_visible, bool nonlinear>
 [[gnu::noinline, gnu::flatten]] void evaluate_run(ClusterColumns& c, const ClusterColumns::Run& run) {
     // A copy whose choices are known here, and which no store to a column can change.
     BsdfModel model = *run.model;
@@ -71,34 +90,41 @@ template <class Family, bool beckmann, bool sample_visible, bool nonlinear>
         model.sample_visible = sample_visible;
     }
     if (has_base<Family>) model.nonlinear = nonlinear;
-    // seen_from_behind(): one comparison of floats, where a bool beside one would keep the loop scalar.
-    const float behind_below = model.two_sided ? 0.0f : -std::numeric_limits<float>::infinity();
+    const float below = behind_below(model);
     for (int l = run.begin; l < run.past_end(); ++l) {
-        Bsdf<float> b;
-        b.model = &model;
-        b.diffuse = {c.diffuse_r[l], c.diffuse_g[l], c.diffuse_b[l]};
-        b.specular = {c.specular_r[l], c.specular_g[l], c.specular_b[l]};
-        b.transmittance = {c.transmittance_r[l], c.transmittance_g[l], c.transmittance_b[l]};
-        b.alpha_u = c.alpha_u[l];
-        b.alpha_v = c.alpha_v[l];
-        b.eta = c.eta[l];
-        const Vector3f wo{c.wo_x[l], c.wo_y[l], c.wo_z[l]};
-        const bool behind = wo.z < behind_below;
-        const BsdfValue<float> v = Family::f_cos_pdf(b, mirrored(behind, wo), mirrored(behind, Vector3f{c.wi_x[l], c.wi_y[l], c.wi_z[l]}));
+        const Bsdf<float> b = bsdf_of(c, model, l);
+        const bool behind = c.wo_z[l] < below;
+        const Vector3f wo = mirrored(behind, Vector3f{c.wo_x[l], c.wo_y[l], c.wo_z[l]});
+        const Vector3f wi = mirrored(behind, Vector3f{c.wi_x[l], c.wi_y[l], c.wi_z[l]});
         const float factor = c.opacity[l] * c.geometry[l];
-        c.f_r[l] = v.f_cos.r * factor;
-        c.f_g[l] = v.f_cos.g * factor;
-        c.f_b[l] = v.f_cos.b * factor;
-        c.pdf[l] = v.pdf_w * factor * c.survival[l];
+        float pdf_w;
+        if constexpr (answer == Answer::lobes && Family::coloured_base) {
+            const LobeValues<float> v = Family::lobes(b, wo, wi, c.p_coat[l]);
+            c.base[l] = v.base * factor;
+            c.coat[l] = v.coat * (b.specular.r * factor);
+            pdf_w = v.pdf_w;
+        } else {
+            const BsdfValue<float> v = Family::f_cos_pdf(b, wo, wi);
+            if constexpr (answer == Answer::lobes) {
+                c.base[l] = 0;
+                c.coat[l] = v.f_cos.r * factor;
+            } else {
+                c.f_r[l] = v.f_cos.r * factor;
+                c.f_g[l] = v.f_cos.g * factor;
+                c.f_b[l] = v.f_cos.b * factor;
+            }
+            pdf_w = v.pdf_w;
+        }
+        c.pdf[l] = pdf_w * factor * c.survival[l];
     }
 }
 
-template <class Family>
+template <class Family, Answer answer>
 [[gnu::always_inline]] inline void evaluate_run(ClusterColumns& c, const ClusterColumns::Run& run) {
     const BsdfModel& m = *run.model;
     const auto with_base = [&]<bool beckmann, bool visible>() __attribute__((always_inline)) {
-        if (has_base<Family> && m.nonlinear) evaluate_run<Family, beckmann, visible, has_base<Family>>(c, run);
-        else evaluate_run<Family, beckmann, visible, false>(c, run);
+        if (has_base<Family> && m.nonlinear) evaluate_run<Family, answer, beckmann, visible, has_base<Family>>(c, run);
+        else evaluate_run<Family, answer, beckmann, visible, false>(c, run);
     };
     if constexpr (!has_facets<Family>) with_base.template operator()<false, false>();
     else if (m.distribution == Microfacet::beckmann)
@@ -107,19 +133,23 @@ template <class Family>
         m.sample_visible ? with_base.template operator()<false, true>() : with_base.template operator()<false, false>();
 }
 
-[[gnu::always_inline]] inline void evaluate_runs(ClusterColumns& c) {
+template <Answer answer, class... Columns>
+[[gnu::always_inline]] inline void evaluate_runs(ClusterColumns& c, Columns&... columns) {
     for (const ClusterColumns::Run& run : c.runs)
         with_family(run.model->kind, [&]<class Family>(Family) __attribute__((always_inline)) {
             // Nothing but delta lobes: black.
             if constexpr (Family::smooth) {
-                evaluate_run<Family>(c, run);
+                evaluate_run<Family, answer>(c, run);
             } else {
-                for (int l = run.begin; l < run.past_end(); ++l) c.f_r[l] = c.f_g[l] = c.f_b[l] = c.pdf[l] = 0;
+                for (int l = run.begin; l < run.past_end(); ++l) ((columns[l] = 0), ...);
             }
         });
     const int lanes = padded_lanes(c.n);
-    for (int l = c.n; l < lanes; ++l) c.f_r[l] = c.f_g[l] = c.f_b[l] = c.pdf[l] = 0;
+    for (int l = c.n; l < lanes; ++l) ((columns[l] = 0), ...);
     c.pdf_sum = sum_of(c.pdf, lanes);
+}
+[[gnu::always_inline]] inline void evaluate_runs(ClusterColumns& c) {
+    evaluate_runs<Answer::channels>(c, c.f_r, c.f_g, c.f_b, c.pdf);
 }
 
 }  // namespace
@@ -149,6 +179,33 @@ template <class Family>
     evaluate_runs(c);
 }
 
+[[gnu::flatten]] void prepare_tints(ClusterColumns& c) {
+    for (const ClusterColumns::Run& run : c.runs) {
+        const BsdfModel model = *run.model;
+        const float below = behind_below(model);
+        with_family(model.kind, [&]<class Family>(Family) __attribute__((always_inline)) {
+            for (int l = run.begin; l < run.past_end(); ++l) {
+                Spectrum tint(0);
+                if constexpr (Family::coloured_base) {
+                    const Bsdf<float> b = bsdf_of(c, model, l);
+                    const Vector3f wo = mirrored(c.wo_z[l] < below, Vector3f{c.wo_x[l], c.wo_y[l], c.wo_z[l]});
+                    tint = Family::tint(b, wo);
+                    c.p_coat[l] = Family::p_coat(b, wo);
+                }
+                c.tint_r[l] = tint.r, c.tint_g[l] = tint.g, c.tint_b[l] = tint.b;
+            }
+        });
+    }
+    for (int l = c.n; l < padded_lanes(c.n); ++l) c.tint_r[l] = c.tint_g[l] = c.tint_b[l] = 0;
+}
+
+[[gnu::flatten]] void evaluate_lobes(ClusterColumns& c, float x, float y, float z) {
+    to_local(c, [=](int) __attribute__((always_inline)) { return Vector3f{x, y, z}; });
+    const int lanes = padded_lanes(c.n);
+    for (int l = 0; l < lanes; ++l) c.geometry[l] = 1;
+    evaluate_runs<Answer::lobes>(c, c.base, c.coat, c.pdf);
+}
+
 [[gnu::flatten]] void evaluate_point(ClusterColumns& c, float x, float y, float z, float nx, float ny, float nz) {
     to_local(c, [&](int l) __attribute__((always_inline)) {
         const Vector3f d{x - c.px[l], y - c.py[l], z - c.pz[l]};
@@ -169,6 +226,14 @@ template <class Family>
     evaluate_runs(c);
 }
 
+namespace {
+/// In 16 bits of `largest`.
+[[gnu::always_inline]] inline void fix(const float* __restrict f, int lanes, float largest, std::uint16_t* __restrict row) {
+    const float to_fixed = largest > 0 ? 65535.0f / largest : 0.0f;
+    for (int l = 0; l < lanes; ++l) row[l] = std::uint16_t(std::int32_t(f[l] * to_fixed + 0.5f));
+}
+}  // namespace
+
 [[gnu::flatten]] void fix_row(const ClusterColumns& c, std::uint16_t* __restrict row, float* __restrict largest, float* __restrict sum) {
     const int lanes = padded_lanes(c.n);
     const float* const columns[3] = {c.f_r, c.f_g, c.f_b};
@@ -176,8 +241,28 @@ template <class Family>
         const float* f = columns[channel];
         sum[channel] = sum_of(f, lanes);
         largest[channel] = largest_of(f, lanes);
-        const float to_fixed = largest[channel] > 0 ? 65535.0f / largest[channel] : 0.0f;
-        for (int l = 0; l < lanes; ++l) row[channel * lanes + l] = std::uint16_t(std::int32_t(f[l] * to_fixed + 0.5f));
+        fix(f, lanes, largest[channel], row + channel * lanes);
+    }
+}
+
+[[gnu::flatten]] void fix_lobes(const ClusterColumns& c, bool base, bool coat, const float* __restrict weight, std::uint16_t* __restrict row,
+                                float* __restrict largest, float* __restrict sum) {
+    const int lanes = padded_lanes(c.n);
+    const float* const tints[3] = {c.tint_r, c.tint_g, c.tint_b};
+    alignas(64) float weighted[max_lanes];
+    for (int channel = 0; channel < 3; ++channel) {
+        for (int l = 0; l < lanes; ++l) weighted[l] = (tints[channel][l] * c.base[l] + c.coat[l]) * weight[l];
+        sum[channel] = sum_of(weighted, lanes);
+    }
+    largest[0] = largest[1] = 0;
+    if (base) {
+        largest[0] = largest_of(c.base, lanes);
+        fix(c.base, lanes, largest[0], row);
+        row += lanes;
+    }
+    if (coat) {
+        largest[1] = largest_of(c.coat, lanes);
+        fix(c.coat, lanes, largest[1], row);
     }
 }
 
@@ -197,6 +282,21 @@ using FixedLanes = std::uint16_t __attribute__((vector_size(lane_block * sizeof(
                 std::memcpy(&fixed, row, sizeof fixed);
                 sum[channel] += __builtin_convertvector(__builtin_convertvector(fixed, IntLanes), FloatLanes) * radiance[3 * e + channel];
             }
+        for (int channel = 0; channel < 3; ++channel) std::memcpy(out + channel * lanes + block, &sum[channel], sizeof sum[channel]);
+    }
+}
+
+[[gnu::flatten]] void apply_plane(const std::uint16_t* __restrict coefficient, int stride, const float* __restrict radiance, int n_edges,
+                                  int lanes, float* __restrict out) {
+    for (int block = 0; block < lanes; block += lane_block) {
+        FloatLanes sum[3] = {};
+        const std::uint16_t* row = coefficient + block;
+        for (int e = 0; e < n_edges; ++e, row += stride) {
+            FixedLanes fixed;
+            std::memcpy(&fixed, row, sizeof fixed);
+            const FloatLanes value = __builtin_convertvector(__builtin_convertvector(fixed, IntLanes), FloatLanes);
+            for (int channel = 0; channel < 3; ++channel) sum[channel] += value * radiance[3 * e + channel];
+        }
         for (int channel = 0; channel < 3; ++channel) std::memcpy(out + channel * lanes + block, &sum[channel], sizeof sum[channel]);
     }
 }
