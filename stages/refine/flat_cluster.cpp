@@ -76,13 +76,13 @@ void FlatCluster::flush(Batch& batch, decltype(FlatKernels::area) kernel) {
     batch.edges.n = 0;
 }
 
-void FlatCluster::gather_lights(std::span<const LightRow> lights, const std::uint32_t* first) {
+void FlatCluster::gather_lights(const ClusterRows& rows, std::size_t place) {
     FlatColumns& c = columns_;
     far_ = Spectrum(0);
     for (int l = 0; l < padded_lanes(c.n); ++l) c.white_r[l] = c.white_g[l] = c.white_b[l] = 0;
     for (int l = 0; l < c.n; ++l) {
         own_white_[l] = Spectrum(0);
-        for (const LightRow& light : lights.subspan(first[l], first[l + 1] - first[l])) switch (light.kind) {
+        for (const LightRow& light : rows.lights_of(place + std::size_t(l))) switch (light.kind) {
                 case EmitterKind::area: add_near_light(area_, l, light, kernels_.area); break;
                 case EmitterKind::point:
                 case EmitterKind::spot: add_near_light(point_, l, light, kernels_.point); break;

@@ -23,8 +23,8 @@ class FlatCluster {
     float survival_sum() const { return survival_sum_; }
 
     /// Takes the light edges of all vertices.
-    /// in:      first  offsets into lights, by lane, and one more
-    void gather_lights(std::span<const LightRow> lights, const std::uint32_t* first);
+    /// in:      place  of the first lane
+    void gather_lights(const ClusterRows& rows, std::size_t place);
     // Afterwards: light that a lane reflects, pooled, and by its own samples.
     Spectrum direct(int lane) const;
     Spectrum own_direct(int lane) const { return albedo_[lane] * own_white_[lane]; }

@@ -88,6 +88,8 @@ class Reduced {
     int size(std::size_t c) const { return int(s_.first[c + 1] - s_.first[c]); }
     /// Row of Y of the first vertex of a cluster that is not flat.
     std::size_t rows(std::size_t c) const { return s_.n_clusters + general_[c]; }
+    std::size_t member_row(std::size_t c, std::size_t k) const { return s_.shape[c].flat ? c : rows(c) + (k - s_.first[c]); }
+    std::size_t solitary_row(std::size_t k) const { return rows(s_.n_clusters) + (k - s_.first.back()); }
 
     /// What cluster c, which is not flat, makes of light L[edge][rgb].
     void give(std::size_t c, const float* L, Given& out) const;
@@ -100,14 +102,14 @@ class Reduced {
     const ClusterKernels& kernels_;
     std::vector<std::uint32_t> general_;  // by cluster: vertices of clusters before it that are not flat
     std::vector<std::uint8_t> first_hit_;  // by unknown
-    HugeArray<std::uint32_t> home_;       // by unknown: row of Y
+    HugeArray<std::uint32_t> home_;       // by unknown: row of Y; for the first step
     struct alignas(16) Gain {
         float r, g, b;
         std::uint32_t from;  // row of Y that the light comes from
     };
     static Quad quad_of(const Gain& g) { return Quad{g.r, g.g, g.b, 0}; }
     HugeArray<Gain> gain_;                // by slot
-    std::vector<std::uint32_t> private_from_;
+    std::vector<std::uint32_t> private_from_, private_to_;
     std::vector<Light> private_gain_;
     HugeArray<Light> Y_, next_, base_;
     bool has_previous_ = false;  // in next_
@@ -124,9 +126,9 @@ Reduced::Reduced(const System& s, std::span<const std::uint32_t> first_hits, con
     for_clusters([&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
         for (std::uint64_t c = begin; c < end; ++c)
             for (std::uint32_t k = s.first[c]; k < s.first[c + 1]; ++k)
-                home_[k] = std::uint32_t(s.shape[c].flat ? c : rows(c) + (k - s.first[c]));
+                home_[k] = std::uint32_t(member_row(c, k));
     });
-    for (std::size_t k = n_members; k < s.n_unknowns; ++k) home_[k] = std::uint32_t(n_rows - (s.n_unknowns - k));
+    for (std::size_t k = n_members; k < s.n_unknowns; ++k) home_[k] = std::uint32_t(solitary_row(k));
     for (const std::uint32_t k : first_hits) first_hit_[k] = 1;
     gain_ = HugeArray<Gain>(n_members);
     Y_ = HugeArray<Light>(n_rows), next_ = HugeArray<Light>(n_rows), base_ = HugeArray<Light>(n_rows);
@@ -239,7 +241,7 @@ AllSums Reduced::first_step(LightColumn X) {
         }
     });
     for (std::size_t k = n_members; k < s.n_unknowns; ++k) Y_[home_[k]] = base_[home_[k]] = s.at[k].B;
-    private_from_.resize(s.privates.size());
+    private_from_.resize(s.privates.size()), private_to_.resize(s.privates.size());
     private_gain_.resize(s.privates.size());
     parallel_chunks(s.privates.size(), 65536, options_.threads, [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
         for (std::uint64_t i = begin; i < end; ++i) {
@@ -247,7 +249,7 @@ AllSums Reduced::first_step(LightColumn X) {
             const std::uint32_t from = home_[p.end], to = home_[p.unknown];
             const Quad weight{p.weight.r, p.weight.g, p.weight.b, 0};
             const bool end_is_flat = from < s.n_clusters;
-            private_from_[i] = from;
+            private_from_[i] = from, private_to_[i] = to;
             private_gain_[i] = light(end_is_flat ? weight * quad(s.at[p.end].albedo) : weight);
             if (end_is_flat) base_[to] = light(quad(base_[to]) + weight * quad(s.at[p.end].B));
             Y_[to] = light(quad(Y_[to]) + weight * quad(X[p.end]));
@@ -280,6 +282,7 @@ AllSums Reduced::first_step(LightColumn X) {
         }
     });
     for (std::size_t k = n_members; k < s.n_unknowns; ++k) compare(parts.back(), k, quad(Y_[home_[k]]));
+    home_ = {};
     flat_base_ = added(bases);
     AllSums sums = added(parts);
     sums.all += added(clamped).all;
@@ -322,10 +325,10 @@ AllSums Reduced::step() {
             }
         }
     });
-    for (std::size_t k = s.first.back(); k < s.n_unknowns; ++k) next_[home_[k]] = base_[home_[k]];
+    for (std::size_t k = s.first.back(); k < s.n_unknowns; ++k) next_[solitary_row(k)] = base_[solitary_row(k)];
     parallel_chunks(s.privates.size(), 65536, options_.threads, [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
         for (std::uint64_t i = begin; i < end; ++i) {
-            const std::uint32_t to = home_[s.privates[i].unknown];
+            const std::uint32_t to = private_to_[i];
             next_[to] = light(quad(next_[to]) + quad(private_gain_[i]) * quad(Y_[private_from_[i]]));
         }
     });
@@ -355,7 +358,7 @@ AllSums Reduced::sums_of_step() const {
             for (std::uint32_t k = s.first[c]; k < s.first[c + 1]; ++k) compare(sums, k, rows(c) + (k - s.first[c]));
         }
     });
-    for (std::size_t k = s.first.back(); k < s.n_unknowns; ++k) compare(parts.back(), k, home_[k]);
+    for (std::size_t k = s.first.back(); k < s.n_unknowns; ++k) compare(parts.back(), k, solitary_row(k));
     AllSums sums = added(parts);
     sums.all += flat_base_.all, sums.image += flat_base_.image;
     return sums;
@@ -372,11 +375,11 @@ void Reduced::expand(LightColumn X, bool none_but_first_hits) const {
         for (std::uint64_t c = begin; c < end; ++c)
             for (std::uint32_t k = s_.first[c]; k < s_.first[c + 1]; ++k)
                 set(k, [&](const HugeArray<Light>& Y) {
-                    const Light& y = Y[home_[k]];
+                    const Light& y = Y[member_row(c, k)];
                     return s_.shape[c].flat ? light(quad(s_.at[k].B) + quad(s_.at[k].albedo) * quad(y)) : y;
                 });
     });
-    for (std::size_t k = s_.first.back(); k < s_.n_unknowns; ++k) set(k, [&](const HugeArray<Light>& Y) { return Y[home_[k]]; });
+    for (std::size_t k = s_.first.back(); k < s_.n_unknowns; ++k) set(k, [&](const HugeArray<Light>& Y) { return Y[solitary_row(k)]; });
 }
 
 }  // namespace

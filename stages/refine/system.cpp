@@ -115,7 +115,7 @@ struct Builder {
     void add_flat_cluster(std::size_t c, FlatCluster& flat, const ClusterRows& rows, ChunkResult& result) {
         const std::uint32_t begin = system.first[c];
         system.shape[c] = {.flat = true};
-        flat.gather_lights(rows.lights, rows.first_light.data() + begin);
+        flat.gather_lights(rows, begin);
         const auto vertex = members(c);
         const float per_attempt = flat.survival_sum() > 0 ? 1 / flat.survival_sum() : 0.0f;
         Spectrum passed(0);  // by a continuation, as basic radiance but for its own eta^2
@@ -125,7 +125,6 @@ struct Builder {
             const VertexRow row = flat.row(l);  // a copy: its place is taken by the result
             const std::uint32_t k = begin + std::uint32_t(l);
             const std::uint32_t j = vertex[std::size_t(l)];
-            system.vertex[k] = j;
             const Spectrum direct = flat.direct(l), &albedo = flat.albedo(l), own = flat.own_direct(l);
             Spectrum own_weight(0);
             if (row.bits & vertex_flag::continued) {
@@ -149,7 +148,6 @@ struct Builder {
         for (int l = 0; l < lanes; ++l) direct.inv_eta2[l] = l < shading.size() ? 1 / sqr(shading.row(l).eta) : 1.0f;
         Spectrum own_light_of[max_lanes], own_weight[max_lanes];
         for (int l = 0; l < shading.size(); ++l) {
-            system.vertex[begin + l] = shading.vertex(l);
             system.unknown[shading.vertex(l)] = begin + l;
             Spectrum own(0), weight(0);
             if (shading.row(l).bits & vertex_bit::delta) add_private(shading.vertex(l), begin + l, false, own, weight, result);
@@ -214,7 +212,6 @@ System build_system(const PathGraph& graph, const Clusters& clusters, const Syst
     System s;
     s.n_clusters = clusters.n_clusters();
     s.n_unknowns = graph.n_vertices();
-    s.vertex = HugeArray<std::uint32_t>(s.n_unknowns);
     s.unknown = HugeArray<std::uint32_t>(s.n_unknowns);
     s.first.assign(clusters.first.begin(), clusters.first.end());
     s.n_edges.resize(s.n_clusters);
@@ -247,32 +244,40 @@ System build_system(const PathGraph& graph, const Clusters& clusters, const Syst
     const VertexRow* vertex_rows = rows.vertices.data();
     s.at = std::move(rows.vertices).reused<System::Row>();
     const auto rows_of = [&](std::uint64_t c) { return std::span(vertex_rows + s.first[c], s.first[c + 1] - s.first[c]); };
-    std::vector<ChunkResult> results((s.n_clusters + clusters_per_chunk - 1) / clusters_per_chunk + 1);
-    parallel_chunks(s.n_clusters, clusters_per_chunk, options.threads, [&](std::uint64_t chunk, std::uint64_t begin, std::uint64_t end) {
-        const auto shading = std::make_unique<ClusterShading>(reader);
-        const auto flat = std::make_unique<FlatCluster>(reader);
-        const auto direct = std::make_unique<Lanes>();
-        for (std::uint64_t c = begin; c < end; ++c) {
-            if (rank_one && flat->load(rows_of(c))) builder.add_flat_cluster(c, *flat, rows, results[chunk]);
-            else builder.add_cluster(c, *shading, *direct, rows, rows_of(c), results[chunk]);
-        }
-    });
+    const std::uint64_t n_chunks = (s.n_clusters + clusters_per_chunk - 1) / clusters_per_chunk;
+    std::vector<ChunkResult> results(n_chunks);
+    // Half of the light rows at a time: what is held at once costs more than reading the graph's light edges again.
+    for (const auto& [first_chunk, past_chunks] : {std::pair{std::uint64_t(0), n_chunks / 2}, std::pair{n_chunks / 2, n_chunks}}) {
+        const std::size_t past_end = std::min(past_chunks * clusters_per_chunk, s.n_clusters);
+        rows.load_lights(reader, s.unknown, s.first[first_chunk * clusters_per_chunk], s.first[past_end], offsets, options.threads);
+        parallel_chunks(past_chunks - first_chunk, 1, options.threads, [&](std::uint64_t i, std::uint64_t, std::uint64_t) {
+            const std::uint64_t chunk = first_chunk + i, begin = chunk * clusters_per_chunk;
+            const auto shading = std::make_unique<ClusterShading>(reader);
+            const auto flat = std::make_unique<FlatCluster>(reader);
+            const auto direct = std::make_unique<Lanes>();
+            for (std::uint64_t c = begin; c < std::min(begin + clusters_per_chunk, past_end); ++c) {
+                if (rank_one && flat->load(rows_of(c))) builder.add_flat_cluster(c, *flat, rows, results[chunk]);
+                else builder.add_cluster(c, *shading, *direct, rows, rows_of(c), results[chunk]);
+            }
+        });
+    }
 
     // Solitary vertices: those that no cluster has.
     std::uint32_t next = std::uint32_t(n_members);
     if (n_members < s.n_unknowns) {
+        std::vector<std::uint32_t> solitary_vertices;
         for (std::size_t j = 0; j < s.n_unknowns; ++j)
             if (s.unknown[j] == System::nothing) {
-                s.vertex[next] = std::uint32_t(j);
+                solitary_vertices.push_back(std::uint32_t(j));
                 s.unknown[j] = next++;
             }
         std::vector<ChunkResult> solitary((next - n_members) / 4096 + 1);
         parallel_chunks(next - n_members, 4096, options.threads, [&](std::uint64_t chunk, std::uint64_t begin, std::uint64_t end) {
-            for (std::uint64_t i = n_members + begin; i < n_members + end; ++i) {
+            for (std::uint64_t i = begin; i < end; ++i) {
                 Spectrum direct(0), weight(0);
-                builder.add_private(s.vertex[i], std::uint32_t(i), true, direct, weight, solitary[chunk]);
+                builder.add_private(solitary_vertices[i], std::uint32_t(n_members + i), true, direct, weight, solitary[chunk]);
                 const Light light{direct.r, direct.g, direct.b};
-                new (&s.at[i]) System::Row{light, {}, light, {weight.r, weight.g, weight.b}};
+                new (&s.at[n_members + i]) System::Row{light, {}, light, {weight.r, weight.g, weight.b}};
             }
         });
         results.insert(results.end(), std::make_move_iterator(solitary.begin()), std::make_move_iterator(solitary.end()));

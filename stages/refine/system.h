@@ -40,7 +40,6 @@ struct System {
     static constexpr std::uint32_t nothing = 0xffffffffu;
 
     std::size_t n_unknowns = 0, n_clusters = 0;
-    HugeArray<std::uint32_t> vertex;    // of an unknown
     HugeArray<std::uint32_t> unknown;   // of a vertex
     /// Of an unknown, in one line of the cache.
     struct alignas(64) Row {

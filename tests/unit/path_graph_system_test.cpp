@@ -173,6 +173,16 @@ std::string name_of(std::string text) {
     return text;
 }
 
+/// Of unknowns: each has one.
+std::vector<std::uint32_t> vertices_of(const System& s) {
+    std::vector<std::uint32_t> vertex(s.n_unknowns, System::nothing);
+    for (std::uint32_t j = 0; j < s.n_unknowns; ++j) {
+        EXPECT_EQ(vertex.at(s.unknown[j]), System::nothing);
+        vertex[s.unknown[j]] = j;
+    }
+    return vertex;
+}
+
 class SystemTwin : public ::testing::TestWithParam<TwinCase> {};
 
 // Every coefficient within half a step of its 16 bits (1 / 65535 of the column's largest) and the tolerance; direct
@@ -188,6 +198,7 @@ TEST_P(SystemTwin, CoefficientsAndDirectLight) {
     for (const Reuse reuse : {Reuse::directions, Reuse::points})
         for (const Clamp clamp : {Clamp::none, Clamp::column}) {
             const System s = build_system(graph, clusters, {{reuse}, clamp, 0.05f, 2});
+            const std::vector<std::uint32_t> vertex = vertices_of(s);
             std::size_t n_clamped = 0, n_edges = 0, n_flat_edges = 0, n_strays = 0;
             double largest = 0, worst_direct = 0, worst_coefficient = 0, sum = 0, taken = 0;
             for (std::size_t c = 0; c < clusters.n_clusters(); ++c) {
@@ -197,7 +208,7 @@ TEST_P(SystemTwin, CoefficientsAndDirectLight) {
                 std::set<std::uint32_t> seen;
                 for (int e = 0; e < s.n_edges[c]; ++e) {
                     const std::size_t slot = s.first[c] + e;
-                    const std::uint32_t end = s.vertex[s.edges[slot].end];
+                    const std::uint32_t end = vertex[s.edges[slot].end];
                     ASSERT_TRUE(seen.insert(end).second);
                     if (!twin.columns.contains(end)) continue;
                     const auto& column = twin.columns.at(end);
@@ -272,19 +283,19 @@ TEST_P(SystemTwin, PrivateEdgesAndSolitaryVertices) {
     const GraphReader reader(graph);
     const Clusters clusters = clusters_of(graph, GetParam().k, 4);
     const System s = build_system(graph, clusters, {});
+    const std::vector<std::uint32_t> vertex = vertices_of(s);
     std::vector<bool> shares(graph.n_vertices());
     for (const std::uint32_t j : clusters.member) shares[j] = true;
     std::map<std::uint32_t, const System::Private*> by_vertex;
-    for (const System::Private& p : s.privates) EXPECT_TRUE(by_vertex.emplace(s.vertex[p.unknown], &p).second) << "twice";
+    for (const System::Private& p : s.privates) EXPECT_TRUE(by_vertex.emplace(vertex[p.unknown], &p).second) << "twice";
     std::size_t expected = 0;
     for (std::uint32_t j = 0; j < graph.n_vertices(); ++j) {
-        ASSERT_EQ(s.vertex[s.unknown[j]], j);
         const Lobe lobe = Lobe(graph.vertices.lobe[j]);
         const ShadingPoint at = reader.vertex(j);
         if ((graph.vertices.flags[j] & vertex_flag::continued) && (is_delta(lobe) || !shares[j])) {
             ++expected;
             ASSERT_TRUE(by_vertex.contains(j));
-            EXPECT_EQ(s.vertex[by_vertex[j]->end], j + 1);
+            EXPECT_EQ(vertex[by_vertex[j]->end], j + 1);
             const Vector3f wi = continuation_direction(graph, j);
             const Spectrum f = is_delta(lobe) ? delta_value(at.bsdf, at.wo_local, lobe) : f_cos_pdf(at, wi).f_cos;
             const float bump = is_delta(lobe) && at.perturbed && lobe != Lobe::null ? bump_shadowing(at, wi, at.frame.to_local(wi).z) : 1.0f;
@@ -332,7 +343,7 @@ Difference difference(const HugeArray<Light>& a, const HugeArray<Light>& b) {
 /// path_radiance in the order of unknowns.
 HugeArray<Light> by_unknown(const System& s, const HugeArray<Light>& by_vertex) {
     HugeArray<Light> out(s.n_unknowns);
-    for (std::size_t k = 0; k < s.n_unknowns; ++k) out[k] = by_vertex[s.vertex[k]];
+    for (std::size_t j = 0; j < s.n_unknowns; ++j) out[s.unknown[j]] = by_vertex[j];
     return out;
 }
 
@@ -560,14 +571,14 @@ INSTANTIATE_TEST_SUITE_P(Scenes, SystemSolve,
 System ring(std::uint32_t n, float gain, float survival = 1) {
     System s;
     s.n_unknowns = n, s.n_clusters = 1;
-    s.vertex = HugeArray<std::uint32_t>(n), s.unknown = HugeArray<std::uint32_t>(n);
+    s.unknown = HugeArray<std::uint32_t>(n);
     s.at = HugeArray<System::Row>(n), s.edges = HugeArray<System::Edge>(n);
     s.edge_survival = HugeArray<float>(n), s.inv_eta2 = HugeArray<float>(n);
     s.first = {0, n}, s.n_edges = {std::uint16_t(n)}, s.shape = {{}}, s.block = {0};
     s.blocks = HugeArray<std::byte>(s.shape[0].bytes(int(n), padded_lanes(int(n))));
     const System::BlockAt<std::byte> block(s.blocks.data(), s.shape[0], int(n), padded_lanes(int(n)));
     for (std::uint32_t j = 0; j < n; ++j) {
-        s.vertex[j] = s.unknown[j] = j;
+        s.unknown[j] = j;
         s.at[j].B = {1, 0.5f, 0.25f, 0};
         s.edges[j] = {1, (j + 1) % n};
         std::fill_n(block.scale + 3 * j, 3, gain / 65535);

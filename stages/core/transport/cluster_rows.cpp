@@ -63,29 +63,37 @@ LightRow RowMaker::light(std::size_t i) const {
 
 ClusterRows::ClusterRows(const GraphReader& reader, std::span<const std::uint32_t> place, std::size_t n_places,
                          std::span<const std::uint32_t> offsets, int threads)
-    : vertices(place.size()), first_light(n_places + 1) {
+    : vertices(place.size()), first_light_(n_places + 1) {
     const RowMaker make(reader);
     const std::size_t n = place.size();
     parallel_chunks(n, vertices_per_chunk, threads, [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
         for (std::uint64_t j = begin; j < end; ++j) {
             if (const std::uint64_t later = j + ahead; later < end && place[later] < n_places) {
                 __builtin_prefetch(&vertices[place[later]], 1);
-                __builtin_prefetch(&first_light[place[later] + 1], 1);
+                __builtin_prefetch(&first_light_[place[later] + 1], 1);
             }
             if (place[j] >= n_places) continue;
             vertices[place[j]] = make.vertex(j);
-            first_light[place[j] + 1] = offsets[j + 1] - offsets[j];
+            first_light_[place[j] + 1] = offsets[j + 1] - offsets[j];
         }
     });
-    std::partial_sum(first_light.begin(), first_light.end(), first_light.begin());
-    lights = HugeArray<LightRow>(first_light.back());
-    parallel_chunks(n, vertices_per_chunk, threads, [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
-        for (std::uint64_t j = begin; j < end; ++j) {
-            if (const std::uint64_t later = j + ahead; later < end && offsets[later] < offsets[later + 1] && place[later] < n_places)
-                __builtin_prefetch(&lights[first_light[place[later]]], 1);
-            if (offsets[j] == offsets[j + 1] || place[j] >= n_places) continue;
-            std::uint32_t to = first_light[place[j]];
-            for (std::uint32_t i = offsets[j]; i < offsets[j + 1]; ++i) lights[to++] = make.light(i);
+    std::partial_sum(first_light_.begin(), first_light_.end(), first_light_.begin());
+}
+
+void ClusterRows::load_lights(const GraphReader& reader, std::span<const std::uint32_t> place, std::size_t begin, std::size_t end,
+                              std::span<const std::uint32_t> offsets, int threads) {
+    const RowMaker make(reader);
+    first_loaded_ = first_light_[begin];
+    lights_ = {};  // before there are others
+    lights_ = HugeArray<LightRow>(first_light_[end] - first_loaded_);
+    const auto wanted = [&](std::uint64_t j) { return place[j] - begin < end - begin && offsets[j] < offsets[j + 1]; };
+    parallel_chunks(place.size(), vertices_per_chunk, threads, [&](std::uint64_t, std::uint64_t first, std::uint64_t last) {
+        for (std::uint64_t j = first; j < last; ++j) {
+            if (const std::uint64_t later = j + ahead; later < last && wanted(later))
+                __builtin_prefetch(&lights_[first_light_[place[later]] - first_loaded_], 1);
+            if (!wanted(j)) continue;
+            std::uint32_t to = first_light_[place[j]] - first_loaded_;
+            for (std::uint32_t i = offsets[j]; i < offsets[j + 1]; ++i) lights_[to++] = make.light(i);
         }
     });
 }

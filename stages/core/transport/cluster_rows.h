@@ -51,20 +51,28 @@ class RowMaker {
     std::vector<std::uint8_t> matte_;  // by material
 };
 
-/// All rows in the order of clusters, to be read from front to back.
-struct ClusterRows {
+/// Rows in the order of clusters, to be read from front to back: all vertices, and the light edges of some.
+class ClusterRows {
+  public:
     HugeArray<VertexRow> vertices;
-    std::vector<std::uint32_t> first_light;  // place+1 offsets into lights
-    HugeArray<LightRow> lights;
 
     /// in:      place    of each vertex: rows of those at n_places and beyond are left zero
     ///          offsets  of light edges, by vertex
     ClusterRows(const GraphReader& reader, std::span<const std::uint32_t> place, std::size_t n_places,
                 std::span<const std::uint32_t> offsets, int threads);
 
+    /// Takes the light edges of the vertices at places begin to end in place of those it has.
+    void load_lights(const GraphReader& reader, std::span<const std::uint32_t> place, std::size_t begin, std::size_t end,
+                     std::span<const std::uint32_t> offsets, int threads);
+    /// needs:   a place whose light edges are loaded
     std::span<const LightRow> lights_of(std::size_t place) const {
-        return {lights.data() + first_light[place], first_light[place + 1] - first_light[place]};
+        return {lights_.data() + (first_light_[place] - first_loaded_), first_light_[place + 1] - first_light_[place]};
     }
+
+  private:
+    std::vector<std::uint32_t> first_light_;  // by place, and one more
+    std::uint32_t first_loaded_ = 0;
+    HugeArray<LightRow> lights_;
 };
 
 /// f cos Li w / pdf of a light edge, as own_light() of its graph.
