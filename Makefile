@@ -2,7 +2,7 @@
 
 .DEFAULT_GOAL := demo
 .DELETE_ON_ERROR:
-.PHONY: demo image chart chart-all report table choices test test-full stability asan bench peers oidn tools build stages clean help
+.PHONY: demo image transient chart chart-all report table choices test test-full stability asan bench peers oidn tools build stages clean help
 SHELL := /bin/sh
 
 BUILD ?= build
@@ -47,9 +47,14 @@ compile = unset MAKEFLAGS MFLAGS; \
 
 demo: stages ## (default) install, build, trace a small scene, show where the results lie; takes SCENE= too
 	@$(MAKE) --no-print-directory -f pipelines/still.mk demo
+	@$(MAKE) --no-print-directory -f pipelines/transient.mk demo SCENE=scenes/flash.xml DEFINES= TRACE= SPP=8 PASSES=4 \
+		OUT=$(if $(strip $(OUT)),$(strip $(OUT))/flash)
 
 image: stages ## render SCENE; with -s the only line on stdout is the path of the EXR
 	@$(MAKE) --no-print-directory -f pipelines/still.mk image
+
+transient: stages ## light in flight of SCENE, binned over time; with -s the only line on stdout is the path of the cube
+	@$(MAKE) --no-print-directory -f pipelines/transient.mk transient
 
 chart: stages ## error against cost of METHODS on SCENE; the last lines are the paths of the charts
 	@$(MAKE) --no-print-directory -f pipelines/chart.mk chart
@@ -114,6 +119,9 @@ help: ## list targets and variables
 	@echo 'Variables of demo and image:'
 	@sed -n 's/^\([A-Z]*\) ?= *\(.*[^ ]\)  *## \(.*\)/\1=\2\t\3/p; s/^# *\([A-Z]*\)=  *## \(.*\)/\1=\t\2/p' \
 		pipelines/still.mk | awk -F'\t' '{printf "  %-28s %s\n", $$1, $$2}'
+	@echo 'Variables of transient:'
+	@sed -n 's/^\([A-Z]*\) ?= *\(.*[^ ]\)  *## \(.*\)/\1=\2\t\3/p; s/^# *\([A-Z]*\)=  *## \(.*\)/\1=\t\2/p' \
+		pipelines/transient.mk | awk -F'\t' '{printf "  %-28s %s\n", $$1, $$2}'
 	@echo 'Variables of chart, report and peers, beside SCENE, DEFINES, SEED, THREADS, TRACE, LAUNCH and OUT (out/NAME/chart):'
 	@sed -n 's/^# *\([A-Z_]*\)=  *## \(.*\)/\1=\t\2/p' pipelines/chart.mk pipelines/report.mk | awk -F'\t' '{printf "  %-28s %s\n", $$1, $$2}'
 	@echo 'Variables of chart-all, beside METHODS, SPPS, REPLICATES, COST, ERROR and OUT (out/chart-all):'

@@ -40,7 +40,6 @@ METHOD := $(strip $(METHOD))
 refined := $(filter pathgraph west,$(METHOD))
 SPP := $(or $(strip $(SPP)),$(if $(filter pt,$(METHOD)),16,4))
 PASSES := $(or $(strip $(PASSES)),$(if $(refined),4,1))
-BATCH := $(strip $(BATCH))
 ITERATIONS := $(strip $(ITERATIONS))
 
 ifeq ($(strip $(K)),)
@@ -48,58 +47,29 @@ K := $(shell awk 'BEGIN { k = int(16 * sqrt("$(SPP)")); print (k < 1 ? 1 : k > 1
 endif
 K := $(strip $(K))
 
-empty :=
-space := $(empty) $(empty)
-quote = '$(subst ','\'',$(1))'
-
 ifeq ($(filter pathgraph west graph pt,$(METHOD)),)
 $(error METHOD=$(METHOD): must be pathgraph, west, graph or pt)
 endif
-ifneq ($(shell printf '%s\n' $(call quote,$(SPP)) $(call quote,$(PASSES)) $(call quote,$(BATCH)) $(call quote,$(K)) \
-		$(call quote,$(ITERATIONS)) | grep -cxE '[1-9][0-9]{0,8}'),5)
-$(error SPP=$(SPP) PASSES=$(PASSES) BATCH=$(BATCH) K=$(K) ITERATIONS=$(ITERATIONS): must be whole numbers from 1)
-endif
-ifeq ($(shell test -f $(call quote,$(SCENE)) && echo there),)
-$(error SCENE=$(SCENE): no such file)
-endif
-
-# scenes/veach-ajar/scene_v3.xml is called veach-ajar-v3, scenes/mirror.xml mirror.
-OUT := $(or $(strip $(OUT)),out/$(shell realpath -s $(call quote,$(SCENE)) | sed -E \
-	's/[.]xml$$//; s,.*/([^/]+)/scene_?([^/]*)$$,\1-\2,; s,-$$,,; s,.*/,,' | tr -c 'A-Za-z0-9._+\n-' _))
-ifneq ($(words $(OUT)),1)
-$(error OUT=$(OUT): make cannot handle blanks in the names of what it makes)
+folder := $(METHOD)
+kind := $(if $(filter pt,$(METHOD)),exr,h5)
+made := exr
+include pipelines/passes.mk
+ifneq ($(shell printf '%s\n' $(call quote,$(K)) $(call quote,$(ITERATIONS)) | grep -cxE '[1-9][0-9]{0,8}'),2)
+$(error K=$(K) ITERATIONS=$(ITERATIONS): must be whole numbers from 1)
 endif
 
-trace := $(BUILD)/bin/loom-trace
 cluster := $(BUILD)/bin/loom-cluster
 refine := $(BUILD)/bin/loom-refine
 denoise := $(BUILD)/bin/loom-denoise
 gather := $(BUILD)/bin/loom-gather
 merge := $(BUILD)/bin/loom-merge
 inspect := $(BUILD)/bin/loom-inspect
-work := $(OUT)/$(METHOD)
-numbers := $(shell seq 0 $$(($(PASSES) - 1)))
-last := $(lastword $(numbers))
 passes := $(numbers:%=$(work)/pass-%.exr)
 graphs := $(numbers:%=$(work)/pass-%.h5)
 clusters := $(if $(filter pathgraph,$(METHOD)),$(numbers:%=$(work)/pass-%.clusters.h5))
 radiances := $(if $(refined),$(numbers:%=$(work)/pass-%.radiance.h5))
 traced := $(if $(filter pt,$(METHOD)),$(passes),$(graphs))
 clean := $(if $(filter-out 0,$(DENOISE)),$(OUT)/clean.exr $(OUT)/clean.png)
-scene_prerequisite := $(subst $(space),\$(space),$(SCENE))
-
-# What reaches the result, and what only says how fast.
-scene_parameters = $(call quote,$(SCENE))$(if $(DEFINES), $(foreach d,$(DEFINES),-D $(call quote,$(d))))
-common_parameters = $(scene_parameters)$(if $(TRACE), $(TRACE))
-trace_parameters = $(common_parameters) --spp $(SPP)$(if $(SEED), --seed $(SEED))
-threads = $(if $(THREADS), --threads $(THREADS))
-
-# $(call parameter,FILE,VALUE): FILE holds VALUE and is written anew only when VALUE is another one.
-equal = $(and $(findstring x$(1)x,x$(2)x),$(findstring x$(2)x,x$(1)x))
-define parameter
-$(1): $(if $(call equal,$(file <$(1)),$(2)),,FORCE)
-	@mkdir -p $$(@D) && printf '%s\n' $(call quote,$(2)) >$$@
-endef
 
 image: $(OUT)/image.exr $(OUT)/image.png $(clean)
 	@echo $<
@@ -111,24 +81,6 @@ demo: $(OUT)/image.exr $(OUT)/image.png $(clean)
 	@$(if $(clean),echo 'denoised $(OUT)/clean.exr')
 	@$(if $(filter-out pt,$(METHOD)),echo 'graph    $(work)/pass-$(last).h5')
 	@echo 'look     $(inspect) $(lastword $(traced))'
-
-$(eval $(call parameter,$(work)/trace.parameters,$(trace_parameters)))
-# Passes are traced in batches of BATCH, so that a scene is not read for each. Those that are there already make a
-# batch of their own: more passes add to them.
-define batch
-$(foreach i,$(1),$(work)/pass-$(i).$(kind)) &: $(scene_prerequisite) $(work)/trace.parameters $(trace)
-	$(LAUNCH) $(trace) $(trace_parameters) --first-sample $(shell echo $$(($(firstword $(1)) * $(SPP)))) --passes $(words $(1))$(threads) \
-		--depfile $(work)/from-$(firstword $(1)).d -o $(work)/pass-%.$(kind)
-endef
-kind := $(if $(filter pt,$(METHOD)),exr,h5)
-# 0,1,2,3 4,5: comma-separated passes of each batch
-batches := $(shell i=0; was=; for i in $(numbers); do \
-	is=$$([ -e '$(work)'/pass-$$i.exr ] && echo there || echo missing); \
-	if [ $$i = 0 ]; then printf '%s' $$i; \
-	elif [ $$((i % $(BATCH))) = 0 ] || { [ $$is = missing ] && [ $$was = there ]; }; then printf ' %s' $$i; \
-	else printf ',%s' $$i; is=$$was; fi; was=$$is; done)
-comma := ,
-$(foreach b,$(batches),$(eval $(call batch,$(subst $(comma),$(space),$(b)))))
 
 # A graph is as large as its picture is small: once gathered it goes, but for the last, which stays to be
 # looked at. Secondary: that it is gone does not make it be traced again.
@@ -180,6 +132,3 @@ $(OUT)/image.png $(OUT)/clean.png: $(OUT)/%.png: $(OUT)/%.exr $(OUT)/preview.par
 # Run alone on a tree that is not built yet.
 $(trace) $(cluster) $(refine) $(gather) $(merge) $(denoise) $(inspect) &:
 	$(MAKE) --no-print-directory -f Makefile stages
-
-# Files that the scene includes: meshes, textures, other scene files.
--include $(wildcard $(work)/from-*.d)

@@ -1,0 +1,60 @@
+# Light in flight of one scene: OUT/cube.h5, a picture whose pixels are histograms over the optical path length.
+#
+#   trace PASSES path graphs of SPP samples each;  bin the paths of all of them together (loom-transient)
+#
+# The graphs stay: another window, pulse or unit bins the same paths again, and nothing is traced. Parameters are
+# prerequisites, pass i takes samples [i SPP, (i+1) SPP) of every pixel: as in still.mk.
+
+.DELETE_ON_ERROR:
+.PHONY: transient demo FORCE
+.DEFAULT_GOAL := transient
+
+SCENE ?= scenes/flash.xml  ## scene file, Mitsuba XML; a transient_hdr_film says the window
+# PASSES=  ## graphs to trace (4)
+# SPP=  ## samples per pixel of each (16); a graph takes about 300 bytes per sample on disk
+BATCH ?= 4  ## graphs that a process traces
+SAMPLER ?= sobol  ## or independent: more error, and error bars that are not too wide
+# BINS=  ## number of bins (the film's, else 300)
+# START=  ## where the first bin opens (the film's, else where light first arrives)
+# WIDTH=  ## of a bin (the film's, else so that 99.9 % of the light is within)
+# UNIT=  ## of START, WIDTH, LENGTH and the pictures: opl, or ns (opl: optical path length in units of the scene)
+# PULSE=  ## delta, box, gaussian, expgauss, table, sine, square (the film's)
+# LENGTH=  ## of the pulse: of a box its length, of a Gaussian its standard deviation
+# TRANSIENT=  ## further options of loom-transient: TRANSIENT="--unwarp --group-index 1.5=1.53"
+# SEED=  ## seed of the random numbers
+# THREADS=  ## threads of a stage (all); no result depends on it
+# DEFINES=  ## values of the scene's parameters: DEFINES="resx=256 resy=256"
+# TRACE=  ## further options of loom-trace: TRACE="--roulette throughput"
+# OUT=  ## folder of the results (out/NAME, after the scene)
+# LAUNCH=  ## put before each stage: LAUNCH="srun -c8"
+BUILD ?= build
+SCENE := $(strip $(SCENE))
+SPP := $(or $(strip $(SPP)),16)
+PASSES := $(or $(strip $(PASSES)),4)
+SAMPLER := $(strip $(SAMPLER))
+override TRACE := --sampler $(SAMPLER)$(if $(strip $(TRACE)), $(strip $(TRACE)))
+folder := transient
+kind := h5
+made := h5
+include pipelines/passes.mk
+
+bin := $(BUILD)/bin/loom-transient
+inspect := $(BUILD)/bin/loom-inspect
+graphs := $(numbers:%=$(work)/pass-%.h5)
+
+transient: $(OUT)/cube.h5
+	@echo $<
+
+demo: $(OUT)/cube.h5
+	@echo 'cube     $<'
+	@echo 'look     $(inspect) $<'
+
+cube_parameters = $(strip $(if $(UNIT),--unit $(UNIT)) $(if $(BINS),--bins $(BINS)) $(if $(START),--start $(START)) \
+	$(if $(WIDTH),--width $(WIDTH)) $(if $(PULSE),--pulse $(PULSE)) $(if $(LENGTH),--pulse-length $(LENGTH)) $(TRANSIENT))
+$(eval $(call parameter,$(OUT)/cube.parameters,$(PASSES) $(cube_parameters)))
+$(OUT)/cube.h5: $(graphs) $(OUT)/cube.parameters $(bin)
+	$(LAUNCH) $(bin) $(graphs) $(cube_parameters) -o $@$(threads)
+
+# Run alone on a tree that is not built yet.
+$(trace) $(bin) $(inspect) &:
+	$(MAKE) --no-print-directory -f Makefile stages
