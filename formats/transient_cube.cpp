@@ -2,9 +2,30 @@
 
 #include <fmt/format.h>
 
+#include <cmath>
+
 #include "formats/io/hdf5_format.h"
 
 namespace loom {
+
+std::string difference_in_words(const TransientCubeHeader& a, const TransientCubeHeader& b, double slack) {
+    if (a.film.width != b.film.width || a.film.height != b.film.height)
+        return fmt::format("is {} x {} pixels, not {} x {}", a.film.width, a.film.height, b.film.width, b.film.height);
+    const auto &t = a.time, &u = b.time;
+    if (t.n_bins != u.n_bins) return fmt::format("has {} bins, not {}", t.n_bins, u.n_bins);
+    const double far = slack * u.bin_width_opl;
+    const bool apart = std::abs(t.start_opl - u.start_opl) > far || std::abs(t.n_bins * (t.bin_width_opl - u.bin_width_opl)) > far;
+    if (apart || std::abs(t.gate_opl - u.gate_opl) > far)
+        return fmt::format("has bins of {:.9g} m (gate {:.9g}) from {:.9g}, not of {:.9g} m (gate {:.9g}) from {:.9g}", t.bin_width_opl, t.gate_opl, t.start_opl,
+                           u.bin_width_opl, u.gate_opl, u.start_opl);
+    if (t.camera_segment != u.camera_segment)
+        return t.camera_segment ? "counts lengths from the camera, not from the first hit" : "counts lengths from the first hit, not from the camera";
+    const auto &r = a.response, &s = b.response;
+    if (r.pulse != s.pulse || r.length_opl != s.length_opl || r.tail_opl != s.tail_opl || r.period_opl != s.period_opl)
+        return fmt::format("has a {} pulse (length {:.9g}, tail {:.9g}, period {:.9g}), not {} (length {:.9g}, tail {:.9g}, period {:.9g})", r.pulse, r.length_opl,
+                           r.tail_opl, r.period_opl, s.pulse, s.length_opl, s.tail_opl, s.period_opl);
+    return {};
+}
 
 std::string TransientCube::problem() const {
     if (film.width == 0 || film.height == 0) return "film/width, film/height: the film has no pixels";

@@ -48,6 +48,10 @@ struct TransientCubeHeader {
     double in_unit(double opl) const { return time.unit == "ns" ? opl * time.metres_per_unit / speed_of_light : opl; }
 };
 
+/// Why the bins of `a` do not record what those of `b` do; empty when they do. Labels (unit, length of a unit) may differ.
+/// in:      slack  share of a bin by which their windows may be apart
+std::string difference_in_words(const TransientCubeHeader& a, const TransientCubeHeader& b, double slack = 0);
+
 template <template <class> class ColumnOf>
 struct TransientCubeOf : TransientCubeHeader {
     static constexpr FormatId format{"transient_cube", 1, 0};

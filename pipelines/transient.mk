@@ -2,8 +2,10 @@
 #
 #   trace PASSES path graphs of SPP samples each;  bin the paths of all of them together (loom-transient)
 #
-# The graphs stay: another window, pulse or unit bins the same paths again, and nothing is traced. Parameters are
-# prerequisites, pass i takes samples [i SPP, (i+1) SPP) of every pixel: as in still.mk.
+# The graphs stay: another window, pulse or unit bins the same paths again, and nothing is traced. With KEEP=0 each graph
+# is binned by itself and goes, and the cubes are merged: for more samples than the disk or the memory has room for, and
+# for a window that the film or START and WIDTH say. Parameters are prerequisites, pass i takes samples
+# [i SPP, (i+1) SPP) of every pixel: as in still.mk.
 
 .DELETE_ON_ERROR:
 .PHONY: transient demo FORCE
@@ -25,6 +27,7 @@ SAMPLER ?= sobol  ## or independent: more error, and error bars that are not too
 # THREADS=  ## threads of a stage (all); no result depends on it
 # DEFINES=  ## values of the scene's parameters: DEFINES="resx=256 resy=256"
 # TRACE=  ## further options of loom-trace: TRACE="--roulette throughput"
+KEEP ?= 1  ## 0: bin each graph by itself, and keep its cube instead
 # OUT=  ## folder of the results (out/NAME, after the scene)
 # LAUNCH=  ## put before each stage: LAUNCH="srun -c8"
 BUILD ?= build
@@ -33,12 +36,14 @@ SPP := $(or $(strip $(SPP)),16)
 PASSES := $(or $(strip $(PASSES)),4)
 SAMPLER := $(strip $(SAMPLER))
 override TRACE := --sampler $(SAMPLER)$(if $(strip $(TRACE)), $(strip $(TRACE)))
+keep := $(filter-out 0,$(strip $(KEEP)))
 folder := transient
 kind := h5
-made := h5
+made := $(if $(keep),h5,cube.h5)
 include pipelines/passes.mk
 
 bin := $(BUILD)/bin/loom-transient
+merge := $(BUILD)/bin/loom-merge
 inspect := $(BUILD)/bin/loom-inspect
 graphs := $(numbers:%=$(work)/pass-%.h5)
 
@@ -51,10 +56,23 @@ demo: $(OUT)/cube.h5
 
 cube_parameters = $(strip $(if $(UNIT),--unit $(UNIT)) $(if $(BINS),--bins $(BINS)) $(if $(START),--start $(START)) \
 	$(if $(WIDTH),--width $(WIDTH)) $(if $(PULSE),--pulse $(PULSE)) $(if $(LENGTH),--pulse-length $(LENGTH)) $(TRANSIENT))
-$(eval $(call parameter,$(OUT)/cube.parameters,$(PASSES) $(cube_parameters)))
-$(OUT)/cube.h5: $(graphs) $(OUT)/cube.parameters $(bin)
+$(eval $(call parameter,$(work)/cube.parameters,$(cube_parameters)))
+$(eval $(call parameter,$(OUT)/passes.parameters,$(PASSES) $(if $(keep),together,merged)))
+ifneq ($(keep),)
+$(OUT)/cube.h5: $(graphs) $(work)/cube.parameters $(OUT)/passes.parameters $(bin)
 	$(LAUNCH) $(bin) $(graphs) $(cube_parameters) -o $@$(threads)
+else
+# Secondary: that a graph is gone does not make it be traced again.
+.SECONDARY: $(graphs)
+cubes := $(graphs:.h5=.cube.h5)
+$(cubes): %.cube.h5: %.h5 $(work)/cube.parameters $(bin)
+	$(LAUNCH) $(bin) $< $(cube_parameters) -o $@$(threads)
+	rm -f $<
+
+$(OUT)/cube.h5: $(cubes) $(OUT)/passes.parameters $(merge)
+	$(LAUNCH) $(merge) $(cubes) -o $@
+endif
 
 # Run alone on a tree that is not built yet.
-$(trace) $(bin) $(inspect) &:
+$(trace) $(bin) $(merge) $(inspect) &:
 	$(MAKE) --no-print-directory -f Makefile stages

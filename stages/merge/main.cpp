@@ -5,7 +5,7 @@
 int main(int argc, char** argv) {
     using namespace loom;
     merge::Options options;
-    app::Command command{"merge: join images of the same picture with different samples into one"};
+    app::Command command{"merge: join images of the same picture, or transient cubes, with different samples into one"};
     merge::declare(command, options);
     return command.execute(argc, argv, [&] { return merge::run(options, command.report); });
 }

@@ -35,29 +35,39 @@ void check_fit(const Image& first, const Image& part, const std::string& first_n
     }
 }
 
-/// Sum n_i m_i / N of one channel.
-std::vector<double> pooled_mean(std::span<const Image> parts, std::string_view channel, double n_all) {
-    std::vector<double> mean(parts[0].n_pixels());
-    for (const Image& part : parts) {
-        const auto values = part.find(channel);
+/// One channel of all parts.
+std::vector<PartOf> parts_of(std::span<const Image> images, std::string_view mean_channel, std::string_view variance_channel = {}) {
+    std::vector<PartOf> parts;
+    for (const Image& image : images)
+        parts.push_back({image.samples, image.find(mean_channel), variance_channel.empty() ? std::span<const float>() : image.find(variance_channel)});
+    return parts;
+}
+
+}  // namespace
+
+std::vector<double> pooled_mean(std::span<const PartOf> parts) {
+    std::vector<double> mean(parts[0].mean.size());
+    double n_all = 0;
+    for (const PartOf& part : parts) {
         const auto n = static_cast<double>(part.samples);
-        for (std::size_t i = 0; i < mean.size(); ++i) mean[i] += n * static_cast<double>(values[i]);
+        n_all += n;
+        for (std::size_t i = 0; i < mean.size(); ++i) mean[i] += n * static_cast<double>(part.mean[i]);
     }
     for (double& value : mean) value /= n_all;
     return mean;
 }
 
-std::vector<double> pooled_var_mean(std::span<const Image> parts, std::string_view mean_channel,
-                                    std::string_view variance_channel, double n_all) {
-    const std::vector<double> mean = pooled_mean(parts, mean_channel, n_all);
+std::vector<double> pooled_var_mean(std::span<const PartOf> parts) {
+    const std::vector<double> mean = pooled_mean(parts);
     std::vector<double> squares(mean.size());
-    for (const Image& part : parts) {
-        const auto means = part.find(mean_channel), variances = part.find(variance_channel);
+    double n_all = 0;
+    for (const PartOf& part : parts) {
         const auto n = static_cast<double>(part.samples);
+        n_all += n;
         for (std::size_t i = 0; i < mean.size(); ++i) {
-            const double shift = static_cast<double>(means[i]) - mean[i];
+            const double shift = static_cast<double>(part.mean[i]) - mean[i];
             // A single sample has no variance of its own, whatever its file says.
-            const double inside = part.samples == 1 ? 0.0 : (n - 1) * n * static_cast<double>(variances[i]);
+            const double inside = part.samples == 1 ? 0.0 : (n - 1) * n * static_cast<double>(part.var_mean[i]);
             squares[i] += inside + n * shift * shift;
         }
     }
@@ -65,15 +75,11 @@ std::vector<double> pooled_var_mean(std::span<const Image> parts, std::string_vi
     return squares;
 }
 
-}  // namespace
-
 Image merge_images(std::span<const Image> parts, std::span<const std::string> names) {
-    double n_all = 0;
     Image merged;
     for (std::size_t k = 0; k < parts.size(); ++k) {
         check_fit(parts[0], parts[k], names[0], names[k]);
         merged.samples += parts[k].samples;
-        n_all += static_cast<double>(parts[k].samples);
     }
     merged.width = parts[0].width;
     merged.height = parts[0].height;
@@ -85,21 +91,33 @@ Image merge_images(std::span<const Image> parts, std::span<const std::string> na
             if (parts[0].find(mean_channel).empty()) {
                 throw InputError(fmt::format("{}: has {} but no {}", names[0], name, mean_channel));
             }
-            values = pooled_var_mean(parts, mean_channel, name, n_all);
+            values = pooled_var_mean(parts_of(parts, mean_channel, name));
         } else {
-            values = pooled_mean(parts, name, n_all);
+            values = pooled_mean(parts_of(parts, name));
         }
         merged.channels.push_back({channel.name, std::vector<float>(values.begin(), values.end())});
     }
     return merged;
 }
 
+std::vector<InputId> identify_parts(const std::vector<std::string>& files) {
+    std::vector<InputId> ids;
+    std::map<std::string, std::string> name_by_hash;
+    for (const std::string& file : files) {
+        ids.push_back(identify(file));
+        // The same samples twice would halve the variance without halving the error.
+        const auto [known, inserted] = name_by_hash.try_emplace(ids.back().hash, file);
+        if (!inserted) throw InputError(fmt::format("{}: holds the same samples as {}", file, known->second));
+    }
+    return ids;
+}
+
 void declare(app::Command& command, Options& options) {
     command
-        .files("parts", options.parts, "images (EXR with `samples`) of one size, in the order to sum them")
+        .files("parts", options.parts, "images (EXR with `samples`) of one size, or transient cubes (.h5) of one window, in the order to sum them")
         .required();
-    command.output("-o,--output", options.output, "the joined image");
-    command.flag("--zip", options.zip, "compress the output");
+    command.output("-o,--output", options.output, "the joined image or cube");
+    command.flag("--zip", options.zip, "compress the output image");
     command.file("--direct", options.direct, "emission and direct light of other samples (EXR, paths of at most two edges), for the blend");
     command.flag("--no-blend", options.no_blend, "do not blend the estimates of path graphs with those of their paths");
     command.flag("--plan-direct", options.plan_direct, "print how many samples of direct light per pixel are worth their cost in the blend, and stop");
@@ -144,16 +162,15 @@ void run(const Options& options, app::Report& report) {
         say_direct(options, report);
         return;
     }
-    if (options.output.empty()) throw InputError("--output: missing (an .exr file)");
-    Provenance provenance;
-    std::map<std::string, std::string> name_by_hash;
-    for (const std::string& file : options.parts) {
-        provenance.inputs.push_back(identify(file));
-        // The same samples twice would halve the variance without halving the error.
-        const auto [known, inserted] = name_by_hash.try_emplace(provenance.inputs.back().hash, file);
-        if (!inserted) throw InputError(fmt::format("{}: holds the same samples as {}", file, known->second));
-    }
+    if (options.output.empty()) throw InputError("--output: missing (an .exr file, or .h5 for cubes)");
     if (options.parts.empty()) throw InputError("no image to merge");
+    if (std::filesystem::path(options.parts[0]).extension() == ".h5") {
+        if (options.zip || options.no_blend || !options.direct.empty()) throw InputError("--zip, --direct, --no-blend: are for images, not for cubes");
+        run_cubes(options, report);
+        return;
+    }
+    Provenance provenance;
+    provenance.inputs = identify_parts(options.parts);
     const Image first = read_image(options.parts[0]);
     const bool estimates = has_estimates(first);
     const bool blend = estimates && !options.no_blend && options.parts.size() >= min_blend_parts;

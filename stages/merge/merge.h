@@ -1,5 +1,5 @@
 #pragma once
-// loom-merge: joins images of the same picture with different samples, with exact moments.
+// loom-merge: joins images of the same picture, or transient cubes, with different samples, with exact moments.
 
 #include <span>
 #include <string>
@@ -15,8 +15,8 @@ class Report;
 namespace loom::merge {
 
 struct Options {
-    std::vector<std::string> parts;  // images, in the order in which they are summed
-    std::string output;              // the joined image
+    std::vector<std::string> parts;  // images or transient cubes, in the order in which they are summed
+    std::string output;              // the joined image or cube
     bool zip = false;                // compress the output
     std::string direct;              // emission and direct light by themselves, to be blended in
     bool no_blend = false;           // leave the parts' own picture as it is
@@ -29,14 +29,30 @@ void declare(app::Command& command, Options& options);
 /// throws:  InputError when a part is no image, has no samples or variance, or does not fit the others
 void run(const Options& options, app::Report& report);
 
-/// The image of all samples of the parts together.
+/// What a part says of an array of numbers, channel of an image or row of a cube.
+struct PartOf {
+    std::uint64_t samples;  // at least 1
+    std::span<const float> mean, var_mean;
+};
+/// The mean over all samples of the parts together, and its variance.
 ///   N = sum n_i,   mean = sum n_i m_i / N
-///   s^2 = sum [(n_i - 1) s_i^2 + n_i (m_i - mean)^2] / (N - 1),   var_mean = s^2 / N,   s_i^2 = n_i
-///   var_mean_i
+///   s^2 = sum [(n_i - 1) s_i^2 + n_i (m_i - mean)^2] / (N - 1),   var_mean = s^2 / N,   s_i^2 = n_i var_mean_i
+std::vector<double> pooled_mean(std::span<const PartOf> parts);
+std::vector<double> pooled_var_mean(std::span<const PartOf> parts);
+
+/// Name and content of the parts.
+/// throws:  InputError when one is there twice
+std::vector<InputId> identify_parts(const std::vector<std::string>& files);
+
+/// The image of all samples of the parts together (pooled_mean, pooled_var_mean).
 /// in:      parts   with equal sizes and channels; every `samples` at least 1
 /// out:     image   layers other than R, G, B and VarMean are means weighted by samples
 /// throws:  InputError naming the part (by `names`) that does not fit
 /// differs: exact for pixels whose samples weigh alike; pixel filters that weigh them make it approximate
 Image merge_images(std::span<const Image> parts, std::span<const std::string> names);
+
+/// The same of transient cubes, row by row: neither parts nor result are ever held.
+/// throws:  InputError naming the part of another size, window or response
+void run_cubes(const Options& options, app::Report& report);
 
 }  // namespace loom::merge
