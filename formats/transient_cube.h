@@ -36,7 +36,7 @@ struct TransientCubeHeader {
     } time;
 
     struct Response {
-        std::string pulse = "delta";
+        std::string pulse = "delta";  // empty: a file of another program, which does not say
         double length_opl = 0, tail_opl = 0, period_opl = 0;
     } response;
 
@@ -49,6 +49,7 @@ struct TransientCubeHeader {
 };
 
 /// Why the bins of `a` do not record what those of `b` do; empty when they do. Labels (unit, length of a unit) may differ.
+/// What one of them does not say (its pulse is empty) is not compared.
 /// in:      slack  share of a bin by which their windows may be apart
 std::string difference_in_words(const TransientCubeHeader& a, const TransientCubeHeader& b, double slack = 0);
 
@@ -93,6 +94,13 @@ class TransientCubeWriter {
 /// Reads, maps and checks the whole file.
 /// throws:  InputError naming the file and the dataset
 TransientCube read_transient_cube(const std::filesystem::path& path);
+
+/// The same of any HDF5 file with float datasets `mean` and `var_mean` [y, x, bin, channel] and numbers `start_opl`,
+/// `bin_width_opl`, `spp` among its attributes. A single channel is taken for all three; before, after, never and steady
+/// stay empty, and its pulse.
+TransientCube read_any_cube(const std::filesystem::path& path);
+/// Whether a file says that it is a transient_cube; false for what is no HDF5 file.
+bool is_transient_cube(const std::filesystem::path& path);
 
 template <template <class> class ColumnOf>
 template <class Self, class Visitor>

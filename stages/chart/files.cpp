@@ -37,6 +37,7 @@ std::string words_for(const std::string& column) {
         {"relmse_trimmed", "relMSE, 0.1 % trimmed"},
         {"relmse_net", "relMSE less the reference's noise"},
         {"mse", "MSE"},
+        {"rmse", "RMSE"},
         {"mape", "MAPE"},
         {"iteration", "step of the refinement"},
         {"residual", "change of radiance, as a share"}};

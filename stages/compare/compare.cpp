@@ -11,6 +11,7 @@
 
 #include "formats/image.h"
 #include "formats/io/error.h"
+#include "formats/transient_cube.h"
 #include "stages/compare/difference.h"
 #include "stages/core/app/command.h"
 
@@ -20,16 +21,45 @@ namespace {
 namespace fs = std::filesystem;
 constexpr double unknown = std::numeric_limits<double>::quiet_NaN();
 
-/// A picture to compare: RGB and the variance of its pixels, empty where unknown.
+/// A picture to compare: RGB and the variance of its pixels, empty where unknown. Of a cube [y, x, bin, rgb], in units of
+/// `scale`, and the sums over its bins.
 struct Picture {
     std::size_t width = 0, height = 0;
     std::uint64_t samples = 0;
     std::vector<float> rgb, var_mean;
+    TransientCubeHeader cube;  // n_bins = 0: an image
+    std::vector<float> sums, var_sums;
+    double scale = 1;
+
+    bool is_cube() const { return cube.time.n_bins > 0; }
+    std::size_t n_bins() const { return std::max<std::size_t>(cube.time.n_bins, 1); }
 };
 
+std::vector<float> sums_over_bins(std::span<const float> bins, std::size_t n_bins) {
+    std::vector<float> sums(bins.size() / n_bins);
+    for (std::size_t pixel = 0; 3 * pixel < sums.size(); ++pixel) {
+        double sum[3]{};
+        for (std::size_t i = 0; i < 3 * n_bins; ++i) sum[i % 3] += double(bins[pixel * 3 * n_bins + i]);
+        for (std::size_t c = 0; c < 3; ++c) sums[3 * pixel + c] = float(sum[c]);
+    }
+    return sums;
+}
+
+Picture read_cube(const std::string& file) {
+    const TransientCube cube = read_any_cube(file);
+    Picture picture{cube.film.width, cube.film.height, cube.film.samples_per_pixel, {cube.radiance.begin(), cube.radiance.end()}, {}, cube, {}, {}};
+    picture.sums = sums_over_bins(picture.rgb, picture.n_bins());
+    if (picture.samples != 1) {
+        picture.var_mean.assign(cube.var_mean.begin(), cube.var_mean.end());
+        picture.var_sums = sums_over_bins(picture.var_mean, picture.n_bins());
+    }
+    return picture;
+}
+
 Picture read_picture(const std::string& file) {
+    if (fs::path(file).extension() == ".h5") return read_cube(file);
     const Image image = read_image(file);
-    Picture picture{image.width, image.height, image.samples, image.interleaved(""), {}};
+    Picture picture{image.width, image.height, image.samples, image.interleaved(""), {}, {}, {}, {}};
     if (image.n_pixels() == 0) throw InputError(fmt::format("{}: has no pixels", file));
     // One sample has no variance of its own, whatever the layer says.
     if (!image.find("VarMean.R").empty() && image.samples != 1) picture.var_mean = image.interleaved("VarMean");
@@ -37,21 +67,44 @@ Picture read_picture(const std::string& file) {
 }
 
 void check_fit(const Picture& picture, const std::string& file, const Picture& other, const std::string& name) {
+    if (picture.is_cube() != other.is_cube())
+        throw InputError(fmt::format("{}: is {}, but {} is {}", file, picture.is_cube() ? "a transient cube" : "an image", name, other.is_cube() ? "a transient cube" : "an image"));
     if (picture.width != other.width || picture.height != other.height) {
         throw InputError(fmt::format("{}: is {} x {}, but {} is {} x {}", file, picture.width, picture.height, name,
                                      other.width, other.height));
     }
+    // Programs differ in where lengths begin (a near plane); a tenth of a bin is let pass.
+    if (!picture.is_cube()) return;
+    if (const std::string why = difference_in_words(picture.cube, other.cube, 0.1); !why.empty()) throw InputError(fmt::format("{}: {} (of {})", file, why, name));
+}
+
+/// The mean of the bins that light reaches: the measure that makes errors of bins relative, as 1 does for images.
+double scale_of(const Picture& reference) {
+    if (!reference.is_cube()) return 1;
+    double sum = 0, n = 0;
+    for (float value : reference.rgb)
+        if (value > 0) sum += double(value), ++n;
+    return sum > 0 ? sum / n : 1;
+}
+
+void set_scale(Picture& picture, double scale) {
+    picture.scale = scale;
+    if (scale == 1) return;
+    for (float& value : picture.rgb) value = float(double(value) / scale);
+    for (float& value : picture.var_mean) value = float(double(value) / (scale * scale));
 }
 
 Picture read_reference(const Options& options, const std::string& file) {
     Picture reference = read_picture(file);
     if (!options.reference_variance.empty()) {
+        if (reference.is_cube()) throw InputError("--reference-variance: is for images; a cube has its own");
         const Picture variance = read_picture(options.reference_variance);
         check_fit(variance, options.reference_variance, reference, file);
         reference.var_mean = variance.rgb;
     }
     if (const std::uint64_t bad = count_nonfinite(reference.rgb); bad > 0)
         throw InputError(fmt::format("{}: {} numbers are NaN or infinite; no reference", file, bad));
+    set_scale(reference, scale_of(reference));
     return reference;
 }
 
@@ -95,22 +148,30 @@ void parse_limits(const std::vector<std::string>& texts, bool is_upper, std::vec
 
 Measured measure(const Picture& picture, const Picture& reference, const Options& options) {
     const std::span<const float> x = picture.rgb, r = reference.rgb;
-    const std::size_t w = picture.width, h = picture.height;
-    const std::vector<float> shown = displayed(x, options.exposure_ev), shown_r = displayed(r, options.exposure_ev);
-    const Correlation correlation = error_correlation(x, r, w, h, 3);
+    const std::size_t w = picture.width, h = picture.height, n_channels = 3 * picture.n_bins();
+    const Correlation correlation = error_correlation(x, r, w, h, n_channels);
     Measured m{};
     m.samples = picture.samples;
     m.nonfinite = double(count_nonfinite(x));
-    m.mse = mean_squared(x, r);
+    m.mse = picture.scale * picture.scale * mean_squared(x, r);
+    m.rmse = std::sqrt(m.mse);
     m.relmse = mean_squared_relative(x, r);
-    m.relmse_trimmed = trimmed_mean_squared_relative(x, r, 3);
+    m.relmse_trimmed = trimmed_mean_squared_relative(x, r, n_channels);
     m.mape = mean_absolute_relative(x, r);
-    m.psnr = psnr_db(shown, shown_r);
-    m.ssim = ssim(luma(shown), luma(shown_r), w, h);
+    if (picture.is_cube()) {
+        // No display shows a cube: its own largest value is the peak.
+        m.psnr = 20 * std::log10(picture.scale * double(*std::max_element(r.begin(), r.end())) / m.rmse);
+        m.ssim = unknown;
+    } else {
+        const std::vector<float> shown = displayed(x, options.exposure_ev), shown_r = displayed(r, options.exposure_ev);
+        m.psnr = psnr_db(shown, shown_r);
+        m.ssim = ssim(luma(shown), luma(shown_r), w, h);
+    }
     m.corr_right = correlation.right;
     m.corr_down = correlation.down;
     m.corr_near = correlation.near;
     m.cpu_s = m.wall_s = m.render_s = m.rays = m.peak_memory_bytes = unknown;
+    m.p_pixels = m.p_bins = m.z_rms = unknown;
     return m;
 }
 
@@ -120,6 +181,7 @@ void add_tile_errors(std::vector<double>& sums, const Picture& picture, const Pi
         const double r = double(reference.rgb[i]), d = double(picture.rgb[i]) - r;
         squares[i] = float(d * d / (r * r + relative_floor));
     }
+    if (picture.is_cube()) squares = sums_over_bins(squares, picture.n_bins());
     const Regions regions = regions_of(squares, picture.width, picture.height);
     sums.resize(n_tiles * n_tiles);
     for (std::size_t t = 0; t < sums.size(); ++t)
@@ -129,16 +191,45 @@ void add_tile_errors(std::vector<double>& sums, const Picture& picture, const Pi
 /// A group and its pictures, while they are needed.
 struct Loaded {
     Group group;
-    std::vector<std::vector<float>> rgb;
-    Picture first;  // its rgb is in `rgb`
+    std::vector<std::vector<float>> rgb, sums;  // sums: of cubes
+    std::vector<float> var_mean;                // of cubes: sum over the replicates
+    Picture first;                              // its rgb and sums are in `rgb` and `sums`
 };
 
-void finish(Loaded& loaded, const Picture& reference) {
+/// Bins of the mean of the replicates, pooled.
+void test_bins(Loaded& loaded, const Picture& reference, const Options& options) {
+    Group& group = loaded.group;
+    const double R = double(loaded.rgb.size());
+    double p_pixels = unknown, p_bins = unknown, z_rms = unknown;
+    if (R > 1 || !loaded.first.var_sums.empty()) 
+        p_pixels = test_pixels(loaded.sums, loaded.first.var_sums, double(group.samples()), reference.sums, reference.var_sums, double(reference.samples));
+    if (!loaded.var_mean.empty()) {
+        std::vector<float> mean(reference.rgb.size()), var_mean = std::move(loaded.var_mean);
+        for (std::size_t i = 0; i < mean.size(); ++i) {
+            double sum = 0;
+            for (const auto& cube : loaded.rgb) sum += double(cube[i]);
+            mean[i] = float(sum / R);
+            var_mean[i] = float(double(var_mean[i]) / (R * R));
+        }
+        for (const Pooling pooling : {Pooling::pixels, Pooling::image})
+            group.pools.push_back(test_pools({mean, var_mean, R * double(group.samples())}, {reference.rgb, reference.var_mean, double(reference.samples)},
+                                             reference.width, reference.height, reference.n_bins(), pooling, options.pool_error));
+        p_bins = corrected_p(std::min(group.pools[0].p, group.pools[1].p), 2);
+        z_rms = group.pools[0].rms_z;
+    }
+    for (Measured& m : group.replicates) m.p_pixels = p_pixels, m.p_bins = p_bins, m.z_rms = z_rms;
+}
+
+void finish(Loaded& loaded, const Picture& reference, const Options& options) {
     Group& group = loaded.group;
     const std::span<const float> var_mean = loaded.first.var_mean;
     const Decomposition parts = decompose(loaded.rgb, var_mean, reference.rgb, reference.var_mean);
-    group.significance =
-        test_means({loaded.rgb, var_mean}, reference.rgb, reference.var_mean, reference.width, reference.height);
+    if (reference.is_cube()) {
+        group.significance = test_means({loaded.sums, loaded.first.var_sums}, reference.sums, reference.var_sums, reference.width, reference.height);
+        test_bins(loaded, reference, options);
+    } else {
+        group.significance = test_means({loaded.rgb, var_mean}, reference.rgb, reference.var_mean, reference.width, reference.height);
+    }
     for (Measured& m : group.replicates) {
         m.bias2 = parts.bias2;
         m.variance = parts.variance;
@@ -160,13 +251,16 @@ void add_cost(Measured& m) {
 
 void write_difference(const Options& options, const Loaded& loaded, const Picture& reference,
                       const Provenance& provenance, app::Report& report) {
-    std::vector<float> mean(reference.rgb.size());
+    // Of cubes, of the sums over their bins.
+    const auto& pictures = reference.is_cube() ? loaded.sums : loaded.rgb;
+    const auto& of_reference = reference.is_cube() ? reference.sums : reference.rgb;
+    std::vector<float> mean(of_reference.size());
     for (std::size_t i = 0; i < mean.size(); ++i) {
         double sum = 0;
-        for (const auto& picture : loaded.rgb) sum += double(picture[i]);
-        mean[i] = float(sum / double(loaded.rgb.size()));
+        for (const auto& picture : pictures) sum += double(picture[i]);
+        mean[i] = float(sum / double(pictures.size()));
     }
-    Image image = difference_image(mean, reference.rgb, reference.width, reference.height, loaded.group.significance);
+    Image image = difference_image(mean, of_reference, reference.width, reference.height, loaded.group.significance);
     image.provenance = provenance;
     write_image(image, options.difference);
     fs::path png = options.difference;
@@ -194,7 +288,9 @@ int judge(const std::vector<Limit>& limits, const Comparison& comparison, app::R
 
 /// Samples per pixel as the header says, if there is one.
 std::uint64_t samples_of(const std::string& file) {
-    if (fs::path(file).extension() != ".exr" || !fs::exists(file)) return 0;
+    if (!fs::exists(file)) return 0;
+    if (fs::path(file).extension() == ".h5") return is_transient_cube(file) ? read_transient_cube(file).film.samples_per_pixel : 0;
+    if (fs::path(file).extension() != ".exr") return 0;
     for (const auto& [name, value] : exr_attributes(file))
         if (name == "samples") return app::parse_number<std::uint64_t>(value).value_or(0);
     return 0;
@@ -221,6 +317,7 @@ std::span<const Column> columns() {
         {"relmse_trimmed", &Measured::relmse_trimmed, false},
         {"relmse_net", &Measured::relmse_net, false},
         {"mape", &Measured::mape, false},
+        {"rmse", &Measured::rmse, false},
         {"psnr", &Measured::psnr, false},
         {"ssim", &Measured::ssim, false},
         {"corr_right", &Measured::corr_right, false},
@@ -231,6 +328,9 @@ std::span<const Column> columns() {
         {"reference_noise", &Measured::reference_noise, true},
         {"p_image", &Measured::p_image, true},
         {"p_tiles", &Measured::p_tiles, true},
+        {"p_pixels", &Measured::p_pixels, true},
+        {"p_bins", &Measured::p_bins, true},
+        {"z_rms", &Measured::z_rms, true},
         {"cpu_s", &Measured::cpu_s, false},
         {"wall_s", &Measured::wall_s, false},
         {"render_s", &Measured::render_s, false},
@@ -263,15 +363,17 @@ Gain gain_of(const Group& first, const Group& group) {
 void declare(app::Command& command, Options& options) {
     command
         .labelled_files("inputs", options.inputs,
-                        "images (EXR); those with the same label and samples per pixel are replicates of one method")
+                        "images (EXR) or transient cubes (.h5); those with the same label and samples per pixel are replicates of one method")
         .required();
     command.file("-r,--reference", options.reference,
-                 "image (EXR) to compare with; may be left out for two inputs: the second is it then");
+                 "image (EXR) or cube (.h5, also one with mean and var_mean of another program) to compare with; may be left out for two inputs: the second is it then");
     command.file("--reference-variance", options.reference_variance,
                  "EXR with the variance of the reference's pixels as RGB (else its VarMean layer)");
     command.option("--scene", options.scene, "what the tables call the picture");
     command.option("--exposure", options.exposure_ev, "of what psnr and ssim look at",
                    app::Range<double>{-40, 40, "EV"});
+    command.option("--pool-error", options.pool_error, "of cubes: bins are pooled until the relative standard error of a pool is this",
+                   app::Range<double>{1e-6, 1e6});
     command.flag("--cost", options.cost,
                  "add up what the inputs cost with all their parents; without --reference: by stage, and nothing else");
     command.flag("--json", options.json, "print JSON instead of text");
@@ -310,7 +412,8 @@ int run(const Options& options, app::Report& report) {
     Provenance provenance;
     provenance.stage = report.name();
     provenance.command = report.command();
-    Comparison comparison{options.scene, reference_file, reference.width, reference.height, {}};
+    Comparison comparison{options.scene, reference_file, reference.width, reference.height, reference.cube.time.n_bins, {}};
+    if (reference.is_cube() && reference.var_mean.empty()) throw InputError(fmt::format("{}: has a single sample, and no variance: no reference", reference_file));
     std::map<std::string, std::string> name_by_hash;
     std::vector<Loaded> loaded;
     std::map<std::pair<std::string, std::uint64_t>, std::size_t> group_by_key;
@@ -318,6 +421,7 @@ int run(const Options& options, app::Report& report) {
         provenance.inputs.push_back(identify(input.file));
         Picture picture = read_picture(input.file);
         check_fit(picture, input.file, reference, reference_file);
+        set_scale(picture, reference.scale);
         const auto [at, is_new] = group_by_key.try_emplace({input.label, picture.samples}, loaded.size());
         if (is_new) loaded.emplace_back();
         Loaded& into = loaded[at->second];
@@ -335,13 +439,18 @@ int run(const Options& options, app::Report& report) {
         into.group.replicates.push_back(std::move(m));
         add_tile_errors(into.group.tile_errors, picture, reference, 1);
         into.rgb.push_back(std::move(picture.rgb));
+        if (picture.is_cube()) {
+            into.sums.push_back(std::move(picture.sums));
+            if (is_new) into.var_mean = picture.var_mean;
+            else for (std::size_t i = 0; i < into.var_mean.size(); ++i) into.var_mean[i] += picture.var_mean[i];
+        }
         if (is_new) into.first = std::move(picture);
     }
     if (!options.difference.empty() && loaded.size() != 1)
         throw InputError(fmt::format("--difference: {} methods are compared, one is needed", loaded.size()));
     for (Loaded& one : loaded) {
         for (double& error : one.group.tile_errors) error /= double(one.rgb.size());
-        finish(one, reference);
+        finish(one, reference, options);
         const double noise = one.group.replicates[0].reference_noise,
                      relmse = one.group.estimate(&Measured::relmse).mean;
         if (noise > 0.1 * relmse) {

@@ -1,5 +1,5 @@
 #pragma once
-// loom-compare: errors of images against a reference, whether they are more than noise, and what they cost.
+// loom-compare: errors of images or transient cubes against a reference, whether they are more than noise, and what they cost.
 
 #include <span>
 #include <string>
@@ -7,6 +7,7 @@
 
 #include "stages/compare/chain.h"
 #include "stages/compare/metrics.h"
+#include "stages/compare/pools.h"
 #include "stages/compare/significance.h"
 
 namespace loom::app {
@@ -26,6 +27,7 @@ struct Options {
     bool json = false, tsv = false;   // instead of text
     std::string difference;           // difference image (.exr), false colours beside it (.png)
     double reach = 0;                 // of the false colours; 0: the 99th percentile
+    double pool_error = 0.05;         // of cubes: relative standard error that ends a pool of bins
     std::vector<std::string> fail_above, fail_below;  // METRIC=VALUE
 };
 
@@ -34,9 +36,10 @@ struct Measured {
     std::string method, file;
     std::uint64_t samples = 0;  // per pixel; 0: the file does not say
     std::uint64_t replicate = 0;
-    double nonfinite, mse, relmse, relmse_trimmed, relmse_net, mape, psnr, ssim;
+    double nonfinite, mse, rmse, relmse, relmse_trimmed, relmse_net, mape, psnr, ssim;
     double corr_right, corr_down, corr_near;
     double bias2, variance, reference_noise, p_image, p_tiles;  // of the group
+    double p_pixels, p_bins, z_rms;                             // of the group, of cubes
     double cpu_s, wall_s, render_s, rays, peak_memory_bytes;    // with --cost
 };
 
@@ -52,6 +55,7 @@ std::span<const Column> columns();
 struct Group {
     std::vector<Measured> replicates;
     Significance significance;
+    std::vector<PoolTests> pools;     // of cubes
     std::vector<double> tile_errors;  // sum of the squared relative errors by tile, mean over the replicates
 
     std::string method() const { return replicates[0].method; }
@@ -69,7 +73,7 @@ Gain gain_of(const Group& first, const Group& group);
 
 struct Comparison {
     std::string scene, reference;
-    std::size_t width = 0, height = 0;
+    std::size_t width = 0, height = 0, n_bins = 0;  // n_bins: 0 for images
     std::vector<Group> groups;  // in the order of their first input
 };
 

@@ -14,10 +14,6 @@ double se_of(const Regions& variances, std::size_t channel, std::size_t region) 
     return std::sqrt(variances.sum[channel][region]) / variances.n[region];
 }
 
-double corrected(double p, double m) {
-    return -std::expm1(m * std::log1p(-p));
-}
-
 /// exp(log_ratio +- t se), two-sided 95 %.
 Ratio interval(double ratio, double se_log, double dof) {
     const double reach = student_critical(0.05, dof) * se_log;
@@ -25,6 +21,10 @@ Ratio interval(double ratio, double se_log, double dof) {
 }
 
 }  // namespace
+
+double corrected_p(double p, double m) {
+    return p < 1 ? -std::expm1(m * std::log1p(-p)) : 1;
+}
 
 std::size_t tile_of(std::size_t x, std::size_t y, std::size_t width, std::size_t height) {
     return y * n_tiles / height * n_tiles + x * n_tiles / width;
@@ -89,8 +89,8 @@ Significance test_means(const Sampled& x, std::span<const float> reference, std:
             least = std::min(least, p);
         }
     }
-    result.p_image = corrected(least_image, 3);
-    result.p_tiles = corrected(least_tile, tests);
+    result.p_image = corrected_p(least_image, 3);
+    result.p_tiles = corrected_p(least_tile, tests);
     return result;
 }
 

@@ -37,11 +37,13 @@ struct RegionTest {
     double p_value = 1;
 };
 
+/// Of m tests the smallest p, corrected for their number: 1 - (1 - p)^m                                       [Sidak1967]
+double corrected_p(double p, double m);
+
 struct Significance {
     const char* kind = "";  // "Welch": from replicates; "Z": from variances; "none": neither is there
     std::array<std::vector<RegionTest>, 3> tests;  // [channel][region]
-    /// Smallest p-value of the three channels, of all tiles and channels; corrected for their number m:
-    ///   1 - (1 - p)^m                                                       [Sidak1967]
+    /// Smallest p-value of the three channels, of all tiles and channels, corrected for their number.
     double p_image = 1, p_tiles = 1;
     std::size_t worst_tile = 0;  // 8 row + column of the smallest
 };

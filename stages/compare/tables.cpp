@@ -66,6 +66,21 @@ std::string gain_line(const Comparison& comparison, const Group& group) {
     return line + "\n";
 }
 
+/// Tests of the bins of cubes.
+std::vector<std::vector<std::string>> pool_rows(const Comparison& comparison) {
+    std::vector<std::vector<std::string>> rows{{"method", "spp", "tests", "n", "mean z", "rms z", "worst z", "bin", "pixel", "channel", "p"}};
+    for (const Group& group : comparison.groups) {
+        const Measured& m = group.replicates[0];
+        for (const PoolTests& tests : group.pools)
+            rows.push_back({group.method(), samples_text(group.samples()), tests.name, fmt::format("{}", tests.n), fmt::format("{:.3f}", tests.mean_z),
+                            fmt::format("{:.3f}", tests.rms_z), fmt::format("{:.2f}", tests.worst_z), fmt::format("{}", tests.worst_bin),
+                            fmt::format("{}:{}", tests.worst_x, tests.worst_y), std::string(1, "RGB"[tests.worst_channel]), p_text(tests.p)});
+        rows.push_back({group.method(), samples_text(group.samples()), "sums of pixels", fmt::format("{}", 3 * comparison.width * comparison.height), "", "", "",
+                        "", "", "", p_text(m.p_pixels)});
+    }
+    return rows;
+}
+
 /// The members of a JSON object, by column.
 void members(JsonWriter& json, const Measured& m, bool of_group) {
     for (const Column& column : columns())
@@ -106,9 +121,10 @@ std::string text_of(const Comparison& comparison) {
                          with_error(group.estimate(&Measured::wall_s)), fmt::format("{:.4g}", mean(&Measured::rays)),
                          peak_text(mean(&Measured::peak_memory_bytes))});
     }
-    std::string text =
-        fmt::format("reference {}, {} x {}\n\n", comparison.reference, comparison.width, comparison.height);
+    std::string text = fmt::format("reference {}, {} x {}{}\n\n", comparison.reference, comparison.width, comparison.height,
+                                   comparison.n_bins > 0 ? fmt::format(", {} bins", comparison.n_bins) : "");
     text += fmt::format("{}\n{}", aligned(errors), aligned(parts));
+    if (comparison.n_bins > 0) text += fmt::format("\n{}", aligned(pool_rows(comparison)));
     if (has_cost) text += fmt::format("\n{}", aligned(costs));
     if (comparison.groups.size() > 1) text += "\n";
     for (std::size_t k = 1; k < comparison.groups.size(); ++k) text += gain_line(comparison, comparison.groups[k]);
@@ -122,6 +138,7 @@ std::string json_of(const Comparison& comparison) {
     json.text("reference", comparison.reference);
     json.integer("width", comparison.width);
     json.integer("height", comparison.height);
+    if (comparison.n_bins > 0) json.integer("n_bins", comparison.n_bins);
     json.begin_array("methods");
     for (const Group& group : comparison.groups) {
         json.begin_object();
@@ -141,6 +158,24 @@ std::string json_of(const Comparison& comparison) {
                 json.end_array();
             }
             json.end_object();
+        }
+        if (comparison.n_bins > 0) {
+            json.begin_array("pools");
+            for (const PoolTests& tests : group.pools) {
+                json.begin_object();
+                json.text("tests", tests.name);
+                json.integer("n", tests.n);
+                json.number("mean_z", tests.mean_z);
+                json.number("rms_z", tests.rms_z);
+                json.number("worst_z", tests.worst_z);
+                json.integer("worst_bin", tests.worst_bin);
+                json.integer("worst_x", tests.worst_x);
+                json.integer("worst_y", tests.worst_y);
+                json.integer("worst_channel", tests.worst_channel);
+                json.number("p", tests.p);
+                json.end_object();
+            }
+            json.end_array();
         }
         const Gain gain = gain_of(comparison.groups[0], group);
         json.begin_object("times_better_than_first");

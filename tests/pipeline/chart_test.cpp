@@ -31,7 +31,7 @@ TEST_F(Compare, LimitsDecideTheExitCode) {
     EXPECT_EQ(sh(run + " --fail-above relmse=1e-9").code, 1);
     EXPECT_EQ(sh(run + " --fail-below psnr=90").code, 1);
     EXPECT_EQ(sh(run + " --fail-above cpu_s=100").code, 1);  // unknown without --cost: not passed
-    const Outcome wrong = sh(run + " --fail-above rmse=1");
+    const Outcome wrong = sh(run + " --fail-above wrong=1");
     EXPECT_EQ(wrong.code, 2);
     EXPECT_NE(wrong.err.find("relmse_trimmed"), std::string::npos) << wrong.err;
     // An image against itself: no error, and no limit of 0 broken.
