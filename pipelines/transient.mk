@@ -1,6 +1,7 @@
 # Light in flight of one scene: OUT/cube.h5, a picture whose pixels are histograms over the optical path length.
 #
-#   trace PASSES path graphs of SPP samples each;  bin the paths of all of them together (loom-transient)
+#   trace PASSES path graphs of SPP samples each;  bin the paths of all of them together (loom-transient);
+#   draw strip.png, streak-x.png, streak-y.png, peak.png, curves.svg, frames/ and, where ffmpeg is, movie.mp4 (loom-frames)
 #
 # The graphs stay: another window, pulse or unit bins the same paths again, and nothing is traced. With KEEP=0 each graph
 # is binned by itself and goes, and the cubes are merged: for more samples than the disk or the memory has room for, and
@@ -23,6 +24,7 @@ SAMPLER ?= sobol  ## or independent: more error, and error bars that are not too
 # PULSE=  ## delta, box, gaussian, expgauss, table, sine, square (the film's)
 # LENGTH=  ## of the pulse: of a box its length, of a Gaussian its standard deviation
 # TRANSIENT=  ## further options of loom-transient: TRANSIENT="--unwarp --group-index 1.5=1.53"
+FRAMES ?= --png  ## further options of loom-frames: FRAMES="--png --exr --row 40 --pixel 30:60 --exposure 1"
 # SEED=  ## seed of the random numbers
 # THREADS=  ## threads of a stage (all); no result depends on it
 # DEFINES=  ## values of the scene's parameters: DEFINES="resx=256 resy=256"
@@ -44,14 +46,16 @@ include pipelines/passes.mk
 
 bin := $(BUILD)/bin/loom-transient
 merge := $(BUILD)/bin/loom-merge
+draw := $(BUILD)/bin/loom-frames
 inspect := $(BUILD)/bin/loom-inspect
 graphs := $(numbers:%=$(work)/pass-%.h5)
 
-transient: $(OUT)/cube.h5
+transient: $(OUT)/cube.h5 $(OUT)/strip.png
 	@echo $<
 
-demo: $(OUT)/cube.h5
+demo: $(OUT)/cube.h5 $(OUT)/strip.png
 	@echo 'cube     $<'
+	@echo 'frames   $(OUT)/strip.png, beside it streak-x.png streak-y.png peak.png curves.png'
 	@echo 'look     $(inspect) $<'
 
 cube_parameters = $(strip $(if $(UNIT),--unit $(UNIT)) $(if $(BINS),--bins $(BINS)) $(if $(START),--start $(START)) \
@@ -73,6 +77,10 @@ $(OUT)/cube.h5: $(cubes) $(OUT)/passes.parameters $(merge)
 	$(LAUNCH) $(merge) $(cubes) -o $@
 endif
 
+$(eval $(call parameter,$(OUT)/frames.parameters,$(FRAMES)))
+$(OUT)/strip.png: $(OUT)/cube.h5 $(OUT)/frames.parameters $(draw)
+	$(LAUNCH) $(draw) $< -o $@ --movie $(OUT)/movie.mp4 $(FRAMES)
+
 # Run alone on a tree that is not built yet.
-$(trace) $(bin) $(merge) $(inspect) &:
+$(trace) $(bin) $(merge) $(draw) $(inspect) &:
 	$(MAKE) --no-print-directory -f Makefile stages

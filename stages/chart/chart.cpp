@@ -7,8 +7,8 @@
 
 #include "formats/io/error.h"
 #include "formats/io/output_file.h"
-#include "stages/chart/gnuplot.h"
 #include "stages/core/app/command.h"
+#include "stages/core/plot/gnuplot.h"
 
 namespace loom::chart {
 namespace {
@@ -92,7 +92,7 @@ void run(const Options& given, app::Report& report) {
                 throw InputError(fmt::format("{}: the chart's own data would overwrite this table", input));
         }
     }
-    plot(svg.parent_path(), files, stem + ".gp", {stem + ".svg", stem + ".png"});
+    plot::make_pictures(svg.parent_path(), files, stem + ".gp", {stem + ".svg", stem + ".png"});
     report.done("{}: {} rows", options.output, table.rows.size());
 }
 

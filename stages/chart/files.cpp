@@ -8,6 +8,7 @@
 
 #include "formats/io/error.h"
 #include "stages/chart/chart.h"
+#include "stages/core/plot/gnuplot.h"
 
 namespace loom::chart {
 namespace {
@@ -17,15 +18,7 @@ constexpr std::array<const char*, 7> colours{"#0072b2", "#d55e00", "#009e73", "#
                                              "#e69f00", "#56b4e9", "#555555"};
 constexpr std::array<int, 7> markers{7, 5, 9, 11, 13, 15, 4};
 
-/// A text as gnuplot quotes it.
-std::string quoted(const std::string& text) {
-    std::string out = "'";
-    for (char c : text) {
-        if (c == '\'') out += '\'';
-        out += c;
-    }
-    return out + "'";
-}
+using plot::in_quotes;
 
 std::string words_for(const std::string& column) {
     static const std::map<std::string, std::string> words{
@@ -96,7 +89,7 @@ std::string script(const std::string& stem, int width, int height, const std::st
         "{6}"
         "unset output\n"
         "}}\n",
-        stem, width, height, 3 * width / 2, 3 * height / 2, quoted(stem + "."), body,
+        stem, width, height, 3 * width / 2, 3 * height / 2, in_quotes(stem + "."), body,
         options.command.empty() ? "" : fmt::format("# {}\n", options.command));
 }
 
@@ -133,11 +126,11 @@ Files curve_files(const std::string& stem, const std::vector<Curve>& curves, con
     std::string body;
     if (scenes.size() > 1) {
         body += fmt::format("set multiplot layout {},{}{}\n", lines, columns,
-                            options.title.empty() ? "" : " title " + quoted(options.title));
+                            options.title.empty() ? "" : " title " + in_quotes(options.title));
     }
     body += fmt::format(
         "set logscale {}\nset xlabel {}\nset ylabel {}\nset style fill transparent solid 0.2 noborder\n",
-        options.linear_x ? "y" : "xy", quoted(words_for(options.x)), quoted(words_for(options.y)));
+        options.linear_x ? "y" : "xy", in_quotes(words_for(options.x)), in_quotes(words_for(options.y)));
     // A long key, or one in a small panel, would lie on the curves.
     if (methods.size() > 3 || scenes.size() > 1) body += "set key outside top center horizontal\n";
     std::size_t row = 1;  // of the data; 0 is its head
@@ -147,7 +140,7 @@ Files curve_files(const std::string& stem, const std::vector<Curve>& curves, con
         for (const Curve& curve : curves) {
             if (curve.scene != scene) continue;
             const std::size_t last = row + curve.points.size() - 1;
-            const std::string every = fmt::format("{} every ::{}::{}", quoted(data_name), row, last);
+            const std::string every = fmt::format("{} every ::{}::{}", in_quotes(data_name), row, last);
             const std::size_t style =
                 std::size_t(std::find(methods.begin(), methods.end(), curve.method) - methods.begin());
             const char* colour = colours[style % colours.size()];
@@ -164,7 +157,7 @@ Files curve_files(const std::string& stem, const std::vector<Curve>& curves, con
                 bands += fmt::format("{} using 3:6:7 with filledcurves lc rgb '{}' notitle, ", every, colour);
             drawn += fmt::format("{} using 3:4 with linespoints lw 2 pt {} ps 1 lc rgb '{}' title {}, ",
                                  every, markers[style % markers.size()], colour,
-                                 quoted(curve.method + (options.linear_x ? "" : slope_text(curve.slope))));
+                                 in_quotes(curve.method + (options.linear_x ? "" : slope_text(curve.slope))));
             row = last + 1;
             if (options.linear_x) continue;
             // One ring in the key is enough.
@@ -173,7 +166,7 @@ Files curve_files(const std::string& stem, const std::vector<Curve>& curves, con
                 front.empty() ? "title 'Pareto front'" : "notitle");
         }
         const std::string title = scenes.size() > 1 || options.title.empty() ? scene : options.title;
-        body += title.empty() ? "unset title\n" : fmt::format("set title {}\n", quoted(title));
+        body += title.empty() ? "unset title\n" : fmt::format("set title {}\n", in_quotes(title));
         std::string plotted = bands + drawn + front;
         plotted.resize(plotted.size() - 2);
         body += (options.linear_x ? fmt::format("set xrange [{}:{}]\n", x.low - 0.5, x.high + 0.5)
@@ -219,7 +212,7 @@ Files part_files(const std::string& stem, const Table& table, const Options& opt
     body += fmt::format(
         "set logscale xy\nset xlabel {}\nset ylabel 'part of the relMSE'\n"
         "set key outside top center horizontal\n",
-        quoted(words_for(options.x)));
+        in_quotes(words_for(options.x)));
     std::size_t row = 1;  // of the data; 0 is its head
     for (const std::string& scene : scenes) {
         LogAxis x, y;
@@ -239,14 +232,14 @@ Files part_files(const std::string& stem, const Table& table, const Options& opt
                 plotted += fmt::format(
                     "{}{} every ::{}::{} using 4:5 with linespoints lw 2 dt {} pt {} ps 1 lc rgb '{}' title "
                     "{}",
-                    plotted.empty() ? "" : ", ", quoted(stem + ".tsv"), row, last, parts[k].dash,
+                    plotted.empty() ? "" : ", ", in_quotes(stem + ".tsv"), row, last, parts[k].dash,
                     markers[style % markers.size()] + parts[k].marker, colours[style % colours.size()],
-                    quoted(methods[style] + ", " + parts[k].words));
+                    in_quotes(methods[style] + ", " + parts[k].words));
                 row = last + 1;
             }
         }
         const std::string title = scenes.size() > 1 || options.title.empty() ? scene : options.title;
-        body += title.empty() ? "unset title\n" : fmt::format("set title {}\n", quoted(title));
+        body += title.empty() ? "unset title\n" : fmt::format("set title {}\n", in_quotes(title));
         body += x.commands("x") + y.commands("y") + fmt::format("plot {}\n", plotted);
     }
     if (scenes.size() > 1) body += "unset multiplot\n";
@@ -307,19 +300,19 @@ Files stage_files(const std::string& stem, const Table& table, const Options& op
         plotted += fmt::format(
             "{}{} every ::{}::{} using (($6 + $7) / 2):5:6:7:($5 - 0.36):($5 + 0.36) with boxxyerror "
             "fs solid 0.85 lc rgb '{}' title {}",
-            s == 0 ? "" : ", ", quoted(stem + ".tsv"), first, row - 1, colours[s % colours.size()],
-            quoted(stages[s]));
+            s == 0 ? "" : ", ", in_quotes(stem + ".tsv"), first, row - 1, colours[s % colours.size()],
+            in_quotes(stages[s]));
     }
     for (std::size_t k = 0; k < bars.size(); ++k) {
         const std::string name = (many_scenes ? bars[k].scene + ", " : "") + bars[k].method +
                                  (bars[k].samples == "0" ? "" : ", " + bars[k].samples + " spp");
-        ticks += fmt::format("{}{} {}", k == 0 ? "" : ", ", quoted(name), k);
+        ticks += fmt::format("{}{} {}", k == 0 ? "" : ", ", in_quotes(name), k);
     }
     const std::string body = fmt::format(
         "{}set xlabel {}\nset xrange [0:*]\nset yrange [{}:-0.7]\nset ytics ({}) scale 0\nset grid noytics\n"
         "set key outside top center horizontal\nplot {}\n",
-        options.title.empty() ? "" : "set title " + quoted(options.title) + "\n",
-        quoted(words_for(options.x) + " per sample per pixel"), double(bars.size()) - 0.3, ticks, plotted);
+        options.title.empty() ? "" : "set title " + in_quotes(options.title) + "\n",
+        in_quotes(words_for(options.x) + " per sample per pixel"), double(bars.size()) - 0.3, ticks, plotted);
     return {{stem + ".gp", script(stem, 800, 140 + 40 * int(bars.size()), body, options)},
             {stem + ".tsv", data}};
 }

@@ -1,7 +1,7 @@
 // The architecture as a test: every #include of the project goes along an arrow of the drawing below.
 //
 //   tests ─▶ stages/NAME ─▶ stages/core ─▶ formats ─▶ formats/io
-//   core:    transport ─▶ scene ─▶ scattering ─▶ sampling ─▶ math;   beside: app, table, and stats ─▶ math
+//   core:    transport ─▶ scene ─▶ scattering ─▶ sampling ─▶ math;   beside: app, table, plot, and stats ─▶ math
 //
 // Caught: a stage that includes another (they meet in files only), a format that knows a BSDF, HDF5 or
 // OpenEXR outside of formats, Embree outside of its one file.
@@ -88,6 +88,7 @@ const std::map<std::string, std::set<std::string>>& arrows() {
         {"core/stats", with(formats, {"core/math"})},
         {"core/app", formats},
         {"core/table", {"formats/io"}},
+        {"core/plot", {"formats/io"}},
     };
     return allowed;
 }

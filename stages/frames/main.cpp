@@ -1,0 +1,11 @@
+#include "stages/frames/frames.h"
+
+#include "stages/core/app/command.h"
+
+int main(int argc, char** argv) {
+    using namespace loom;
+    frames::Options options;
+    app::Command command{"frames: pictures of a transient cube: streaks, times of the peak, frames, curves, a movie"};
+    frames::declare(command, options);
+    return command.execute(argc, argv, [&] { frames::run(options, command.report); });
+}

@@ -1,0 +1,97 @@
+// What pictures of a transient cube show, by cubes made by hand.
+
+#include "stages/frames/frames.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+
+#include "stages/frames/pictures.h"
+
+namespace loom::frames {
+namespace {
+
+/// Grey light in single bins.
+struct HandMade {
+    TransientCube cube;
+    std::vector<float> radiance;
+    HandMade(std::uint32_t width, std::uint32_t height, std::uint32_t bins) : radiance(std::size_t(width) * height * bins * 3) {
+        cube.film = {width, height, 10};
+        cube.time = {bins, 2, 0.5, 0.5, "opl", 1, 1};
+    }
+    HandMade& set(std::size_t pixel, std::size_t bin, float value) {
+        for (std::size_t c = 0; c < 3; ++c) radiance[3 * (pixel * cube.time.n_bins + bin) + c] = value;
+        return *this;
+    }
+    const TransientCube& get() {
+        cube.radiance = radiance;
+        cube.var_mean = std::vector<float>(radiance.size(), 0.0004f);
+        return cube;
+    }
+};
+
+TEST(Frames, TimesAreMiddlesOfBinsInTheUnitOfTheCube) {
+    HandMade made(1, 1, 4);
+    EXPECT_DOUBLE_EQ(time_of(made.get(), 0), 2.25);
+    EXPECT_DOUBLE_EQ(time_of(made.get(), 3), 3.75);
+    EXPECT_EQ(time_words(made.cube), "optical path length (m)");
+    made.cube.time.metres_per_unit = 0.01;
+    EXPECT_EQ(time_words(made.cube), "optical path length (units of the scene)");
+    made.cube.time.unit = "ns";
+    EXPECT_EQ(time_words(made.cube), "time of flight (ns)");
+    EXPECT_DOUBLE_EQ(time_of(made.cube, 0), 2.25 * 0.01 / 0.299792458);
+    made.cube.time.gate_opl = 1.5;  // open for longer than from bin to bin
+    EXPECT_DOUBLE_EQ(time_of(made.cube, 0), 2.75 * 0.01 / 0.299792458);
+}
+
+TEST(Frames, ExposureIsAQuantileOfWhatIsLit) {
+    HandMade made(10, 1, 10);
+    for (int i = 0; i < 100; ++i) made.set(i / 10, i % 10, i < 50 ? 0 : float(i - 49));
+    EXPECT_NEAR(luminance_quantile(made.get(), 1), 50, 1e-4);
+    EXPECT_NEAR(luminance_quantile(made.get(), 0.5), 25, 1e-4);
+    EXPECT_EQ(luminance_quantile(HandMade(2, 2, 3).get(), 0.99), 0);
+}
+
+// A single bright bin is no peak beside steady light; a dark pixel has none.
+TEST(Frames, PeakIsWhereLightIsNotWhereAPathIs) {
+    HandMade made(3, 1, 20);
+    for (std::size_t bin = 10; bin < 15; ++bin) made.set(0, bin, 1), made.set(1, bin, 1);
+    made.set(1, 3, 2).set(2, 5, 0.01f);
+    const std::vector<float> times = peak_times(made.get());
+    EXPECT_FLOAT_EQ(times[0], float(time_of(made.cube, 12)));
+    EXPECT_FLOAT_EQ(times[1], float(time_of(made.cube, 12)));
+    EXPECT_TRUE(std::isnan(times[2]));
+}
+
+TEST(Frames, StripSpansTheLight) {
+    HandMade made(4, 4, 100);
+    for (std::size_t pixel = 0; pixel < 16; ++pixel)
+        for (std::size_t bin = 40; bin < 60; ++bin) made.set(pixel, bin, pixel == 3 ? 1000.0f : 1.0f);
+    const std::vector<std::size_t> bins = strip_bins(made.get(), 6);
+    ASSERT_EQ(bins.size(), 6u);
+    EXPECT_EQ(bins.front(), 40u);
+    EXPECT_NEAR(double(bins.back()), 57, 1);
+    EXPECT_TRUE(std::is_sorted(bins.begin(), bins.end()));
+    EXPECT_EQ(strip_bins(made.get(), 1).size(), 1u);
+    EXPECT_LE(strip_bins(made.get(), 1000).size(), 100u);
+    EXPECT_FALSE(strip_bins(HandMade(2, 2, 3).get(), 5).empty());
+}
+
+// Four standard errors apart, of the mean of nine pixels: sd 0.02 each.
+TEST(Frames, BandsAreThoseOfTheMeanOfPixels) {
+    HandMade made(3, 3, 2);
+    for (std::size_t pixel = 0; pixel < 9; ++pixel) made.set(pixel, 1, float(pixel));
+    const Plot plot = curves(made.get(), {4}, 1);
+    double t, mean, low, high;
+    int bin;
+    const std::string data = plot.data.at("curves.tsv");
+    ASSERT_EQ(std::sscanf(data.c_str() + data.rfind("\n1\t"), "%d %lf %lf %lf %lf", &bin, &t, &mean, &low, &high), 5) << data;
+    EXPECT_DOUBLE_EQ(t, 2.75);
+    EXPECT_NEAR(mean, 4, 1e-5);
+    EXPECT_NEAR(high - low, 4 * 0.02 / 3, 1e-5);
+    // At a corner fewer pixels are there.
+    EXPECT_NE(curves(made.get(), {0}, 1).data.at("curves.tsv").find("\t2\t"), std::string::npos);
+}
+
+}  // namespace
+}  // namespace loom::frames
