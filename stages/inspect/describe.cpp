@@ -2,6 +2,7 @@
 #include <fmt/ranges.h>
 
 #include <array>
+#include <cmath>
 #include <filesystem>
 #include <map>
 #include <optional>
@@ -9,7 +10,9 @@
 #include "formats/clusters.h"
 #include "formats/io/cost.h"
 #include "formats/io/json.h"
+#include "formats/transient_cube.h"
 #include "stages/core/app/report.h"
+#include "stages/core/math/vector.h"
 #include "stages/core/transport/cluster_quality.h"
 #include "stages/inspect/inspect.h"
 
@@ -84,6 +87,86 @@ struct ClusterFacts {
             json.number("share_off_normal", spread->share_off_normal);
             json.number("share_opposed", spread->share_opposed);
         }
+        json.end_object();
+    }
+};
+
+/// Window, response and where the light of a transient cube is.
+struct CubeFacts {
+    TransientCubeHeader header;
+    double inside = 0, before = 0, after = 0, never = 0, steady = 0;  // luminance, mean over the pixels
+    double relative_error = 0;                                        // root of the summed variances over the sum of the bins
+    double brightest = 0;
+    std::size_t brightest_x = 0, brightest_y = 0, brightest_bin = 0;
+    double half_by = 0;  // half of the light in the bins has arrived, in the cube's unit
+
+    explicit CubeFacts(const std::string& file) {
+        const TransientCube cube = read_transient_cube(file);
+        header = cube;
+        const std::size_t n = cube.time.n_bins;
+        const auto sum_of = [&](const Column<float>& field) {
+            double sum = 0;
+            for (std::size_t i = 0; i < field.size(); i += 3) sum += luminance(Rgb<double>(field[i], field[i + 1], field[i + 2]));
+            return sum / double(cube.n_pixels());
+        };
+        before = sum_of(cube.before), after = sum_of(cube.after), never = sum_of(cube.never), steady = sum_of(cube.steady);
+        std::vector<double> of_bin(n);
+        double variance = 0;
+        for (std::size_t i = 0; i < cube.radiance.size(); i += 3) {
+            const double Y = luminance(Rgb<double>(cube.radiance[i], cube.radiance[i + 1], cube.radiance[i + 2]));
+            // Channels of a path go together.
+            const double sd = luminance(Rgb<double>(std::sqrt(double(cube.var_mean[i])), std::sqrt(double(cube.var_mean[i + 1])), std::sqrt(double(cube.var_mean[i + 2]))));
+            variance += sd * sd;
+            of_bin[i / 3 % n] += Y / double(cube.n_pixels());
+            if (Y > brightest) {
+                brightest = Y;
+                brightest_bin = i / 3 % n;
+                brightest_x = i / 3 / n % cube.film.width, brightest_y = i / 3 / n / cube.film.width;
+            }
+        }
+        for (double Y : of_bin) inside += Y;
+        relative_error = std::sqrt(variance) / double(cube.n_pixels()) / inside;
+        double seen = 0;
+        for (std::size_t bin = 0; bin < n && seen < inside / 2; ++bin) {
+            seen += of_bin[bin];
+            half_by = opening_of(bin + 1);
+        }
+    }
+    double opening_of(std::size_t bin) const { return header.in_unit(header.time.start_opl + double(bin) * header.time.bin_width_opl); }
+    double percent(double part) const { return steady > 0 ? 100 * part / steady : 0; }
+    const char* unit() const { return header.time.unit == "ns" ? "ns" : "m"; }
+
+    std::string text() const {
+        const auto &t = header.time;
+        const auto &r = header.response;
+        std::string text = fmt::format("\n{} x {} pixels of {} samples; {} bins of {:.6g} {} from {:.6g} to {:.6g}, {}{}\n", header.film.width, header.film.height,
+                                       header.film.samples_per_pixel, t.n_bins, header.in_unit(t.bin_width_opl), unit(), opening_of(0), opening_of(t.n_bins),
+                                       t.gate_opl == t.bin_width_opl ? "" : fmt::format("each open for {:.6g}, ", header.in_unit(t.gate_opl)),
+                                       t.camera_segment ? "counted from the camera" : "counted from the first hit");
+        text += fmt::format("pulse: {}", r.pulse);
+        for (const auto& [name, opl] : {std::pair{"length", r.length_opl}, std::pair{"tail", r.tail_opl}, std::pair{"period", r.period_opl}})
+            if (opl != 0) text += fmt::format(", {} {:.6g} {}", name, header.in_unit(opl), unit());
+        text += fmt::format("\nlight: {:.5g} W m^-2 sr^-1 (mean luminance), of it {:.4g} % in the bins, {:.3g} % before, {:.3g} % after, {:.3g} % never\n", steady,
+                            percent(inside), percent(before), percent(after), percent(never));
+        return text + fmt::format("brightest bin: {:.4g} at pixel {}:{}, bin {} ({:.6g} {}); half of the light by {:.6g} {}; standard error of the sum {:.2g} %\n", brightest,
+                                  brightest_x, brightest_y, brightest_bin, opening_of(brightest_bin), unit(), half_by, unit(), 100 * relative_error);
+    }
+    void write(JsonWriter& json) const {
+        json.begin_object("transient_cube");
+        json.number("start", opening_of(0));
+        json.number("end", opening_of(header.time.n_bins));
+        json.text("unit", unit());
+        json.number("mean_luminance", steady);
+        json.number("share_inside", percent(inside) / 100);
+        json.number("share_before", percent(before) / 100);
+        json.number("share_after", percent(after) / 100);
+        json.number("share_never", percent(never) / 100);
+        json.number("brightest", brightest);
+        json.integer("brightest_x", brightest_x);
+        json.integer("brightest_y", brightest_y);
+        json.integer("brightest_bin", brightest_bin);
+        json.number("half_by", half_by);
+        json.number("relative_error", relative_error);
         json.end_object();
     }
 };
@@ -199,6 +282,7 @@ std::string text_of(const Survey& survey, const std::string& file, const std::st
     }
     if (is_path_graph(survey)) text += graph_text(GraphFacts(read_path_graph(file)));
     if (is_clusters(survey)) text += ClusterFacts(file, graph).text();
+    if (is_transient_cube(file)) text += CubeFacts(file).text();
     std::size_t name_width = 7;
     for (const auto& d : survey.datasets) name_width = std::max(name_width, d.name.size());
     text += fmt::format("\n  {:<{}}  {:<9} {:>14}  {:<14} {:>11} {:>11} {:>11}\n", "dataset", name_width,
@@ -228,6 +312,7 @@ std::string json_of(const Survey& survey, const std::string& file, const std::st
     }
     if (is_path_graph(survey)) graph_json(GraphFacts(read_path_graph(file)), json);
     if (is_clusters(survey)) ClusterFacts(file, graph).write(json);
+    if (is_transient_cube(file)) CubeFacts(file).write(json);
     json.begin_array("datasets");
     for (const auto& d : survey.datasets) dataset_json(d, json);
     json.end_array();

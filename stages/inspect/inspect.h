@@ -37,7 +37,7 @@ void run(const Options& options, app::Report& report);
 
 /// Text of a survey: what the file is, its lineage, a table of its datasets, and for a path graph counts,
 /// endings and bytes per vertex by column; for clusters their sizes and, with the graph that they were made from,
-/// radii and normal spread. JSON has the same.
+/// radii and normal spread; for a transient cube window, response and where its light is. JSON has the same.
 std::string text_of(const Survey& survey, const std::string& file, const std::string& graph = "");
 std::string json_of(const Survey& survey, const std::string& file, const std::string& graph = "");
 

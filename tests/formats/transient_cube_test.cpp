@@ -7,6 +7,7 @@
 #include "formats/io/error.h"
 #include "formats/transient_cube.h"
 #include "stages/core/app/report.h"
+#include "stages/inspect/inspect.h"
 #include "stages/merge/merge.h"
 
 namespace loom {
@@ -130,6 +131,26 @@ TEST_F(TransientCubes, UnlikePartsAreRefused) {
     h.time.start_opl += 0.02;
     EXPECT_EQ(difference_in_words(h, header(2), 0.1), "");
     EXPECT_NE(difference_in_words(h, header(2), 0.01), "");
+}
+
+TEST_F(TransientCubes, InspectSaysWhereTheLightIs) {
+    TransientCubeHeader h = header(4);
+    h.response.pulse = "box";
+    h.response.length_opl = 0.5;
+    std::vector<float> mean(6 * 4 * 3), var(mean.size()), none(18), after(18, 0.25f), steady(18, 1.0f);
+    // Pixel 2:1, bin 3 has all the light but what comes after.
+    for (std::size_t c = 0; c < 3; ++c) mean[3 * (5 * 4 + 3) + c] = 6 * 0.75f;
+    for (std::size_t c = 0; c < 3; ++c) var[3 * (5 * 4 + 3) + c] = 0.09f * 0.09f;
+    TransientCubeWriter writer(folder / "cube.h5", h);
+    const std::span<const float> m(mean), v(var), n(none), a(after), s(steady);
+    for (std::uint32_t y : {0u, 1u})
+        writer.write_rows(y, {m.subspan(y * 36, 36), v.subspan(y * 36, 36), n.subspan(y * 9, 9), a.subspan(y * 9, 9), n.subspan(y * 9, 9), s.subspan(y * 9, 9)});
+    writer.commit(Sync::no);
+    const std::string file = folder / "cube.h5", text = inspect::text_of(survey_file(file), file);
+    EXPECT_NE(text.find("3 x 2 pixels of 4 samples; 4 bins of 0.25 m from 1.5 to 2.5, counted from the camera\npulse: box, length 0.5 m\n"), std::string::npos) << text;
+    EXPECT_NE(text.find("(mean luminance), of it 75 % in the bins, 0 % before, 25 % after, 0 % never\n"), std::string::npos) << text;
+    EXPECT_NE(text.find("brightest bin: 4.5 at pixel 2:1, bin 3 (2.25 m); half of the light by 2.5 m; standard error of the sum 2 %\n"), std::string::npos) << text;
+    EXPECT_NE(inspect::json_of(survey_file(file), file).find("\"share_inside\": 0.75"), std::string::npos);
 }
 
 }  // namespace
