@@ -86,7 +86,7 @@ double srgb_from_linear(double linear);
 
 /// Writes an 8-bit sRGB preview of R, G, B times 2^exposure_ev. NaN shows as black.
 /// out:     number of pixels that held a NaN or an infinity
-std::size_t write_png(const Image& image, const std::filesystem::path& path, double exposure_ev = 0);
+std::size_t write_png(const Image& image, const std::filesystem::path& path, double exposure_ev = 0, Sync sync = Sync::yes);
 
 /// What the format holds, as Markdown.
 std::string image_markdown();

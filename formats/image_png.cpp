@@ -13,7 +13,7 @@ double srgb_from_linear(double linear) {
     return x <= 0.0031308 ? 12.92 * x : 1.055 * std::pow(x, 1.0 / 2.4) - 0.055;
 }
 
-std::size_t write_png(const Image& image, const std::filesystem::path& path, double exposure_ev) {
+std::size_t write_png(const Image& image, const std::filesystem::path& path, double exposure_ev, Sync sync) {
     const std::vector<float> rgb = image.interleaved("");
     const double gain = std::exp2(exposure_ev);
     std::vector<std::uint8_t> bytes(rgb.size());
@@ -36,7 +36,7 @@ std::size_t write_png(const Image& image, const std::filesystem::path& path, dou
     png.format = PNG_FORMAT_RGB;  // 8 bits, sRGB, and marked so
     if (png_image_write_to_file(&png, output.partial().c_str(), 0, bytes.data(), 0, nullptr) == 0)
         throw std::runtime_error(fmt::format("{}: cannot write: {}", path.native(), png.message));
-    output.commit();
+    output.commit(sync);
     return n_bad;
 }
 

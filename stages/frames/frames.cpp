@@ -145,8 +145,9 @@ void run(const Options& options, app::Report& report) {
             image.provenance.command = report.command();
             image.provenance.seed = cube.provenance.seed;
             image.provenance.inputs = {input};
+            // Hundreds of files, and soon made again: none waits for the disk.
             if (options.exr) write_image(image, frame_path(frames, bin, ".exr"), Compression::zip, Sync::no);
-            if (options.png || !options.movie.empty()) write_png(image, frame_path(frames, bin, ".png"), -std::log2(white));
+            if (options.png || !options.movie.empty()) write_png(image, frame_path(frames, bin, ".png"), -std::log2(white), Sync::no);
             progress.add();
         }
         if (!options.movie.empty()) write_movie(options, cube, frames, report);
