@@ -2,7 +2,7 @@
 
 .DEFAULT_GOAL := demo
 .DELETE_ON_ERROR:
-.PHONY: demo image transient chart chart-all report table choices test test-full stability asan bench peers oidn tools build stages clean help
+.PHONY: demo image transient chart chart-transient chart-all report table choices test test-full stability asan bench peers oidn tools build stages clean help
 SHELL := /bin/sh
 
 BUILD ?= build
@@ -58,6 +58,9 @@ transient: stages ## light in flight of SCENE, binned over time; with -s the onl
 
 chart: stages ## error against cost of METHODS on SCENE; the last lines are the paths of the charts
 	@$(MAKE) --no-print-directory -f pipelines/chart.mk chart
+
+chart-transient: stages ## error of the cubes of SCENE against paths and cost; the last lines are the paths of the charts
+	@$(MAKE) --no-print-directory -f pipelines/chart-transient.mk chart-transient
 
 chart-all: stages ## charts of pt, west and pathgraph on many scenes at small size, OUT=out/chart-all; DOCS= copies them
 	@$(MAKE) --no-print-directory -f pipelines/chart-all.mk chart-all
@@ -115,7 +118,7 @@ clean: ## remove build folders and out/
 
 help: ## list targets and variables
 	@echo 'Targets:'
-	@sed -n 's/^\([a-z-]*\):[^#]*## \(.*\)/\1\t\2/p' Makefile | sort | awk -F'\t' '{printf "  %-10s %s\n", $$1, $$2}'
+	@sed -n 's/^\([a-z-]*\):[^#]*## \(.*\)/\1\t\2/p' Makefile | sort | awk -F'\t' '{printf "  %-15s %s\n", $$1, $$2}'
 	@echo 'Variables of demo and image:'
 	@sed -n 's/^\([A-Z]*\) ?= *\(.*[^ ]\)  *## \(.*\)/\1=\2\t\3/p; s/^# *\([A-Z]*\)=  *## \(.*\)/\1=\t\2/p' \
 		pipelines/still.mk | awk -F'\t' '{printf "  %-28s %s\n", $$1, $$2}'
@@ -124,6 +127,8 @@ help: ## list targets and variables
 		pipelines/transient.mk | awk -F'\t' '{printf "  %-28s %s\n", $$1, $$2}'
 	@echo 'Variables of chart, report and peers, beside SCENE, DEFINES, SEED, THREADS, TRACE, LAUNCH and OUT (out/NAME/chart):'
 	@sed -n 's/^# *\([A-Z_]*\)=  *## \(.*\)/\1=\t\2/p' pipelines/chart.mk pipelines/report.mk | awk -F'\t' '{printf "  %-28s %s\n", $$1, $$2}'
+	@echo 'Variables of chart-transient, beside SCENE, DEFINES, SEED, THREADS, TRACE, LAUNCH, those of the cube and OUT (out/NAME/chart-transient):'
+	@sed -n 's/^# *\([A-Z_]*\)=  *## \(.*\)/\1=\t\2/p' pipelines/chart-transient.mk | awk -F'\t' '{printf "  %-28s %s\n", $$1, $$2}'
 	@echo 'Variables of chart-all, beside METHODS, SPPS, REPLICATES, COST, ERROR and OUT (out/chart-all):'
 	@sed -n 's/^# *\([A-Z_]*\)=  *## \(.*\)/\1=\t\2/p' pipelines/chart-all.mk | awk -F'\t' '{printf "  %-28s %s\n", $$1, $$2}'
 	@echo 'Variables of the build:'

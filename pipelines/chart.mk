@@ -36,17 +36,14 @@ REFERENCE_SPP := $(or $(strip $(REFERENCE_SPP)),1024)
 COST := $(or $(strip $(COST)),cpu_s)
 ERROR := $(or $(strip $(ERROR)),relmse)
 
-empty :=
-space := $(empty) $(empty)
-quote = '$(subst ','\'',$(1))'
+include pipelines/words.mk
 ifneq ($(shell printf '%s\n' $(SPPS) $(REPLICATES) $(PASS) $(REFERENCE_SPP) | grep -cvxE '[1-9][0-9]{0,8}'),0)
 $(error SPPS=$(SPPS) REPLICATES=$(REPLICATES) PASS=$(PASS) REFERENCE_SPP=$(REFERENCE_SPP): must be whole numbers from 1)
 endif
 ifeq ($(shell test -f $(call quote,$(SCENE)) && echo there),)
 $(error SCENE=$(SCENE): no such file)
 endif
-name := $(or $(NAME),$(shell realpath -s $(call quote,$(SCENE)) | sed -E \
-	's/[.]xml$$//; s,.*/([^/]+)/scene_?([^/]*)$$,\1-\2,; s,-$$,,; s,.*/,,' | tr -c 'A-Za-z0-9._+\n-' _))
+name := $(or $(NAME),$(call scene_name,$(SCENE)))
 OUT := $(or $(strip $(OUT)),out/$(name)/chart)
 ifneq ($(words $(OUT)),1)
 $(error OUT=$(OUT): make cannot handle blanks in the names of what it makes)
@@ -113,10 +110,6 @@ $(OUT)/reference/image.exr: FORCE
 		SEED=$(call seed,reference) OUT=$(@D) KEEP= image >/dev/null
 endif
 
-define parameter
-$(1): $(if $(and $(findstring x$(file <$(1))x,x$(2)x),$(findstring x$(2)x,x$(file <$(1))x)),,FORCE)
-	@mkdir -p $$(@D) && printf '%s\n' $(call quote,$(2)) >$$@
-endef
 $(eval $(call parameter,$(OUT)/compare.parameters,$(runs) $(REFERENCE) $(REFERENCE_VARIANCE)))
 $(eval $(call parameter,$(OUT)/chart.parameters,$(COST) $(ERROR)))
 

@@ -3,13 +3,10 @@
 # in:   SCENE SPP PASSES BATCH OUT SEED THREADS DEFINES TRACE LAUNCH BUILD
 #       folder  of the passes within OUT;  kind  h5 or exr;  made  ending of what says that a pass is there
 # out:  OUT, work, numbers, last (of the passes), the rules of the passes, scene_prerequisite, scene_parameters,
-#       common_parameters, threads;  $(call quote,TEXT), $(call parameter,FILE,VALUE)
+#       common_parameters, threads, and what words.mk has
 
+include pipelines/words.mk
 BATCH := $(strip $(BATCH))
-empty :=
-space := $(empty) $(empty)
-quote = '$(subst ','\'',$(1))'
-
 ifneq ($(shell printf '%s\n' $(call quote,$(SPP)) $(call quote,$(PASSES)) $(call quote,$(BATCH)) | \
 		grep -cxE '[1-9][0-9]{0,8}'),3)
 $(error SPP=$(SPP) PASSES=$(PASSES) BATCH=$(BATCH): must be whole numbers from 1)
@@ -18,9 +15,7 @@ ifeq ($(shell test -f $(call quote,$(SCENE)) && echo there),)
 $(error SCENE=$(SCENE): no such file)
 endif
 
-# scenes/veach-ajar/scene_v3.xml is called veach-ajar-v3, scenes/mirror.xml mirror.
-OUT := $(or $(strip $(OUT)),out/$(shell realpath -s $(call quote,$(SCENE)) | sed -E \
-	's/[.]xml$$//; s,.*/([^/]+)/scene_?([^/]*)$$,\1-\2,; s,-$$,,; s,.*/,,' | tr -c 'A-Za-z0-9._+\n-' _))
+OUT := $(or $(strip $(OUT)),out/$(call scene_name,$(SCENE)))
 ifneq ($(words $(OUT)),1)
 $(error OUT=$(OUT): make cannot handle blanks in the names of what it makes)
 endif
@@ -36,13 +31,6 @@ scene_parameters = $(call quote,$(SCENE))$(if $(DEFINES), $(foreach d,$(DEFINES)
 common_parameters = $(scene_parameters)$(if $(TRACE), $(TRACE))
 trace_parameters = $(common_parameters) --spp $(SPP)$(if $(SEED), --seed $(SEED))
 threads = $(if $(THREADS), --threads $(THREADS))
-
-# $(call parameter,FILE,VALUE): FILE holds VALUE and is written anew only when VALUE is another one.
-equal = $(and $(findstring x$(1)x,x$(2)x),$(findstring x$(2)x,x$(1)x))
-define parameter
-$(1): $(if $(call equal,$(file <$(1)),$(2)),,FORCE)
-	@mkdir -p $$(@D) && printf '%s\n' $(call quote,$(2)) >$$@
-endef
 
 $(eval $(call parameter,$(work)/trace.parameters,$(trace_parameters)))
 # Passes are traced in batches of BATCH, so that a scene is not read for each. Those that are there already make a

@@ -9,7 +9,7 @@
 # [i SPP, (i+1) SPP) of every pixel: as in still.mk.
 
 .DELETE_ON_ERROR:
-.PHONY: transient demo FORCE
+.PHONY: transient cube demo FORCE
 .DEFAULT_GOAL := transient
 
 SCENE ?= scenes/flash.xml  ## scene file, Mitsuba XML; a transient_hdr_film says the window
@@ -53,6 +53,9 @@ graphs := $(numbers:%=$(work)/pass-%.h5)
 transient: $(OUT)/cube.h5 $(OUT)/strip.png
 	@echo $<
 
+cube: $(OUT)/cube.h5 # without pictures
+	@echo $<
+
 demo: $(OUT)/cube.h5 $(OUT)/strip.png
 	@echo 'cube     $<'
 	@echo 'frames   $(OUT)/strip.png, beside it streak-x.png streak-y.png peak.png curves.png'
@@ -66,9 +69,9 @@ ifneq ($(keep),)
 $(OUT)/cube.h5: $(graphs) $(work)/cube.parameters $(OUT)/passes.parameters $(bin)
 	$(LAUNCH) $(bin) $(graphs) $(cube_parameters) -o $@$(threads)
 else
-# Secondary: that a graph is gone does not make it be traced again.
-.SECONDARY: $(graphs)
 cubes := $(graphs:.h5=.cube.h5)
+# Secondary: that a graph is gone does not make it be traced again.
+.SECONDARY: $(graphs) $(cubes)
 $(cubes): %.cube.h5: %.h5 $(work)/cube.parameters $(bin)
 	$(LAUNCH) $(bin) $< $(cube_parameters) -o $@$(threads)
 	rm -f $<

@@ -138,6 +138,25 @@ TEST_F(MakeTransient, cubes_are_compared_and_judged) {
     EXPECT_EQ(std::count(tsv.out.begin(), tsv.out.end(), '\n'), 3);
 }
 
+TEST_F(MakeTransient, charts_of_error_over_samples_and_cost) {
+    const std::string run = "make -s -f pipelines/chart-transient.mk BUILD='" + fs::path(LOOM_BIN_DIR).parent_path().string() + "' OUT=" + (folder / "c").string() +
+                            " DEFINES='resx=8 resy=8' SPPS='1 4 16' REPLICATES=2 REFERENCE_SPP=256 ";
+    const Outcome outcome = sh(run);
+    EXPECT_EQ(outcome.code, 0) << outcome.err;
+    EXPECT_NE(outcome.out.find("flash: independent: rmse falls as samples^"), std::string::npos) << outcome.out;
+    for (const char* file : {"error-samples.svg", "error-samples.png", "error-samples.tsv", "error-cost.svg", "error-cost.png", "errors.tsv"})
+        EXPECT_TRUE(fs::exists(folder / "c" / file)) << file;
+    EXPECT_NE(outcome.out.find((folder / "c/error-cost.png").string() + "\n"), std::string::npos);
+    // Nothing is traced again, and one more point traces its cubes alone.
+    EXPECT_EQ(sh(run).err.find("loom-trace"), std::string::npos);
+    const Outcome more = sh(run + "SPPS='1 4 16 32' SAMPLERS=sobol");
+    EXPECT_EQ(more.code, 0) << more.err;
+    EXPECT_EQ(more.err.find("sobol-16-0/transient/pass"), std::string::npos) << more.err;
+    EXPECT_NE(more.err.find("sobol-32-0/transient/pass"), std::string::npos) << more.err;
+    EXPECT_EQ(sh(run + "SAMPLERS=halton").code, 2);
+    EXPECT_EQ(sh(run + "SPPS=1025").code, 2);
+}
+
 TEST_F(MakeTransient, pictures_are_the_same_bytes_twice_and_a_movie_needs_ffmpeg) {
     const std::string file = cube("x", small);
     fs::create_directories(folder / "again");
