@@ -1,6 +1,7 @@
 # Light in flight of one scene: OUT/cube.h5, a picture whose pixels are histograms over the optical path length.
 #
-#   trace PASSES path graphs of SPP samples each;  bin the paths of all of them together (loom-transient);
+#   trace PASSES path graphs of SPP samples each;  with K, cluster the vertices of each, whose light first hits then
+#   share;  bin the paths of all of them together (loom-transient);
 #   draw strip.png, streak-x.png, streak-y.png, peak.png, curves.svg, frames/ and, where ffmpeg is, movie.mp4 (loom-frames)
 #
 # The graphs stay: another window, pulse or unit bins the same paths again, and nothing is traced. With KEEP=0 each graph
@@ -17,6 +18,8 @@ SCENE ?= scenes/flash.xml  ## scene file, Mitsuba XML; a transient_hdr_film says
 # SPP=  ## samples per pixel of each (16); a graph takes about 300 bytes per sample on disk
 BATCH ?= 4  ## graphs that a process traces
 SAMPLER ?= sobol  ## or independent: more error, and error bars that are not too wide
+# K=  ## vertices of a cluster whose light first hits share (none: paths alone)
+# CLUSTER=  ## further options of loom-cluster: CLUSTER="--method centres"
 # BINS=  ## number of bins (the film's, else 300)
 # START=  ## where the first bin opens (the film's, else where light first arrives)
 # WIDTH=  ## of a bin (the film's, else so that 99.9 % of the light is within)
@@ -44,11 +47,21 @@ kind := h5
 made := $(if $(keep),h5,cube.h5)
 include pipelines/passes.mk
 
+K := $(strip $(K))
+ifneq ($(shell printf '%s\n' $(call quote,$(or $(K),1)) | grep -cxE '[1-9][0-9]{0,8}'),1)
+$(error K=$(K): must be a whole number from 1)
+endif
+ifneq ($(if $(keep),,$(K)),)
+$(error K=$(K) KEEP=0: graphs that share light within are samples of each other; they are binned together)
+endif
+
+cluster := $(BUILD)/bin/loom-cluster
 bin := $(BUILD)/bin/loom-transient
 merge := $(BUILD)/bin/loom-merge
 draw := $(BUILD)/bin/loom-frames
 inspect := $(BUILD)/bin/loom-inspect
 graphs := $(numbers:%=$(work)/pass-%.h5)
+clusters := $(if $(K),$(numbers:%=$(work)/pass-%.clusters.h5))
 
 transient: $(OUT)/cube.h5 $(OUT)/strip.png
 	@echo $<
@@ -64,10 +77,14 @@ demo: $(OUT)/cube.h5 $(OUT)/strip.png
 cube_parameters = $(strip $(if $(UNIT),--unit $(UNIT)) $(if $(BINS),--bins $(BINS)) $(if $(START),--start $(START)) \
 	$(if $(WIDTH),--width $(WIDTH)) $(if $(PULSE),--pulse $(PULSE)) $(if $(LENGTH),--pulse-length $(LENGTH)) $(TRANSIENT))
 $(eval $(call parameter,$(work)/cube.parameters,$(cube_parameters)))
-$(eval $(call parameter,$(OUT)/passes.parameters,$(PASSES) $(if $(keep),together,merged)))
+$(eval $(call parameter,$(OUT)/passes.parameters,$(PASSES) $(if $(keep),together,merged)$(if $(K), $(K))))
 ifneq ($(keep),)
-$(OUT)/cube.h5: $(graphs) $(work)/cube.parameters $(OUT)/passes.parameters $(bin)
-	$(LAUNCH) $(bin) $(graphs) $(cube_parameters) -o $@$(threads)
+$(eval $(call parameter,$(work)/cluster.parameters,--k $(K)$(if $(CLUSTER), $(CLUSTER))))
+$(clusters): $(work)/pass-%.clusters.h5: $(work)/pass-%.h5 $(work)/cluster.parameters $(cluster)
+	$(LAUNCH) $(cluster) $< --k $(K)$(if $(CLUSTER), $(CLUSTER)) --seed $* -o $@$(threads)
+
+$(OUT)/cube.h5: $(graphs) $(clusters) $(work)/cube.parameters $(OUT)/passes.parameters $(bin)
+	$(LAUNCH) $(bin) $(graphs)$(if $(K), --clusters $(clusters)) $(cube_parameters) -o $@$(threads)
 else
 cubes := $(graphs:.h5=.cube.h5)
 # Secondary: that a graph is gone does not make it be traced again.
@@ -85,5 +102,5 @@ $(OUT)/strip.png: $(OUT)/cube.h5 $(OUT)/frames.parameters $(draw)
 	$(LAUNCH) $(draw) $< -o $@ --movie $(OUT)/movie.mp4 $(FRAMES)
 
 # Run alone on a tree that is not built yet.
-$(trace) $(bin) $(merge) $(draw) $(inspect) &:
+$(trace) $(cluster) $(bin) $(merge) $(draw) $(inspect) &:
 	$(MAKE) --no-print-directory -f Makefile stages

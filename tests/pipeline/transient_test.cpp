@@ -105,8 +105,22 @@ TEST_F(MakeTransient, graphs_that_go_leave_the_same_cube_merged) {
     EXPECT_EQ(last_err.find("pass-0.h5"), std::string::npos) << last_err;
 }
 
+TEST_F(MakeTransient, clusters_share_the_light_of_the_same_graphs) {
+    const TransientCube alone = read_transient_cube(cube("x", small));
+    const auto traced = fs::last_write_time(folder / "x/transient/pass-0.h5");
+    const TransientCube shared = read_transient_cube(cube("x", small + "K=16"));
+    EXPECT_EQ(fs::last_write_time(folder / "x/transient/pass-0.h5"), traced);
+    EXPECT_TRUE(fs::exists(folder / "x/transient/pass-2.clusters.h5"));
+    EXPECT_TRUE(up_to_date("x", small + "K=16"));
+    EXPECT_FALSE(up_to_date("x", small + "K=8"));
+    // The same light, spread over more bins.
+    EXPECT_NEAR(sums(shared).steady, sums(alone).steady, 0.05 * sums(alone).steady);
+    const auto lit = [](const TransientCube& c) { return std::count_if(c.radiance.begin(), c.radiance.end(), [](float x) { return x > 0; }); };
+    EXPECT_GT(lit(shared), 2 * lit(alone));
+}
+
 TEST_F(MakeTransient, wrong_variables_are_refused) {
-    for (const char* wrong : {"SPP=0", "PASSES=x", "BINS=0", "WIDTH=-1", "UNIT=feet", "PULSE=none", "PULSE=box", "OUT='two words'", "SAMPLER=none", "SCENE=missing.xml",
+    for (const char* wrong : {"SPP=0", "PASSES=x", "BINS=0", "WIDTH=-1", "UNIT=feet", "PULSE=none", "PULSE=box", "OUT='two words'", "SAMPLER=none", "K=0", "K=8 KEEP=0", "SCENE=missing.xml",
                               "FRAMES='--row 16'", "FRAMES='--pixel 24:0'"}) {
         const Outcome outcome = sh(make("x", small + std::string(wrong)) + " transient");
         EXPECT_EQ(outcome.code, 2) << wrong << "\n" << outcome.err;
