@@ -2,7 +2,7 @@
 
 .DEFAULT_GOAL := demo
 .DELETE_ON_ERROR:
-.PHONY: demo image transient chart chart-transient chart-all report table choices test test-full stability asan bench peers oidn tools build stages clean help
+.PHONY: demo image transient chart chart-transient chart-all report table choices test test-full stability asan bench peers peers-transient oidn tools build stages clean help
 SHELL := /bin/sh
 
 BUILD ?= build
@@ -96,6 +96,12 @@ peers: stages ## (optional) Mitsuba 3 on SCENE, fetched from PyPI into a virtual
 	@[ -n '$(PEERS_PYTHON)' ] || [ -e $(BUILD)/peers/ready ] || { python3 -m venv $(BUILD)/peers && \
 		$(BUILD)/peers/bin/pip install -q mitsuba==3.8.0 >&2 && touch $(BUILD)/peers/ready; }
 	@$(MAKE) --no-print-directory -f pipelines/peers.mk peers PYTHON=$(or $(PEERS_PYTHON),$(BUILD)/peers/bin/python)
+
+peers-transient: stages ## (optional) mitransient on SCENE, fetched from PyPI: paths per second of both, and whether their cubes agree
+	@[ -n '$(PEERS_PYTHON)' ] || { $(call install,$(PEER_PACKAGES) libllvm16); }
+	@[ -n '$(PEERS_PYTHON)' ] || [ -e $(BUILD)/peers/ready-transient ] || { python3 -m venv $(BUILD)/peers && \
+		$(BUILD)/peers/bin/pip install -q mitsuba==3.8.0 mitransient==1.3.1 h5py >&2 && touch $(BUILD)/peers/ready-transient; }
+	@$(MAKE) --no-print-directory -f pipelines/peers-transient.mk peers-transient PYTHON=$(or $(PEERS_PYTHON),$(BUILD)/peers/bin/python)
 
 oidn: ## (optional) Open Image Denoise for loom-denoise, fetched from PyPI into a folder beside the build's bin/
 	@[ -e $(BUILD)/oidn/libOpenImageDenoise.so.2 ] || { $(call install,$(PEER_PACKAGES)); }
