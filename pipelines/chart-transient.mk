@@ -3,7 +3,8 @@
 #
 #   a reference cube, traced once with many samples and another seed; of Sobol points, whose error is far below what their
 #   variance says, as loom-compare warns
-#   REPLICATES cubes of each sampler at each number of samples, by transient.mk, each with its own seed, in turn
+#   REPLICATES cubes of each sampler at each number of samples, by transient.mk, each with its own seed, in turn;
+#   SAMPLER+K has first hits share the light of clusters of K
 #   loom-compare: errors.tsv;   loom-chart: error-samples, error-cost, with fitted slopes
 #
 # The error is the RMSE over all bins; of independent samples it falls as the root of their number, slope -0.5. What is
@@ -16,7 +17,7 @@
 
 SCENE ?= scenes/flash.xml
 DEFINES ?= resx=32 resy=32
-# SAMPLERS=  ## samplers of loom-trace to compare, the first with all others (independent sobol)
+# SAMPLERS=  ## samplers of loom-trace to compare, the first with all others: sobol, independent, sobol+32 ... (independent sobol)
 # SPPS=  ## samples per pixel of the points of a curve (4 16 64 256)
 # REPLICATES=  ## cubes of each point, with their own seeds (3)
 # REFERENCE_SPP=  ## samples per pixel of the reference, a multiple of 1024 (16384)
@@ -32,8 +33,8 @@ include pipelines/words.mk
 ifneq ($(shell printf '%s\n' $(SPPS) $(REPLICATES) $(REFERENCE_SPP) | grep -cvxE '[1-9][0-9]{0,8}'),0)
 $(error SPPS=$(SPPS) REPLICATES=$(REPLICATES) REFERENCE_SPP=$(REFERENCE_SPP): must be whole numbers from 1)
 endif
-ifneq ($(filter-out sobol independent,$(SAMPLERS)),)
-$(error SAMPLERS=$(SAMPLERS): must be of sobol and independent)
+ifneq ($(shell printf '%s\n' $(call quote,$(SAMPLERS)) | tr ' ' '\n' | grep -cvxE '(sobol|independent)([+][1-9][0-9]{0,2})?'),0)
+$(error SAMPLERS=$(SAMPLERS): must be of sobol, independent, sobol+K and independent+K)
 endif
 ifeq ($(shell test -f $(call quote,$(SCENE)) && echo there),)
 $(error SCENE=$(SCENE): no such file)
@@ -58,8 +59,11 @@ part = $(word $(1),$(subst -, ,$(2)))
 # $(call seed,NAME): own and lasting, whatever else is made beside it.
 seed = $(shell printf '%s' '$(1) $(SEED)' | cksum | cut -d' ' -f1)
 # $(call cube,SAMPLER,SAMPLES,NAME): make of one cube, in the folder of its target
-cube = $(MAKE) -s --no-print-directory -f pipelines/transient.mk -j1 DEFINES=$(call quote,$(DEFINES)) SAMPLER=$(1) SPP=$(call pass_spp,$(2)) \
-	PASSES=$$(($(2) / $(call pass_spp,$(2)))) SEED=$(call seed,$(3)) KEEP=0 OUT=$(@D) cube >/dev/null
+plus := +
+sampler = $(firstword $(subst $(plus), ,$(1)))
+k = $(word 2,$(subst $(plus), ,$(1)))
+cube = $(MAKE) -s --no-print-directory -f pipelines/transient.mk -j1 DEFINES=$(call quote,$(DEFINES)) SAMPLER=$(call sampler,$(1)) K=$(call k,$(1)) \
+	SPP=$(call pass_spp,$(2)) PASSES=$$(($(2) / $(call pass_spp,$(2)))) SEED=$(call seed,$(3)) KEEP=$(if $(call k,$(1)),1,0) OUT=$(@D) cube >/dev/null
 
 chart-transient: $(OUT)/error-samples.svg $(OUT)/error-cost.svg
 	@for c in $(^:.svg=.png); do echo $$c; done

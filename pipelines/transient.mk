@@ -80,6 +80,8 @@ $(eval $(call parameter,$(work)/cube.parameters,$(cube_parameters)))
 $(eval $(call parameter,$(OUT)/passes.parameters,$(PASSES) $(if $(keep),together,merged)$(if $(K), $(K))))
 ifneq ($(keep),)
 $(eval $(call parameter,$(work)/cluster.parameters,--k $(K)$(if $(CLUSTER), $(CLUSTER))))
+# Secondary: clusters may go, as a chart's do, and are made again where another cube is wanted.
+.SECONDARY: $(graphs) $(clusters)
 $(clusters): $(work)/pass-%.clusters.h5: $(work)/pass-%.h5 $(work)/cluster.parameters $(cluster)
 	$(LAUNCH) $(cluster) $< --k $(K)$(if $(CLUSTER), $(CLUSTER)) --seed $* -o $@$(threads)
 
