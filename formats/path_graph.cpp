@@ -128,6 +128,26 @@ std::string bad_edges(const PathGraph& g) {
     return {};
 }
 
+/// Grids, points and pixels of a capture must be of one size.
+std::string bad_capture(const PathGraph& g) {
+    const auto& c = g.nlos;
+    for (std::size_t i = 0; g.emitters.position.empty() && i < g.emitters.kind.size(); ++i)
+        if (g.emitters.kind[i] >= std::uint8_t(EmitterKind::projector)) return fmt::format("emitters/position: is missing for row {}", i);
+    if ((g.sensor.kind == "nlos_capture_meter") != !c.capture.empty())
+        return fmt::format("nlos/capture: is {}there, but sensor/kind is {}", c.capture.empty() ? "not " : "", g.sensor.kind);
+    if (c.capture.empty()) return {};
+    if (c.capture[0] > 2) return fmt::format("nlos/capture: is {}, not 0, 1 or 2", c.capture[0]);
+    if (c.grids.empty() || c.laser.empty() || c.true_area.empty()) return "nlos: grids, laser or true_area is missing";
+    const std::size_t n_sensor = std::size_t(c.grids[0]) * c.grids[1], n_laser = std::size_t(c.grids[2]) * c.grids[3];
+    if (c.sensor_points.size() != 3 * n_sensor || c.sensor_normals.size() != 3 * n_sensor)
+        return fmt::format("nlos/sensor_points, sensor_normals: not {} rows, as nlos/grids says", n_sensor);
+    if (c.laser_points.size() != 3 * n_laser || c.laser_normals.size() != 3 * n_laser)
+        return fmt::format("nlos/laser_points, laser_normals: not {} rows, as nlos/grids says", n_laser);
+    if (g.n_pixels() != (c.capture[0] == 2 ? n_sensor * n_laser : n_sensor))
+        return fmt::format("sensor/width, height: {} pixels do not fit nlos/grids", g.n_pixels());
+    return {};
+}
+
 /// A parameter that some material leaves to its vertices must be there.
 std::string missing_parameter(const PathGraph& g) {
     const auto& x = g.vertices;
@@ -176,14 +196,15 @@ std::string_view ending_name(Ending ending) {
 
 std::string_view emitter_kind_name(std::uint8_t kind) {
     constexpr std::array<std::string_view, n_emitter_kinds> names{"area",        "point",    "spot",
-                                                                  "directional", "constant", "envmap"};
+                                                                  "directional", "constant", "envmap",
+                                                                  "projector",   "laser spot"};
     return kind < names.size() ? names[kind] : "unknown";
 }
 
 std::string PathGraph::problem() const {
-    if (sensor.kind != "perspective" && sensor.kind != "orthographic") {
-        return fmt::format("sensor/kind: is {}, expected perspective or orthographic", sensor.kind);
-    }
+    if (sensor.kind != "perspective" && sensor.kind != "orthographic" && sensor.kind != "nlos_capture_meter")
+        return fmt::format("sensor/kind: is {}, expected perspective, orthographic or nlos_capture_meter", sensor.kind);
+    if (auto bad = bad_capture(*this); !bad.empty()) return bad;
     // Offsets first: the later checks walk through them.
     if (auto bad = bad_offsets(*this); !bad.empty()) return bad;
     if (auto bad = bad_index("vertices/material", vertices.material, materials.id.size(), "materials");

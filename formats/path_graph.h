@@ -68,9 +68,11 @@ enum class EmitterKind : std::uint8_t {
     spot = 2,
     directional = 3,
     constant = 4,
-    envmap = 5
+    envmap = 5,
+    projector = 6,
+    laser_spot = 7,  // where the beam of a projector meets a surface, as a light of its own
 };
-inline constexpr int n_emitter_kinds = 6;
+inline constexpr int n_emitter_kinds = 8;
 std::string_view emitter_kind_name(std::uint8_t kind);
 
 /// What a graph keeps of each path; ColumnOf says how its columns lie in memory.
@@ -112,7 +114,7 @@ struct PathRows {
 /// What a graph says of the scene and of how it was traced.
 struct PathGraphHeader {
     struct Sensor {
-        std::string kind = "perspective";  // or "orthographic"
+        std::string kind = "perspective";  // or "orthographic", "nlos_capture_meter"
         std::uint32_t width = 0, height = 0;
         std::array<std::array<double, 4>, 4> world_from_camera{};
         std::array<double, 3> origin{};
@@ -138,6 +140,14 @@ struct PathGraphHeader {
         Column<std::uint8_t> camera_segment;
     } transient;
 
+    /// A capture around a corner: a sensor and a laser look at points of a relay wall; empty columns for any other.
+    struct Nlos {
+        Column<std::uint8_t> capture, true_area;
+        Column<std::uint32_t> grids;
+        Column<double> laser;
+        Column<float> sensor_points, sensor_normals, laser_points, laser_normals;
+    } nlos;
+
     struct Materials {
         std::vector<std::string> id;
         Column<std::uint8_t> kind, distribution, two_sided, nonlinear, sample_visible, textured;
@@ -149,7 +159,7 @@ struct PathGraphHeader {
     struct Emitters {
         std::vector<std::string> id;
         Column<std::uint8_t> kind;
-        Column<float> pmf;
+        Column<float> pmf, position;
     } emitters;
 
     struct Shapes {
@@ -252,8 +262,8 @@ void PathRows<ColumnOf>::row_fields(Self& g, Visitor& v) {
             "sample it lies exactly in the sampled direction, off the light by the ray's offset at most");
     v.optional("light_edges/n", e.n, 2, "edge,uv", "1/32767", "normal at the light point, octahedral");
     v.field("light_edges/Li", e.Li, 3, "edge,rgb", "W m^-2 sr^-1",
-            "radiance that arrives at the vertex; for point, spot and directional lights the irradiance on a "
-            "plane facing the light, so that f cos Li / pdf_nee_w is the estimate",
+            "radiance that arrives at the vertex; for point, spot and directional lights, projectors and laser spots "
+            "the irradiance on a plane facing the light, so that f cos Li / pdf_nee_w is the estimate",
             Finite::counted);
     v.field("light_edges/pdf_nee_w", e.pdf_nee_w, 1, "edge", "sr^-1",
             "density of next-event estimation at the vertex, choice of emitter included; the probability (1) "
@@ -269,7 +279,10 @@ template <template <class> class ColumnOf>
 template <class Self, class Visitor>
 void PathGraphOf<ColumnOf>::fields(Self& g, Visitor& v) {
     auto& s = g.sensor;
-    v.value("sensor/kind", s.kind, "", "1", "perspective or orthographic");
+    v.value("sensor/kind", s.kind, "", "1",
+            "perspective, orthographic or nlos_capture_meter: the sensor looks from its origin at the points of a "
+            "relay wall (nlos), a pixel each; width x height is sensor points, or in an exhaustive capture laser "
+            "points x sensor points");
     v.value("sensor/width", s.width, "", "px", "image width");
     v.value("sensor/height", s.height, "", "px", "image height");
     v.value("sensor/world_from_camera", s.world_from_camera, "row,column", "1 and m",
@@ -300,7 +313,23 @@ void PathGraphOf<ColumnOf>::fields(Self& g, Visitor& v) {
     v.optional("transient/sigma_opl", w.sigma_opl, 1, "film", "m",
                "standard deviation of the film's Gaussian temporal filter; 0: box");
     v.optional("transient/camera_segment", w.camera_segment, 1, "film", "1",
-               "1: lengths count from the camera, 0: from the first hit");
+               "1: lengths count from the camera, 0: from the first hit, and with nlos up to the point that the laser "
+               "lights");
+
+    auto& c = g.nlos;
+    v.optional("nlos/capture", c.capture, 1, "film", "1",
+               "0 single: one laser point; 1 confocal: the laser lights the point that the sensor looks at; 2 "
+               "exhaustive: every laser point for every sensor point");
+    v.optional("nlos/grids", c.grids, 4, "film,count", "1",
+               "width and height of the grid of sensor points, then of laser points; points go row by row, x first");
+    v.optional("nlos/true_area", c.true_area, 1, "film", "1",
+               "0: a laser spot has unit area, 1: that of the beam's section");
+    v.optional("nlos/laser", c.laser, 3, "film,xyz", "m", "where the laser stands");
+    v.optional("nlos/sensor_points", c.sensor_points, 3, "sensor_point,xyz", "m", "what the sensor looks at");
+    v.optional("nlos/sensor_normals", c.sensor_normals, 3, "sensor_point,xyz", "1", "its geometric normal");
+    v.optional("nlos/laser_points", c.laser_points, 3, "laser_point,xyz", "m", "what the laser lights");
+    v.optional("nlos/laser_normals", c.laser_normals, 3, "laser_point,xyz", "1",
+               "its geometric normal; (0, 0, 0): the laser meets nothing");
 
     PathRows<ColumnOf>::row_fields(g, v);
 
@@ -342,8 +371,11 @@ void PathGraphOf<ColumnOf>::fields(Self& g, Visitor& v) {
     auto& l = g.emitters;
     v.names("emitters/id", l.id, "emitter", "id in the scene file, or a made-up one");
     v.field("emitters/kind", l.kind, 1, "emitter", "1",
-            "0 area, 1 point, 2 spot, 3 directional, 4 constant, 5 envmap");
+            "0 area, 1 point, 2 spot, 3 directional, 4 constant, 5 envmap, 6 projector, 7 laser spot");
     v.field("emitters/pmf", l.pmf, 1, "emitter", "1", "probability of being chosen by next-event estimation");
+    v.optional("emitters/position", l.position, 3, "emitter,xyz", "m",
+               "of projector and laser spot: where the light starts (the way from there to the spot is no edge); (0, 0, "
+               "0) for others");
 
     v.names("shapes/id", g.shapes.id, "shape", "id in the scene file, or a made-up one");
 }

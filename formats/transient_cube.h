@@ -117,7 +117,7 @@ void TransientCubeOf<ColumnOf>::fields(Self& c, Visitor& v) {
     v.value("time/unit", t.unit, "", "1", "opl or ns: how pictures of this cube are labelled");
     v.value("time/metres_per_unit", t.metres_per_unit, "", "m",
             "length of a unit of the scene: an optical path length l takes l metres_per_unit / 0.299792458 ns");
-    v.value("time/camera_segment", t.camera_segment, "", "1", "1: lengths count from the camera, 0: from the first hit");
+    v.value("time/camera_segment", t.camera_segment, "", "1", "1: lengths count from the camera, 0: from the first hit, and in a capture around a corner up to the lit point");
 
     auto& r = c.response;
     v.value("response/pulse", r.pulse, "", "1", "delta, box, gaussian, expgauss, table, or modulated: sine, square");

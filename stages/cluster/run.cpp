@@ -44,6 +44,8 @@ void run(const Options& options, app::Report& report) {
     if (c.max_size != 0 && c.max_size < c.k)
         throw InputError(fmt::format("--max-size {}: smaller than --k {}", c.max_size, c.k));
     const PathGraph graph = read_path_graph(options.graph);
+    // Their directions are not those of BSDF sampling, by whose densities neighbours are weighted.
+    if (!graph.nlos.capture.empty()) throw InputError(fmt::format("{}: vertices of a capture around a corner cannot be shared; loom-transient reads it", options.graph));
     const std::string planned = plan(graph, c);
     if (options.plan) {
         report.answer(planned + "\n");

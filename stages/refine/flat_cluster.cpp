@@ -85,7 +85,9 @@ void FlatCluster::gather_lights(const ClusterRows& rows, std::size_t place) {
         for (const LightRow& light : rows.lights_of(place + std::size_t(l))) switch (light.kind) {
                 case EmitterKind::area: add_near_light(area_, l, light, kernels_.area); break;
                 case EmitterKind::point:
-                case EmitterKind::spot: add_near_light(point_, l, light, kernels_.point); break;
+                case EmitterKind::spot:
+                case EmitterKind::projector:
+                case EmitterKind::laser_spot: add_near_light(point_, l, light, kernels_.point); break;
                 case EmitterKind::directional: add_far_light(l, light, true); break;
                 case EmitterKind::constant:
                 case EmitterKind::envmap: add_far_light(l, light, false); break;

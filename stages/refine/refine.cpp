@@ -155,6 +155,8 @@ void run(const Options& options, app::Report& report) {
         check_output_path(options.output);
     }
     const PathGraph graph = read_path_graph(options.graph);
+    // Their directions are not those of BSDF sampling, by whose densities neighbours are weighted.
+    if (!graph.nlos.capture.empty()) throw InputError(fmt::format("{}: vertices of a capture around a corner cannot be shared; loom-transient reads it", options.graph));
     const bool west = options.method == Method::west;
     const std::string plan = fmt::format(
         "on: {}{}; off: {}", west ? fmt::format("one aggregation over {} nearest neighbours", options.neighbours)

@@ -13,6 +13,7 @@
 #include "formats/path_graph.h"
 #include "stages/core/app/command.h"
 #include "stages/core/scene/build.h"
+#include "stages/core/scene/nlos.h"
 #include "stages/core/transport/film.h"
 #include "stages/core/transport/graph_builder.h"
 #include "stages/core/transport/parallel.h"
@@ -31,6 +32,7 @@ PathOptions path_options(const Options& options, const Scene& scene) {
     path.roulette = options.roulette;
     path.rr_depth = options.rr_depth.value_or(scene.rr_depth);
     path.max_depth = options.max_depth.value_or(scene.max_depth);
+    path.laser_spot = options.laser_spot;
     return path;
 }
 
@@ -205,6 +207,8 @@ void declare(app::Command& command, Options& options) {
                    app::Range<int>{1, 1 << 20});
     command.option("--max-depth", options.max_depth, "longest path in edges; -1: no limit",
                    app::Range<int>{-1, 1 << 20});
+    command.choice("--laser-spot", options.laser_spot, "spot of the laser in a capture around a corner, when it is sampled: of unit area, as mitransient has it, or that of its beam",
+                   {{"unit", LaserSpot::unit_area}, {"true", LaserSpot::true_area}});
     command.threads(options.threads);
     command.output("--depfile", options.depfile, "also write a make rule that names all files read");
     command.flag("--plan", options.plan, "print what the scene calls for, and stop");
@@ -222,6 +226,10 @@ std::string plan(const Scene& scene, const PathOptions& path, bool graph) {
         roulette_name(path.roulette), path.rr_depth).c_str(), "");
     say(!scene.emitters.empty(), "next-event estimation", " (no emitter)");
     say(scene.environment >= 0, "environment", " (no emitter at infinity)");
+    if (scene.nlos) {
+        say(scene.nlos->laser_sampling, path.laser_spot == LaserSpot::unit_area ? "laser sampling (spot of unit area)" : "laser sampling (spot of true area)", " (not asked for)");
+        say(scene.nlos->hidden_probability > 0, fmt::format("hidden geometry at {:.4g} % of the vertices", 100 * scene.nlos->hidden_probability).c_str(), " (not asked for)");
+    }
     if (graph) {
         say(f.smooth_normals, "geometric normals", " (all surfaces flat)");
         say(f.perturbed_normals, "unperturbed normals", " (no bump or normal map)");

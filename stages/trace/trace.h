@@ -30,6 +30,7 @@ struct Options {
     std::optional<int> rr_depth;       // of the scene file when unset
     std::optional<int> max_depth;      // of the scene file when unset; -1: no limit
     std::string depfile;               // make rules for all files that were read
+    LaserSpot laser_spot = LaserSpot::unit_area;
     bool plan = false;                 // print the plan and stop
     std::string replay;                // x,y,sample: trace that one path and print it
 };

@@ -7,6 +7,7 @@
 #include "formats/io/error.h"
 #include "stages/core/scene/embree.h"
 #include "stages/core/scene/materials.h"
+#include "stages/core/scene/nlos.h"
 #include "stages/core/scene/sunsky.h"
 
 namespace loom {
@@ -106,12 +107,25 @@ double shape_area(const Shape& shape, std::vector<double>* triangle_areas) {
     return sum;
 }
 
-void build_sensor(const Object& root, Scene& scene) {
-    const ObjectPtr o = root.child(Category::sensor);
+/// The shape that a capture around a corner looks at, by its number; -1 for any other scene.
+int find_relay_wall(const std::vector<ObjectPtr>& shapes) {
+    for (std::size_t i = 0; i < shapes.size(); ++i)
+        if (shapes[i]->child(Category::sensor)) return int(i);
+    return -1;
+}
+
+void build_sensor(const Object& root, const Object* relay_wall, Scene& scene) {
+    const ObjectPtr o = relay_wall ? relay_wall->child(Category::sensor) : root.child(Category::sensor);
     if (!o) root.fail("", "the scene has no sensor");
     Sensor& s = scene.sensor;
-    s.kind = o->plugin == "orthographic" ? SensorKind::orthographic : SensorKind::perspective;
+    s.kind = relay_wall                   ? SensorKind::nlos_capture_meter
+             : o->plugin == "orthographic" ? SensorKind::orthographic
+                                          : SensorKind::perspective;
     s.world_from_camera = o->get_transform("to_world").m;
+    if (relay_wall) {
+        const Point3<double> origin = o->get_point("sensor_origin", {0, 0, 0});
+        s.world_from_camera = {1, 0, 0, origin.x, 0, 1, 0, origin.y, 0, 0, 1, origin.z, 0, 0, 0, 1};
+    }
     s.near_clip = o->get_double("near_clip", 1e-2);
     s.far_clip = o->get_double("far_clip", 1e4);
     if (!(s.near_clip > 0 && s.far_clip > s.near_clip)) o->fail("near_clip", "needs 0 < near_clip < far_clip");
@@ -169,7 +183,8 @@ void build_limits(const Object& root, Scene& scene) {
     scene.max_depth = o->plugin == "direct" ? 2 : o->get_int("max_depth", transient ? 6 : -1);
     scene.rr_depth = o->get_int("rr_depth", 5);
     if (!transient) return;
-    scene.transient.camera_segment = !o->get_bool("camera_unwarp", false);
+    scene.transient.camera_segment = o->plugin == "transient_nlos_path" ? o->get_bool("account_first_and_last_bounces", false)
+                                                                        : !o->get_bool("camera_unwarp", false);
     if (o->get_string("temporal_filter", "box") == "gaussian")
         scene.transient.sigma_opl = o->get_double("gaussian_stddev", 2.0) * scene.transient.bin_width_opl;
 }
@@ -200,6 +215,13 @@ void build_emitter(const Object& o, Scene& scene, TextureCache& cache) {
                 scene.textures.push_back(make_texture(*t, cache));
             }
         }
+    } else if (o.plugin == "projector") {
+        e.kind = EmitterKind::projector;
+        e.radiance = o.get_rgb("irradiance", Spectrum(1)) * o.get_float("scale", 1.0f);
+        e.position = to_point(world.point({0, 0, 0}));
+        const double fov = o.get_double("fov", 50.0);
+        if (!(fov > 0 && fov < 180)) o.fail("fov", "the field of view must lie between 0 and 180 degrees");
+        e.tan_x = e.tan_y = float(std::tan(0.5 * fov * rad_per_deg));
     } else if (o.plugin == "directional") {
         e.kind = EmitterKind::directional;
         e.radiance = o.get_rgb("irradiance", Spectrum(1));
@@ -323,12 +345,13 @@ std::unique_ptr<Scene> load_scene(const std::filesystem::path& file, const Defin
     scene->notes = std::move(description.notes);
     scene->notes.insert(scene->notes.end(), description.warnings.begin(), description.warnings.end());
     scene->dependencies = description.files;
-    build_sensor(root, *scene);
+    const auto shapes = root.children(Category::shape);
+    const int relay_wall = find_relay_wall(shapes);
+    build_sensor(root, relay_wall < 0 ? nullptr : shapes[relay_wall].get(), *scene);
     build_limits(root, *scene);
 
     TextureCache cache;
     MaterialBuilder materials(*scene, cache);
-    const auto shapes = root.children(Category::shape);
     scene->shapes.resize(shapes.size());
     std::vector<std::vector<std::string>> notes(shapes.size());
     tbb::parallel_for(std::size_t(0), shapes.size() + 1, [&](std::size_t i) {
@@ -359,6 +382,7 @@ std::unique_ptr<Scene> load_scene(const std::filesystem::path& file, const Defin
     find_features(*scene);
     find_bounds(*scene);
     scene->rays = std::make_shared<RayEngine>(scene->shapes);
+    if (relay_wall >= 0) build_nlos(root, *shapes[relay_wall], std::uint32_t(relay_wall), *scene);
 
     std::string identity;
     for (const auto& [name, value] : description.parameters) identity += name + "=" + value + "\n";

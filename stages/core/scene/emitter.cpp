@@ -190,6 +190,12 @@ std::size_t choose_emitter(const Scene& scene, float& u, float& pmf) {
 
 }  // namespace
 
+Spectrum projected(const Emitter& projector, const Framef& beam, const Point3f& p) {
+    const Vector3f local = beam.to_local(p - projector.position);
+    if (!(local.z > 0 && std::abs(local.x) <= projector.tan_x * local.z && std::abs(local.y) <= projector.tan_y * local.z)) return Spectrum(0);
+    return projector.radiance * (pi<float> * length(local) / (local.z * local.z * local.z));
+}
+
 EnvironmentMap::Place EnvironmentMap::place(Point2f uv) const {
     float x = uv.x - 0.5f / float(width);
     x = (x - std::floor(x)) * float(width);
@@ -325,7 +331,7 @@ LightSample sample_light(const Scene& scene, const Point3f& from, const LightQue
         s.y = e.position;
         s.wi = d / std::sqrt(d2);
         s.pdf_w = 1;
-        s.Li = e.radiance / d2;
+        s.Li = e.kind == EmitterKind::projector ? projected(e, e.frame, from) : e.radiance / d2;
         if (e.kind == EmitterKind::spot) s.Li *= spot_falloff(scene, e, e.frame.to_local(-s.wi));
     }
     s.pdf_w *= query.point.pmf;

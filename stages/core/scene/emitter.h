@@ -37,7 +37,8 @@ struct Emitter {
     std::string id;
     EmitterKind kind = EmitterKind::area;
     float sampling_weight = 1;
-    Spectrum radiance;              // area, constant: W m^-2 sr^-1; point, spot: intensity; directional: irradiance
+    Spectrum radiance;              // area, constant: W m^-2 sr^-1; point, spot: intensity; directional: irradiance;
+                                    // projector: irradiance of a plane at distance 1, over pi
     int texture = -1;               // area: factor on radiance by uv; spot: by position in the beam
     std::uint32_t shape = 0;        // area
     double area = 0;                // area: m^2
@@ -45,15 +46,23 @@ struct Emitter {
     Distribution1 triangles;        // area on a mesh: by area
     std::vector<Normal3f> normals;  // area on a mesh: geometric, by triangle
     Frame<float> frame;             // world from local; spot and directional shine along +z; envmap axes
-    Point3f position;               // point, spot
+    Point3f position;               // point, spot, projector
     float cutoff_rad = 0, beam_rad = 0;  // spot
+    float tan_x = 0, tan_y = 0;          // projector: half the width and height of its beam at distance 1
     std::shared_ptr<EnvironmentMap> map;
 
     bool is_delta() const {
-        return kind == EmitterKind::point || kind == EmitterKind::spot || kind == EmitterKind::directional;
+        return kind == EmitterKind::point || kind == EmitterKind::spot || kind == EmitterKind::directional ||
+               kind == EmitterKind::projector;
     }
-    bool is_infinite() const { return kind >= EmitterKind::directional; }
+    bool is_infinite() const {
+        return kind == EmitterKind::directional || kind == EmitterKind::constant || kind == EmitterKind::envmap;
+    }
 };
+
+/// Irradiance of a plane at p that faces the projector, when its beam goes along z of `beam`.
+///   pi irradiance r / z^3 within the beam: intensity pi irradiance / cos^3        [Mitsuba 3, "projector"]
+Spectrum projected(const Emitter& projector, const Frame<float>& beam, const Point3f& p);
 
 /// A light point seen from a surface point.
 struct LightSample {

@@ -18,7 +18,8 @@
 
 namespace loom {
 
-class RayEngine;  // Embree, in embree.cpp
+class RayEngine;     // Embree, in embree.cpp
+struct NlosCapture;  // nlos.h
 
 /// Half-open segment of a ray; d is unit, so t is a distance (m).
 struct Ray {
@@ -113,7 +114,7 @@ struct TransientFilm {
     std::uint32_t n_bins = 0;  // 0: the film is not time-resolved
     double start_opl = 0, bin_width_opl = 0;
     double sigma_opl = 0;        // of a Gaussian temporal filter; 0: box
-    bool camera_segment = true;  // lengths count from the camera, not from the first hit
+    bool camera_segment = true;  // lengths count from the camera (and the laser), not from the first hit (to the spot)
 };
 
 struct Scene {
@@ -127,6 +128,7 @@ struct Scene {
     std::vector<Emitter> emitters;
     Distribution1 emitter_pmf;
     int environment = -1;  // index of the emitter that shines from infinity all around
+    std::shared_ptr<const NlosCapture> nlos;  // of a capture around a corner; null for any other scene
     SceneFeatures features;
     Point3f center;
     float radius = 1;  // bounding sphere of all shapes

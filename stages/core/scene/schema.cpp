@@ -43,14 +43,29 @@ void check_film(const Object& film) {
 }
 
 void check_scene(const Object& scene) {
-    bool environment = false;
+    bool environment = false, sensor = false;
+    const Object* capture = nullptr;
     for (const auto& [child, at] : scene.nested) {
+        if (child->category == Category::sensor) {
+            sensor = true;
+            if (child->plugin == "nlos_capture_meter") fail(at, "sensor 'nlos_capture_meter' belongs inside the shape that is the relay wall");
+        }
+        if (child->category == Category::shape)
+            if (const ObjectPtr inside = child->child(Category::sensor)) {
+                if (capture) fail(inside->at, "a scene has at most one sensor 'nlos_capture_meter'");
+                capture = inside.get();
+            }
         if (child->category != Category::emitter) continue;
         if (child->plugin == "area") fail(at, "emitter 'area' belongs inside a shape");
         if (child->plugin != "envmap" && child->plugin != "constant" && child->plugin != "sunsky") continue;
         if (environment) fail(at, "a scene has at most one emitter of constant, envmap, sunsky");
         environment = true;
     }
+    if (!sensor && !capture) fail(scene.at, "scene 'scene' needs a sensor inside");
+    const ObjectPtr integrator = scene.child(Category::integrator);
+    const bool around_corner = integrator && integrator->plugin == "transient_nlos_path";
+    if (around_corner && !capture) fail(integrator->at, "integrator 'transient_nlos_path' needs a sensor 'nlos_capture_meter' inside a shape");
+    if (capture && !around_corner) fail(capture->at, "sensor 'nlos_capture_meter' needs the integrator 'transient_nlos_path'");
 }
 
 void check_conductor(const Object& object) {
@@ -151,6 +166,8 @@ void check_object(const Object& object, const PluginSchema& plugin) {
             check_scene(object);
             break;
         case Category::shape:
+            if (const ObjectPtr sensor = object.child(Category::sensor); sensor && sensor->plugin != "nlos_capture_meter")
+                fail(sensor->at, fmt::format("sensor '{}' does not belong inside a shape", sensor->plugin));
             if (const ObjectPtr emitter = object.child(Category::emitter);
                 emitter && emitter->plugin != "area")
                 fail(emitter->at,
@@ -160,6 +177,9 @@ void check_object(const Object& object, const PluginSchema& plugin) {
             if (object.plugin == "conductor" || object.plugin == "roughconductor") check_conductor(object);
             break;
         case Category::sensor:
+            if (const ObjectPtr film = object.child(Category::film);
+                object.plugin == "nlos_capture_meter" && !(film && film->plugin == "transient_hdr_film"))
+                fail(film ? film->at : object.at, "sensor 'nlos_capture_meter' needs a film 'transient_hdr_film'");
             if (object.get_double("fov", 90) >= 180)
                 object.fail("fov", "'fov' must be less than 180 degrees");
             if (!(object.get_double("near_clip", 1e-2) < object.get_double("far_clip", 1e4)))

@@ -30,7 +30,7 @@ std::vector<PluginSchema> make_table() {
 
     add(scene, "scene", {},
         {{integrator, 0, 1},
-         {sensor, 1, any_number},
+         {sensor, 0, any_number},
          {emitter, 0, any_number},
          {shape, 0, any_number},
          {bsdf, 0, any_number},
@@ -152,7 +152,12 @@ std::vector<PluginSchema> make_table() {
                             {"extend", boolean},
                             {"resolution", integer, positive},
                             {"to_world", transform}});
-    not_yet(emitter, {"projector", "directionalarea", "sun", "sky", "collimated", "timedsunsky",
+    add(emitter, "projector",
+        weight + Parameters{{"irradiance", emission},
+                            {"scale", number, non_negative},
+                            {"fov", number, positive},
+                            {"to_world", transform}});
+    not_yet(emitter, {"directionalarea", "sun", "sky", "collimated", "timedsunsky",
                       "volumelight", "transientarea"});
 
     // Sensors, films, filters, samplers
@@ -169,7 +174,13 @@ std::vector<PluginSchema> make_table() {
         of_a_sensor);
     add(sensor, "orthographic", camera, of_a_sensor);
     not_yet(sensor, {"thinlens", "telecentric", "spherical", "radiancemeter", "irradiancemeter",
-                     "fluencemeter", "distant", "batch", "perspective_rdist", "nlos_capture_meter"});
+                     "fluencemeter", "distant", "batch", "perspective_rdist"});
+    add(sensor, "nlos_capture_meter",
+        {{"sensor_origin", point},
+         {"account_first_and_last_bounces", boolean, ignored},  // the integrator's counts
+         {"original_film_width", integer, unsupported},
+         {"original_film_height", integer, unsupported}},
+        of_a_sensor);
     const Parameters image{{"width", integer},
                            {"height", integer},
                            {"sample_border", boolean, ignored},
@@ -195,7 +206,10 @@ std::vector<PluginSchema> make_table() {
     add(film, "transient_hdr_film",
         image + Parameters{{"temporal_bins", integer, positive},
                            {"start_opl", number},
-                           {"bin_width_opl", number, positive}},
+                           {"bin_width_opl", number, positive},
+                           {"exhaustive_scan", boolean},
+                           {"laser_scan_width", integer, non_negative},
+                           {"laser_scan_height", integer, non_negative}},
         {{rfilter}});
     not_yet(film, {"specfilm", "phasor_hdr_film", "mfilm", "tiledhdrfilm"});
     add(rfilter, "box", {{"radius", number, positive}});
@@ -237,12 +251,25 @@ std::vector<PluginSchema> make_table() {
              {"strict_normals", boolean, legacy | ignored}});
     for (const std::string_view type : {"moment", "aov", "adaptive", "irrcache"})
         add(integrator, type, {{"aovs", string, ignored}}, {{integrator, 1, any_number}}, ignored);
-    add(integrator, "transient_path",
-        depths + Parameters{{"camera_unwarp", boolean},
-                            {"temporal_filter", string, 0, "box|gaussian"},
-                            {"gaussian_stddev", number, positive},
-                            {"block_size", integer, ignored}});
-    not_yet(integrator, {"transient_nlos_path", "transient_prbvolpath",
+    const Parameters in_time = depths + Parameters{{"camera_unwarp", boolean},
+                                                   {"temporal_filter", string, 0, "box|gaussian"},
+                                                   {"gaussian_stddev", number, positive},
+                                                   {"block_size", integer, ignored}};
+    add(integrator, "transient_path", in_time);
+    add(integrator, "transient_nlos_path",
+        in_time + Parameters{{"capture_type", string, 0, "single|confocal|exhaustive"},
+                             {"filter_depth", integer},
+                             {"filter_bounces", integer},
+                             {"discard_direct_paths", boolean},
+                             {"account_first_and_last_bounces", boolean},
+                             {"nlos_laser_sampling", boolean},
+                             {"nlos_hidden_geometry_sampling", boolean},
+                             {"nlos_hidden_geometry_sampling_do_rroulette", boolean},
+                             {"nlos_hidden_geometry_sampling_includes_relay_wall", boolean},
+                             {"nlos_hidden_geometry_sampling_max_depth", integer},
+                             {"force_equal_illumination_scanning", boolean},
+                             {"illumination_scan_fov", number, positive}});
+    not_yet(integrator, {"transient_prbvolpath",
                          "transient_prb_volpath", "depth", "stokes", "field", "ao", "vpl", "multichannel"});
 
     // Textures

@@ -9,7 +9,8 @@ namespace loom {
 
 struct Ray;
 
-enum class SensorKind : std::uint8_t { perspective, orthographic };
+/// nlos_capture_meter: its rays are those of Scene::nlos, not of sample_ray().
+enum class SensorKind : std::uint8_t { perspective, orthographic, nlos_capture_meter };
 enum class Filter : std::uint8_t { box, tent, gaussian };
 
 /// A camera and its film. A path belongs to one pixel: its film position is drawn from the pixel's

@@ -107,6 +107,8 @@ void for_each_light_edge(ClusterShading& shading, const SharingOptions& options,
                 }
                 case EmitterKind::point:
                 case EmitterKind::spot:
+                case EmitterKind::projector:
+                case EmitterKind::laser_spot:
                     light *= length2(e.y - row.p);
                     delta = true;
                     shading.light_delta_point(e.y);

@@ -4,6 +4,8 @@
 
 #include <utility>
 
+#include "stages/core/scene/nlos.h"
+
 namespace loom {
 namespace {
 
@@ -52,10 +54,32 @@ Column<T> gather(const std::vector<Material>& materials, Get get) {
 
 std::array<float, 3> triple(const Spectrum& s) { return {s.r, s.g, s.b}; }
 
+template <class Points>
+void put_points(const Points& points, Column<float>& p, Column<float>& n) {
+    std::vector<float> positions, normals;
+    for (const auto& at : points)
+        for (int k = 0; k < 3; ++k) {
+            positions.push_back(at.hit ? at.p[k] : 0.0f);
+            normals.push_back(at.hit ? at.flat[k] : 0.0f);
+        }
+    p = std::move(positions);
+    n = std::move(normals);
+}
+
+void describe_capture(const Scene& scene, const NlosCapture& capture, bool true_area, PathGraphHeader::Nlos& out) {
+    out.capture = {std::uint8_t(capture.type)};
+    out.true_area = {std::uint8_t(true_area)};
+    out.grids = {capture.sensor_grid.width, capture.sensor_grid.height, capture.laser_grid.width, capture.laser_grid.height};
+    const Point3f& laser = scene.emitters[0].position;
+    out.laser = {laser.x, laser.y, laser.z};
+    put_points(capture.sensor_points, out.sensor_points, out.sensor_normals);
+    put_points(capture.laser_points, out.laser_points, out.laser_normals);
+}
+
 void describe_scene(const Scene& scene, PathGraphHeader& g) {
     const Sensor& s = scene.sensor;
     const bool perspective = s.kind == SensorKind::perspective;
-    g.sensor.kind = perspective ? "perspective" : "orthographic";
+    g.sensor.kind = scene.nlos ? "nlos_capture_meter" : perspective ? "perspective" : "orthographic";
     g.sensor.width = s.width;
     g.sensor.height = s.height;
     for (int row = 0; row < 4; ++row)
@@ -113,12 +137,18 @@ void describe_scene(const Scene& scene, PathGraphHeader& g) {
         out.external_transmittance = gather<float>(in, [](const M& m) { return m.external_transmittance; });
 
     std::vector<std::uint8_t> kinds;
-    std::vector<float> pmfs;
+    std::vector<float> pmfs, positions;
+    bool has_projector = false;
     for (std::size_t i = 0; i < scene.emitters.size(); ++i) {
-        g.emitters.id.push_back(scene.emitters[i].id);
-        kinds.push_back(std::uint8_t(scene.emitters[i].kind));
+        const Emitter& e = scene.emitters[i];
+        const bool projector = e.kind == EmitterKind::projector;
+        has_projector |= projector;
+        g.emitters.id.push_back(e.id);
+        kinds.push_back(std::uint8_t(projector && scene.nlos && scene.nlos->laser_sampling ? EmitterKind::laser_spot : e.kind));
         pmfs.push_back(scene.emitter_pmf.pmf(i));
+        for (int k = 0; k < 3; ++k) positions.push_back(projector ? e.position[k] : 0.0f);
     }
+    if (has_projector) g.emitters.position = std::move(positions);
     g.emitters.kind = std::move(kinds);
     g.emitters.pmf = std::move(pmfs);
     for (const Shape& shape : scene.shapes) g.shapes.id.push_back(shape.id);
@@ -131,7 +161,7 @@ GraphBuilder::GraphBuilder(const Scene& scene, const PathOptions& options, std::
     arena_->reset();
     const SceneFeatures& f = scene.features;
     auto& v = wanted_.vertices;
-    wanted_.paths.origin.wanted = scene.sensor.kind != SensorKind::perspective;
+    wanted_.paths.origin.wanted = scene.sensor.kind == SensorKind::orthographic;
     v.ng.wanted = f.smooth_normals;
     v.n_side.wanted = f.perturbed_normals;
     v.tangent.wanted = f.anisotropic;
@@ -206,6 +236,7 @@ void GraphBuilder::set(std::size_t i, const PathRecords& records) {
 PathGraphInPieces GraphBuilder::finish(std::uint64_t first_sample, std::uint64_t samples) && {
     PathGraphInPieces g;
     describe_scene(scene_, g);
+    if (scene_.nlos) describe_capture(scene_, *scene_.nlos, options_.laser_spot == LaserSpot::true_area, g.nlos);
     g.tracing.first_sample = first_sample;
     g.tracing.samples_per_pixel = samples;
     g.tracing.max_depth = options_.max_depth;

@@ -4,6 +4,7 @@
 
 #include "stages/core/scene/embree.h"
 #include "stages/core/transport/matte_block.h"
+#include "stages/core/transport/nlos_tracer.h"
 #include "stages/core/transport/path_step.h"
 
 namespace loom {
@@ -22,6 +23,11 @@ LightQuery light_query(const Hit& hit, const Ray& ray, Point2f u, bool last) {
 }  // namespace
 
 PathResult trace_path(const Scene& scene, const PathOptions& options, PathId id, PathRecords& records) {
+    if (scene.nlos) {
+        PathResult result;
+        trace_nlos(scene, options, {&id, 1}, {&result, 1}, &records);
+        return result;
+    }
     const Sampler sampler(options.sampler, options.seed, id.pixel, id.sample);
     PathState path(scene, sampler, id, sampler.pair(film_pair));
     records.start(1);
@@ -175,10 +181,12 @@ PathBatch::~PathBatch() = default;
 PathBatch::PathBatch(PathBatch&&) noexcept = default;
 
 void PathBatch::trace(std::span<const PathId> ids, std::span<PathResult> results) {
+    if (impl_->scene.nlos) return trace_nlos(impl_->scene, impl_->options, ids, results, nullptr);
     impl_->trace<false>(ids, results, nullptr);
 }
 
 void PathBatch::trace(std::span<const PathId> ids, std::span<PathResult> results, PathRecords& records) {
+    if (impl_->scene.nlos) return trace_nlos(impl_->scene, impl_->options, ids, results, &records);
     impl_->trace<true>(ids, results, &records);
 }
 

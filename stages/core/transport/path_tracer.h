@@ -18,12 +18,19 @@ enum class Roulette : std::uint8_t {
     off
 };
 
+/// How large the spot of a laser is taken for by laser sampling.
+enum class LaserSpot : std::uint8_t {
+    unit_area,  // one point of 1 m^2, as mitransient has it: the answer is per area of the spot
+    true_area   // the section of the beam, so that the answer is that of next-event estimation
+};
+
 struct PathOptions {
     std::uint64_t seed = 0;
     SamplerKind sampler = SamplerKind::sobol;
     Roulette roulette = Roulette::albedo;
     int rr_depth = 5;    // first vertex (camera ray: 1) at which roulette may end a path
     int max_depth = -1;  // longest path in edges, -1: no limit
+    LaserSpot laser_spot = LaserSpot::unit_area;  // of a capture around a corner
 };
 
 /// Never survive with certainty, so that paths in a lossless enclosure end.
