@@ -13,6 +13,7 @@
 #include "stages/core/app/command.h"
 #include "stages/core/app/values.h"
 #include "stages/transient/shared.h"
+#include "stages/transient/tal.h"
 
 namespace loom::transient {
 namespace {
@@ -122,6 +123,7 @@ void declare(app::Command& command, Options& options) {
     command.files("graphs", options.graphs, "path graphs of one scene with different samples (.h5)").required();
     command.files("--clusters", options.clusters, "clusters of these graphs, in their order (.h5): first hits share the light of their cluster");
     command.output("-o,--output", options.output, "transient cube (.h5)");
+    command.output("--tal", options.tal, "also write a capture around a corner as the TAL tools read it (.h5)");
     command.choice("--unit", options.unit, "of all lengths here, and of the cube's labels: optical path length in units of the scene, or nanoseconds",
                    {{"opl", Unit::opl}, {"ns", Unit::ns}});
     command.option("--metres-per-unit", options.metres_per_unit, "length of a unit of the scene", app::Range<double>{1e-12, 1e12, "m"});
@@ -166,6 +168,10 @@ void run(const Options& options, app::Report& report) {
                                          graphs[i].tracing.samples_per_pixel, options.graphs[0], graphs[0].tracing.samples_per_pixel));
     }
     for (const std::string& file : options.clusters) header.provenance.inputs.push_back(identify(file));
+    if (!options.tal.empty()) {
+        check_output_path(options.tal);
+        if (graphs[0].nlos.capture.empty()) throw InputError(fmt::format("--tal: {} is not of a capture around a corner (sensor nlos_capture_meter)", options.graphs[0]));
+    }
     const auto& film = graphs[0].transient;
     const bool has_film = !film.n_bins.empty();
 
@@ -204,6 +210,8 @@ void run(const Options& options, app::Report& report) {
                 header.in_unit(response.width), header.time.unit == "ns" ? "ns" : "m", header.in_unit(response.start), app::bytes_text(cube_bytes),
                 app::bytes_text(std::min(cube_bytes, max_bytes)));
 
+    TalCapture tal;
+    if (!options.tal.empty()) tal = start_capture(graphs[0], header);
     Rgb<double> steady, inside, before, after, never;
     {
         TransientCubeWriter writer(options.output, header);
@@ -215,6 +223,7 @@ void run(const Options& options, app::Report& report) {
         for (std::size_t i = 0; i < clusters.size(); ++i) shared.emplace_back(graphs[i], clusters[i], timing, options.threads);
         bin_graphs(graphs, shared, response, timing, max_bytes, options.threads, progress, [&](std::uint32_t first_row, const TransientRows& rows) {
             writer.write_rows(first_row, rows);
+            if (!options.tal.empty()) add_rows(graphs[0], first_row, rows, tal);
             add_up(rows.radiance, inside);
             add_up(rows.before, before);
             add_up(rows.after, after);
@@ -223,6 +232,7 @@ void run(const Options& options, app::Report& report) {
         });
         writer.commit();
     }
+    if (!options.tal.empty()) write_tal_capture(tal, options.tal);
     const auto share = [&](const Rgb<double>& part) { return luminance(steady) > 0 ? 100 * luminance(part) / luminance(steady) : 0.0; };
     if (!std::isfinite(luminance(steady))) report.warn("light that is not finite is in the sums");
 

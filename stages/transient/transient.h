@@ -27,6 +27,7 @@ struct Options {
     std::vector<std::string> graphs;    // path graphs of one scene with different samples
     std::vector<std::string> clusters;  // of these graphs, in their order; empty: paths alone
     std::string output;               // transient cube (.h5)
+    std::string tal;                  // also a capture as the TAL tools read it (.h5); empty: none
 
     // Lengths are in `unit`; what is not given is the film's.
     Unit unit = Unit::opl;
