@@ -7,19 +7,6 @@
 namespace loom {
 namespace {
 
-ShadingPoint shading_point(const Scene& scene, const SurfacePoint& at, const Vector3f& wo) {
-    ShadingPoint here;
-    here.p = at.p;
-    here.wo = wo;
-    here.frame = at.frame;
-    here.wo_local = at.frame.to_local(wo);
-    here.ng = at.ng;
-    here.n_side = at.ns_smooth;
-    here.perturbed = at.perturbed;
-    here.bsdf = scene.bsdf(at);
-    return here;
-}
-
 /// Two points of one plane light each other only by rounding, which over their distance squared can be anything.
 bool in_one_plane(const Normal3f& n, const Vector3f& d, const Point3f& p) {
     constexpr double flat = 1e-5;

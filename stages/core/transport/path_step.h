@@ -35,6 +35,20 @@ struct alignas(64) PathState {
           sampler(numbers) {}
 };
 
+/// A point on a surface as light that leaves along wo sees it.
+inline ShadingPoint shading_point(const Scene& scene, const SurfacePoint& at, const Vector3f& wo) {
+    ShadingPoint here;
+    here.p = at.p;
+    here.wo = wo;
+    here.frame = at.frame;
+    here.wo_local = at.frame.to_local(wo);
+    here.ng = at.ng;
+    here.n_side = at.ns_smooth;
+    here.perturbed = at.perturbed;
+    here.bsdf = scene.bsdf(at);
+    return here;
+}
+
 /// The visibility that next-event estimation waits for, and what it is worth.
 struct alignas(64) ShadowRequest {
     Ray ray;
@@ -151,15 +165,7 @@ Step arrive(const Scene& scene, const PathOptions& options, int depth, const Hit
         if (depth > 1) record.last().flags |= vertex_flag::continued;
 
     ++path.result.n_vertices;
-    ShadingPoint here;
-    here.p = at.p;
-    here.wo = wo;
-    here.frame = at.frame;
-    here.wo_local = at.frame.to_local(wo);
-    here.ng = at.ng;
-    here.n_side = at.ns_smooth;
-    here.perturbed = at.perturbed;
-    here.bsdf = scene.bsdf(at);
+    const ShadingPoint here = shading_point(scene, at, wo);
     const BsdfModel& model = *here.bsdf.model;
     if (depth == 1) path.result.first = {albedo(here.bsdf, here.wo_local), here.frame.n, hit.t};
     if constexpr (recording) {
