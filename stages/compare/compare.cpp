@@ -9,6 +9,7 @@
 #include <map>
 #include <optional>
 
+#include "formats/false_colours.h"
 #include "formats/image.h"
 #include "formats/io/error.h"
 #include "formats/transient_cube.h"

@@ -1,9 +1,7 @@
 #pragma once
-// Pictures of a difference: numbers as an EXR, false colours with a legend as a PNG.
+// A difference as the layers of an image.
 
-#include <filesystem>
 #include <span>
-#include <string>
 
 #include "formats/image.h"
 #include "stages/compare/significance.h"
@@ -18,11 +16,5 @@ namespace loom::compare {
 /// in:      x, r  [y, x, rgb]
 Image difference_image(std::span<const float> x, std::span<const float> r, std::size_t width, std::size_t height,
                        const Significance& significance);
-
-/// Luminance of a layer of an image in false colours: blue below 0, white at 0, red above; beyond +-reach in the
-/// full colour, NaN black. Small pictures are magnified by a whole number. Below lies the legend, -reach … reach.
-/// in:      reach  0: the 99th percentile of the absolute values, in two digits
-/// out:     a picture for write_png
-Image false_colours(const Image& image, std::string_view layer, double reach);
 
 }  // namespace loom::compare

@@ -12,6 +12,7 @@
 #include "formats/io/error.h"
 #include "formats/path_graph.h"
 #include "stages/core/app/command.h"
+#include "stages/core/app/depfile.h"
 #include "stages/core/scene/build.h"
 #include "stages/core/scene/nlos.h"
 #include "stages/core/transport/film.h"
@@ -98,26 +99,6 @@ std::string command_of_pass(const Options& options, std::string command, std::ui
     replace(fmt::format(" --first-sample {}", options.first_sample),
             fmt::format(" --first-sample {}", options.first_sample + pass * options.spp));
     return command;
-}
-
-void write_depfile(const Options& options, const Scene& scene) {
-    const auto escape = [](const std::string& name) {
-        std::string out;
-        for (char c : name) {
-            if (c == ' ' || c == '#') out += '\\';
-            if (c == '$') out += '$';
-            out += c;
-        }
-        return out;
-    };
-    std::string text;
-    for (std::uint64_t pass = 0; pass < options.passes; ++pass) text += (pass > 0 ? " " : "") + escape(output_of_pass(options, pass));
-    text += ":";
-    for (const std::string& file : scene.dependencies) text += " \\\n  " + escape(file);
-    // A rule without recipe for each file, so that a deleted one is remade (that is, complained about) by the
-    // stage and not by make.
-    for (const std::string& file : scene.dependencies) text += "\n" + escape(file) + ":";
-    write_text_file(options.depfile, text + "\n");
 }
 
 }  // namespace
@@ -312,7 +293,10 @@ void run(const Options& options, app::Report& report) {
         report.done("{}: {} paths, {} vertices, {} rays, {} samples not finite", std::filesystem::path(output).filename().string(),
                     samples, counts.vertices, counts.rays, counts.nonfinite);
     }
-    if (!options.depfile.empty()) write_depfile(options, *scene);
+    if (options.depfile.empty()) return;
+    std::vector<std::string> outputs;
+    for (std::uint64_t pass = 0; pass < options.passes; ++pass) outputs.push_back(output_of_pass(options, pass));
+    app::write_depfile(options.depfile, outputs, scene->dependencies);
 }
 
 }  // namespace loom::trace

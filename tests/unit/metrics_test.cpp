@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "stages/compare/compare.h"
+#include "formats/false_colours.h"
 #include "stages/compare/difference.h"
 #include "stages/compare/significance.h"
 

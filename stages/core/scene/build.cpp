@@ -114,10 +114,9 @@ int find_relay_wall(const std::vector<ObjectPtr>& shapes) {
     return -1;
 }
 
-void build_sensor(const Object& root, const Object* relay_wall, Scene& scene) {
+void build_sensor(const Object& root, const Object* relay_wall, Sensor& s, TransientFilm& transient) {
     const ObjectPtr o = relay_wall ? relay_wall->child(Category::sensor) : root.child(Category::sensor);
     if (!o) root.fail("", "the scene has no sensor");
-    Sensor& s = scene.sensor;
     s.kind = relay_wall                   ? SensorKind::nlos_capture_meter
              : o->plugin == "orthographic" ? SensorKind::orthographic
                                           : SensorKind::perspective;
@@ -135,9 +134,9 @@ void build_sensor(const Object& root, const Object* relay_wall, Scene& scene) {
         s.width = std::uint32_t(film->get_int("width", 768));
         s.height = std::uint32_t(film->get_int("height", 576));
         if (film->plugin == "transient_hdr_film") {
-            scene.transient.n_bins = std::uint32_t(film->get_int("temporal_bins", 2048));
-            scene.transient.start_opl = film->get_double("start_opl", 0.0);
-            scene.transient.bin_width_opl = film->get_double("bin_width_opl", 0.003);
+            transient.n_bins = std::uint32_t(film->get_int("temporal_bins", 2048));
+            transient.start_opl = film->get_double("start_opl", 0.0);
+            transient.bin_width_opl = film->get_double("bin_width_opl", 0.003);
         }
         if (const ObjectPtr filter = film->child(Category::rfilter)) {
             if (filter->plugin == "box") {
@@ -175,18 +174,18 @@ void build_sensor(const Object& root, const Object* relay_wall, Scene& scene) {
 }
 
 /// The path integrator's limits; a wrapper such as `moment` passes on those of what it wraps.
-void build_limits(const Object& root, Scene& scene) {
+void build_limits(const Object& root, View& view) {
     ObjectPtr o = root.child(Category::integrator);
     while (o && o->child(Category::integrator)) o = o->child(Category::integrator);
     if (!o) return;
     const bool transient = o->plugin.starts_with("transient_");
-    scene.max_depth = o->plugin == "direct" ? 2 : o->get_int("max_depth", transient ? 6 : -1);
-    scene.rr_depth = o->get_int("rr_depth", 5);
+    view.max_depth = o->plugin == "direct" ? 2 : o->get_int("max_depth", transient ? 6 : -1);
+    view.rr_depth = o->get_int("rr_depth", 5);
     if (!transient) return;
-    scene.transient.camera_segment = o->plugin == "transient_nlos_path" ? o->get_bool("account_first_and_last_bounces", false)
-                                                                        : !o->get_bool("camera_unwarp", false);
+    view.transient.camera_segment = o->plugin == "transient_nlos_path" ? o->get_bool("account_first_and_last_bounces", false)
+                                                                       : !o->get_bool("camera_unwarp", false);
     if (o->get_string("temporal_filter", "box") == "gaussian")
-        scene.transient.sigma_opl = o->get_double("gaussian_stddev", 2.0) * scene.transient.bin_width_opl;
+        view.transient.sigma_opl = o->get_double("gaussian_stddev", 2.0) * view.transient.bin_width_opl;
 }
 
 Framef frame_of(const Matrix4d& world) {
@@ -338,8 +337,20 @@ void find_bounds(Scene& scene) {
 
 }  // namespace
 
+View read_view(const Object& root) {
+    const auto shapes = root.children(Category::shape);
+    const int relay_wall = find_relay_wall(shapes);
+    View view;
+    build_sensor(root, relay_wall < 0 ? nullptr : shapes[std::size_t(relay_wall)].get(), view.sensor, view.transient);
+    build_limits(root, view);
+    return view;
+}
+
 std::unique_ptr<Scene> load_scene(const std::filesystem::path& file, const Defines& defines) {
-    SceneDescription description = read_scene(file, defines);
+    return build_scene(read_scene(file, defines));
+}
+
+std::unique_ptr<Scene> build_scene(SceneDescription description) {
     const Object& root = *description.root;
     auto scene = std::make_unique<Scene>();
     scene->notes = std::move(description.notes);
@@ -347,8 +358,11 @@ std::unique_ptr<Scene> load_scene(const std::filesystem::path& file, const Defin
     scene->dependencies = description.files;
     const auto shapes = root.children(Category::shape);
     const int relay_wall = find_relay_wall(shapes);
-    build_sensor(root, relay_wall < 0 ? nullptr : shapes[relay_wall].get(), *scene);
-    build_limits(root, *scene);
+    const View view = read_view(root);
+    scene->sensor = view.sensor;
+    scene->transient = view.transient;
+    scene->max_depth = view.max_depth;
+    scene->rr_depth = view.rr_depth;
 
     TextureCache cache;
     MaterialBuilder materials(*scene, cache);
