@@ -1,0 +1,196 @@
+#include "stages/residual/residual.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <filesystem>
+
+#include "formats/false_colours.h"
+#include "formats/io/content_hash.h"
+#include "formats/io/cost.h"
+#include "formats/io/error.h"
+#include "stages/core/app/command.h"
+#include "stages/core/app/depfile.h"
+#include "stages/core/scene/build.h"
+
+namespace loom::residual {
+namespace {
+
+constexpr const char* rgb[] = {"R", "G", "B"};
+
+std::string file_name(const std::string& path) { return std::filesystem::path(path).filename().string(); }
+
+Defines both(const std::vector<std::string>& common, const std::vector<std::string>& own) {
+    std::vector<std::string> all = common;
+    all.insert(all.end(), own.begin(), own.end());
+    return parse_defines(all);
+}
+
+/// The old picture, once it is known to be of the old scene as far as it says.
+Image read_old_picture(const std::string& file, const Scene& old_scene, const std::string& scene_name, app::Report& report) {
+    Image image = read_image(file);
+    if (image.width != old_scene.sensor.width || image.height != old_scene.sensor.height)
+        throw InputError(fmt::format("{}: is {} x {}, but the film of {} has {} x {} pixels", file, image.width, image.height, scene_name,
+                                     old_scene.sensor.width, old_scene.sensor.height));
+    for (const char* c : rgb)
+        if (image.find(std::string("VarMean.") + c).empty())
+            throw InputError(fmt::format("{}: does not say how noisy it is (no channel VarMean.{}); loom-trace -o x.exr and loom-merge write it", file, c));
+    if (image.samples < 2)
+        throw InputError(fmt::format("{}: does not say how noisy it is (samples per pixel: {}, VarMean takes two)", file, image.samples));
+    // Only a tracer names the scene among its inputs; a merged picture names its parts.
+    if (image.provenance.stage == "loom-trace" && !image.provenance.inputs.empty()) {
+        const std::string hash = content_hash_text(old_scene.content_hash);
+        const bool same = std::any_of(image.provenance.inputs.begin(), image.provenance.inputs.end(), [&](const InputId& i) { return i.hash == hash; });
+        if (!same)
+            throw InputError(fmt::format("{}: is a picture of {} with content {}, not of {} with these values, whose content is {}; trace it again", file,
+                                         image.provenance.inputs[0].name, image.provenance.inputs[0].hash, scene_name, hash));
+    } else {
+        report.info("{}: does not name its scene; taken for a picture of {}", file, scene_name);
+    }
+    return image;
+}
+
+void check_endings(const Options& options) {
+    const auto check = [](const std::string& flag, const std::string& file, const char* ending) {
+        if (file.empty()) return;
+        if (std::filesystem::path(file).extension() != ending) throw InputError(fmt::format("{}: {} must end in {}", file, flag, ending));
+        check_output_path(file);
+    };
+    check("-o", options.output, ".exr");
+    check("--new", options.new_picture, ".exr");
+    check("--png", options.png, ".png");
+    check("--residual-png", options.residual_png, ".png");
+    if (options.output.empty() && options.new_picture.empty()) throw InputError("-o: missing (an .exr file), or --new with --old");
+    if (!options.png.empty() && options.new_picture.empty()) throw InputError("--png: is of the new picture; give --new and --old");
+    if (!options.new_picture.empty() && options.old_picture.empty()) throw InputError("--new: is the sum of the residual and the old picture; give --old");
+    if (!options.new_picture.empty() && options.spp < 2) throw InputError("--spp 1: one sample has no variance, so that --new could not say its own; at least 2");
+}
+
+}  // namespace
+
+void declare(app::Command& command, Options& options) {
+    command.file("old", options.old_scene, "scene before the edit (Mitsuba XML, dialects 0.5 to 3)").required();
+    command.file("new", options.new_scene, "scene after the edit; none: the same file, with --new-define");
+    command.option("-D,--define", options.defines, "NAME=VALUE of a scene parameter $NAME, in both scenes");
+    command.option("--old-define", options.old_defines, "the same in the old scene only, after -D");
+    command.option("--new-define", options.new_defines, "the same in the new scene only, after -D");
+    command.file("--old", options.old_picture, "picture of the old scene (EXR with VarMean)");
+    command.output("-o,--output", options.output, "the residual, new minus old: signed R, G, B with VarMean, and Albedo, N, Depth of the new scene");
+    command.output("--new", options.new_picture, "picture of the new scene: --old plus the residual");
+    command.output("--png", options.png, "preview of --new");
+    command.output("--residual-png", options.residual_png, "the residual in false colours: blue is darker now, red is brighter");
+    command.choice("--method", options.method, "pairs of paths with the same random numbers, or with different ones",
+                   {{"auto", Method::automatic}, {"correlated", Method::correlated}, {"independent", Method::independent}});
+    command.option("--spp", options.spp, "pairs of paths per pixel", app::Range<std::uint64_t>{1, 1u << 30});
+    command.option("--first-sample", options.first_sample, "number of the first sample of each pixel");
+    command.option("--seed", options.seed, "seed of all random numbers; those of loom-trace with the same seed are others");
+    command.option("--max-depth", options.max_depth, "longest path in edges, in both scenes; -1: no limit", app::Range<int>{-1, 1 << 20});
+    command.threads(options.threads);
+    command.output("--depfile", options.depfile, "also write a make rule that names all files read");
+    command.flag("--plan", options.plan, "print the edit and what it calls for, and stop");
+    command.example("loom-residual old.xml new.xml --old old.exr --spp 8 -o residual.exr --new new.exr");
+}
+
+Choice choose(Method asked, const Edit& edit) {
+    const Method method = asked == Method::automatic ? Method::correlated : asked;
+    const std::string why = asked == Method::automatic ? "" : ", as asked";
+    std::string plan;
+    if (method == Method::correlated)
+        plan = "on: correlated paths (same random numbers in both scenes: a path that meets nothing of the edit differs by 0" + why +
+               "); off: independent paths (more noise for all but the largest edits)";
+    else
+        plan = "on: independent paths (different random numbers in the two scenes" + why + "); off: correlated paths (the noise of both pictures is in the residual)";
+    if (method == Method::correlated && edit.old_emitters.size() != edit.new_emitters.size())
+        plan += fmt::format("; joint choice of lights is off ({} lights, now {}: the same number picks another)", edit.old_emitters.size(), edit.new_emitters.size());
+    return {method, plan};
+}
+
+Image add_residual(const Image& old_picture, const Image& residual) {
+    Image sum = residual;
+    sum.samples = old_picture.samples + residual.samples;
+    for (const char* c : rgb)
+        for (const std::string& channel : {std::string(c), std::string("VarMean.") + c}) {
+            const auto before = old_picture.find(channel);
+            const auto values = sum.add(channel);
+            for (std::size_t i = 0; i < values.size(); ++i) values[i] += before[i];
+        }
+    return sum;
+}
+
+void run(const Options& options, app::Report& report) {
+    if (!options.plan) check_endings(options);
+    const std::string& new_file = options.new_scene.empty() ? options.old_scene : options.new_scene;
+    SceneDescription old_description = read_scene(options.old_scene, both(options.defines, options.old_defines));
+    SceneDescription new_description = read_scene(new_file, both(options.defines, options.new_defines));
+    const Edit edit = find_edit(old_description, new_description);
+    const Choice choice = choose(options.method, edit);
+    const std::string found = edit.nothing() ? "nothing differs" : fmt::format("{}", fmt::join(edit.changes, "\n"));
+    const std::string counted = fmt::format("shapes: {} dynamic, {} ghosts of them, {} look otherwise; lights: {} changed", edit.n_dynamic(), edit.n_ghosts(),
+                                            edit.n_dyed(), edit.n_emitters());
+    if (options.plan) {
+        std::string text = found + "\n";
+        for (const std::string& note : edit.notes) text += "note: " + note + "\n";
+        if (!edit.nothing()) text += counted + "\n";
+        report.answer(text + choice.plan + "\n");
+        return;
+    }
+    for (const std::string& note : edit.notes) report.info("{}", note);
+    if (edit.nothing()) report.info("edit: nothing differs");
+    for (const std::string& line : edit.changes) report.info("edit: {}", line);
+    report.info("plan: {}", choice.plan);
+
+    const auto old_scene = build_scene(std::move(old_description)), new_scene = build_scene(std::move(new_description));
+    for (const std::string& note : new_scene->notes) report.info("{}", note);
+    const std::string old_name = file_name(options.old_scene), new_name = file_name(new_file);
+    Image old_picture;
+    if (!options.old_picture.empty()) old_picture = read_old_picture(options.old_picture, *old_scene, old_name, report);
+    const Cost loading = report.cost();
+
+    PathOptions path;
+    path.seed = options.seed;
+    path.rr_depth = new_scene->rr_depth;
+    path.max_depth = options.max_depth.value_or(new_scene->max_depth);
+    Counts counts;
+    Image residual = render_residual({*old_scene, *new_scene}, choice.method, path, {options.first_sample, options.spp, options.threads}, report, counts);
+    residual.provenance.stage = report.name();
+    residual.provenance.command = report.command();
+    residual.provenance.seed = options.seed;
+    residual.provenance.plan = fmt::format("edit: {}; {}", edit.nothing() ? "nothing differs" : fmt::format("{}", fmt::join(edit.changes, "; ")), choice.plan);
+    residual.provenance.inputs = {{old_name, content_hash_text(old_scene->content_hash)}, {new_name, content_hash_text(new_scene->content_hash)}};
+
+    Cost cost = report.cost();
+    cost.load_s = loading.cpu_s;
+    cost.rays = counts.rays;
+    cost.samples = new_scene->sensor.n_pixels() * options.spp;
+    cost.plan = residual.provenance.plan;
+    cost.sources = {old_name};
+    if (new_name != old_name) cost.sources.push_back(new_name);
+    std::vector<std::string> outputs;
+    const auto write = [&](const Image& image, const std::string& file) {
+        write_image(image, file);
+        cost.bytes_written = std::filesystem::file_size(file);
+        write_cost(cost, file);
+        outputs.push_back(file);
+    };
+    if (!options.output.empty()) write(residual, options.output);
+    if (!options.residual_png.empty()) write_png(false_colours(residual, "", 0), options.residual_png);
+    if (!options.new_picture.empty()) {
+        Image sum = add_residual(old_picture, residual);
+        sum.provenance.inputs.push_back(identify(options.old_picture));
+        // All that this run cost is the new picture's, whether the residual is kept or not.
+        cost.parents = {parent_of(options.new_picture, options.old_picture)};
+        write(sum, options.new_picture);
+        if (!options.png.empty()) write_png(sum, options.png);
+    }
+    if (!options.depfile.empty()) {
+        std::vector<std::string> files = old_scene->dependencies;
+        files.insert(files.end(), new_scene->dependencies.begin(), new_scene->dependencies.end());
+        std::sort(files.begin(), files.end());
+        files.erase(std::unique(files.begin(), files.end()), files.end());
+        app::write_depfile(options.depfile, outputs, files);
+    }
+    report.done("{}: {} pairs of paths, {} vertices, {} rays, {} samples not finite", file_name(outputs.back()), cost.samples, counts.vertices, counts.rays,
+                counts.nonfinite);
+}
+
+}  // namespace loom::residual

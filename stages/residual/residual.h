@@ -1,0 +1,54 @@
+#pragma once
+// loom-residual: the picture of an edited scene from that of the old one and the difference that the edit makes.
+//   I_new = I_old + integral over paths of (f_new - f_old)                                     [RP] Eq. (3) to (6)
+
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "formats/image.h"
+#include "stages/residual/edit.h"
+#include "stages/residual/estimators.h"
+
+namespace loom::app {
+class Command;
+class Report;
+}  // namespace loom::app
+
+namespace loom::residual {
+
+struct Options {
+    std::string old_scene, new_scene;  // Mitsuba XML; no new_scene: the same file with other values
+    std::vector<std::string> defines, old_defines, new_defines;  // name=value: of both, of one after those of both
+    std::string old_picture;           // of the old scene, with VarMean
+    std::string output, new_picture;   // the residual, and the sum of the two
+    std::string png, residual_png;     // previews of the sum, and of the residual in false colours
+    Method method = Method::automatic;
+    std::uint64_t spp = 4;             // pairs of paths per pixel
+    std::uint64_t first_sample = 0;
+    std::uint64_t seed = 0;
+    std::optional<int> max_depth;      // of the scene files when unset
+    int threads = 0;                   // 0: all
+    std::string depfile;
+    bool plan = false;                 // print the edit, and stop
+};
+
+void declare(app::Command& command, Options& options);
+
+/// throws:  InputError
+void run(const Options& options, app::Report& report);
+
+/// What automatic stands for, and why.
+struct Choice {
+    Method method;
+    std::string plan;  // what is on and off, and why, in one line
+};
+Choice choose(Method asked, const Edit& edit);
+
+/// old + residual.
+///   L = L_old + delta_L,  var_mean = var_mean_old + var_mean_delta: their samples are independent
+/// out:     image  R, G, B, VarMean; Albedo, N, Depth of the residual, which has those of the new scene; samples: of both
+/// needs:   both to have VarMean and one size
+Image add_residual(const Image& old_picture, const Image& residual);
+
+}  // namespace loom::residual
