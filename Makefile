@@ -2,7 +2,7 @@
 
 .DEFAULT_GOAL := demo
 .DELETE_ON_ERROR:
-.PHONY: demo image transient chart chart-transient chart-all report table choices test test-full stability asan bench peers peers-transient oidn tools build stages clean help
+.PHONY: demo image edit transient chart chart-transient chart-all report table choices test test-full stability asan bench peers peers-transient oidn tools build stages clean help
 SHELL := /bin/sh
 
 BUILD ?= build
@@ -55,6 +55,9 @@ image: stages ## render SCENE; with -s the only line on stdout is the path of th
 
 transient: stages ## light in flight of SCENE, binned over time; with -s the only line on stdout is the path of the cube
 	@$(MAKE) --no-print-directory -f pipelines/transient.mk transient
+
+edit: stages ## picture of NEW from that of OLD and the difference that the edit makes; with -s prints only its path
+	@$(MAKE) --no-print-directory -f pipelines/edit.mk edit
 
 chart: stages ## error against cost of METHODS on SCENE; the last lines are the paths of the charts
 	@$(MAKE) --no-print-directory -f pipelines/chart.mk chart
@@ -137,6 +140,9 @@ help: ## list targets and variables
 	@sed -n 's/^# *\([A-Z_]*\)=  *## \(.*\)/\1=\t\2/p' pipelines/chart-transient.mk | awk -F'\t' '{printf "  %-28s %s\n", $$1, $$2}'
 	@echo 'Variables of chart-all, beside METHODS, SPPS, REPLICATES, COST, ERROR and OUT (out/chart-all):'
 	@sed -n 's/^# *\([A-Z_]*\)=  *## \(.*\)/\1=\t\2/p' pipelines/chart-all.mk | awk -F'\t' '{printf "  %-28s %s\n", $$1, $$2}'
+	@echo 'Variables of edit:'
+	@sed -n 's/^\([A-Z_]*\) ?= *\(.*[^ ]\)  *## \(.*\)/\1=\2\t\3/p; s/^# *\([A-Z_]*\)=  *## \(.*\)/\1=\t\2/p' \
+		pipelines/edit.mk | awk -F'\t' '{printf "  %-28s %s\n", $$1, $$2}'
 	@echo 'Variables of the build:'
 	@printf '  %-28s %s\n' 'BUILD=$(BUILD)' 'build folder' 'JOBS=$(JOBS)' 'compilations at a time' \
 		'PEERS_PYTHON=$(PEERS_PYTHON)' 'an interpreter that has mitsuba, for peers'

@@ -22,7 +22,7 @@ class CommandLine : public PipelineTest {
 };
 
 TEST_F(CommandLine, help_and_version) {
-    for (const char* name : {"trace", "cluster", "refine", "gather", "merge", "denoise", "inspect", "compare", "chart", "transient", "frames"}) {
+    for (const char* name : {"trace", "cluster", "refine", "gather", "merge", "denoise", "inspect", "compare", "chart", "transient", "frames", "residual"}) {
         const Outcome help = sh(stage(name) + " --help");
         EXPECT_EQ(help.code, 0) << name;
         EXPECT_NE(help.out.find("--quiet"), std::string::npos) << name;

@@ -1,0 +1,83 @@
+# The picture of an edited scene from that of the scene before: OUT/new.exr = OLD's picture + OUT/residual.exr.
+#
+# OLD's picture depends on OLD, its values, BASE_SPP and SEED alone and lies in BASE, so that many edits of one scene
+# share it: give each its own OUT and all the same BASE.
+
+.DELETE_ON_ERROR:
+.PHONY: edit FORCE
+.DEFAULT_GOAL := edit
+
+OLD ?= scenes/cornell-box.xml  ## scene before the edit
+# NEW=  ## scene after the edit (OLD, with NEW_DEFINES)
+METHOD ?= auto  ## of the residual: correlated, independent or auto
+SPP ?= 8  ## pairs of paths per pixel of the residual
+BASE_SPP ?= 64  ## samples per pixel of OLD's picture
+# DEFINES=  ## values of the parameters of both scenes
+# OLD_DEFINES=  ## values of OLD only
+# NEW_DEFINES=  ## values of NEW only: NEW_DEFINES="light=20"
+# SEED=  ## seed of the random numbers
+# THREADS=  ## threads of a stage (all); no result depends on it
+# EXPOSURE=  ## of the PNGs, in stops
+# OUT=  ## folder of the results (out/NAME/edit, after NEW)
+# BASE=  ## folder of OLD's picture (out/NAME/base, after OLD and its values)
+# LAUNCH=  ## put before each stage
+BUILD ?= build
+OLD := $(strip $(OLD))
+NEW := $(or $(strip $(NEW)),$(OLD))
+METHOD := $(strip $(METHOD))
+SPP := $(strip $(SPP))
+BASE_SPP := $(strip $(BASE_SPP))
+
+include pipelines/words.mk
+
+ifeq ($(filter auto correlated independent,$(METHOD)),)
+$(error METHOD=$(METHOD): must be auto, correlated or independent)
+endif
+ifneq ($(shell printf '%s\n' $(call quote,$(SPP)) $(call quote,$(BASE_SPP)) | grep -cxE '[1-9][0-9]{0,8}'),2)
+$(error SPP=$(SPP) BASE_SPP=$(BASE_SPP): must be whole numbers from 1)
+endif
+missing := $(foreach v,OLD NEW,$(if $(shell test -f $(call quote,$($(v))) && echo there),,$(v)=$($(v))))
+ifneq ($(strip $(missing)),)
+$(error $(strip $(missing)): no such file)
+endif
+
+defines = $(foreach d,$(2), $(1) $(call quote,$(d)))
+old_parameters = $(call quote,$(OLD))$(call defines,-D,$(DEFINES) $(OLD_DEFINES)) --spp $(BASE_SPP)$(if $(SEED), --seed $(SEED))
+edit_parameters = $(call quote,$(OLD)) $(call quote,$(NEW))$(call defines,-D,$(DEFINES))$(call defines,--old-define,$(OLD_DEFINES))$(call defines,--new-define,$(NEW_DEFINES)) \
+	--method $(METHOD) --spp $(SPP)$(if $(SEED), --seed $(SEED))
+
+# A base with other values lies in another folder.
+OUT := $(or $(strip $(OUT)),out/$(call scene_name,$(NEW))/edit)
+BASE := $(or $(strip $(BASE)),out/$(call scene_name,$(OLD))/base-$(shell printf '%s' $(call quote,$(old_parameters)) | cksum | cut -d' ' -f1))
+ifneq ($(words $(OUT) $(BASE)),2)
+$(error OUT=$(OUT) BASE=$(BASE): make cannot handle blanks in the names of what it makes)
+endif
+
+trace := $(BUILD)/bin/loom-trace
+residual := $(BUILD)/bin/loom-residual
+inspect := $(BUILD)/bin/loom-inspect
+threads = $(if $(THREADS), --threads $(THREADS))
+scene = $(subst $(space),\$(space),$(1))
+
+edit: $(OUT)/new.exr $(OUT)/new.png
+	@echo $<
+
+$(eval $(call parameter,$(BASE)/old.parameters,$(old_parameters)))
+$(BASE)/old.exr: $(call scene,$(OLD)) $(BASE)/old.parameters $(trace)
+	$(LAUNCH) $(trace) $(old_parameters)$(threads) --depfile $(BASE)/old.d -o $@
+
+$(eval $(call parameter,$(OUT)/edit.parameters,$(edit_parameters)))
+$(OUT)/new.exr $(OUT)/residual.exr &: $(call scene,$(OLD)) $(call scene,$(NEW)) $(BASE)/old.exr $(OUT)/edit.parameters $(residual)
+	$(LAUNCH) $(residual) $(edit_parameters)$(threads) --old $(BASE)/old.exr --depfile $(OUT)/edit.d \
+		-o $(OUT)/residual.exr --residual-png $(OUT)/residual.png --new $(OUT)/new.exr
+
+$(eval $(call parameter,$(OUT)/preview.parameters,$(EXPOSURE)))
+$(OUT)/new.png: $(OUT)/new.exr $(OUT)/preview.parameters $(inspect)
+	$(LAUNCH) $(inspect) $< --png $@$(if $(EXPOSURE), --exposure $(EXPOSURE))
+
+# Run alone on a tree that is not built yet.
+$(trace) $(residual) $(inspect) &:
+	$(MAKE) --no-print-directory -f Makefile stages
+
+# Files that the scenes include: meshes, textures, other scene files.
+-include $(wildcard $(BASE)/old.d $(OUT)/edit.d)

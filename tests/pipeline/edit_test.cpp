@@ -1,0 +1,107 @@
+// `make edit`: the picture of an edited scene from that of the scene before, which edits share; and loom-residual's
+// command line.
+
+#include "formats/image.h"
+
+#include "tests/pipeline/process.h"
+
+namespace loom::pipeline {
+namespace {
+
+class MakeEdit : public PipelineTest {
+  protected:
+    std::string edit(const std::string& out, const std::string& variables) const {
+        return "make -s edit BUILD='" + fs::path(LOOM_BIN_DIR).parent_path().string() + "' DEFINES='resx=24 resy=16' SPP=2 BASE_SPP=4 OUT=" +
+               (folder / out).string() + " BASE=" + (folder / "base").string() + " " + variables;
+    }
+    std::string made(const std::string& out, const std::string& variables) const {
+        const Outcome outcome = sh(edit(out, variables));
+        EXPECT_EQ(outcome.code, 0) << outcome.err;
+        EXPECT_EQ(outcome.out, (folder / out / "new.exr").string() + "\n");
+        return bytes_of(folder / out / "new.exr");
+    }
+    std::string in(const std::string& name) const { return (folder / name).string(); }
+    void expect_refused(const std::string& arguments, const std::string& message) const {
+        const std::vector<std::string> before = files();
+        const Outcome outcome = sh(stage("residual") + " " + arguments);
+        EXPECT_EQ(outcome.code, 2) << arguments;
+        EXPECT_NE(outcome.err.find(message), std::string::npos) << arguments << "\n" << outcome.err;
+        EXPECT_EQ(outcome.out, "");
+        EXPECT_EQ(files(), before) << arguments;
+    }
+};
+
+TEST_F(MakeEdit, edits_share_the_picture_before) {
+    const std::string light = "NEW_DEFINES=light=20,10,5";
+    const std::string first = made("a", light);
+    const auto base_time = fs::last_write_time(folder / "base/old.exr"), new_time = fs::last_write_time(folder / "a/new.exr");
+    for (const char* file : {"a/residual.exr", "a/residual.png", "a/new.png", "a/new.exr.cost.json"}) EXPECT_TRUE(fs::exists(folder / file)) << file;
+    EXPECT_TRUE(first == made("a", light + " THREADS=1"));
+    EXPECT_EQ(fs::last_write_time(folder / "a/new.exr"), new_time);
+    // A second edit of the same scene, and the first with more samples.
+    made("b", "NEW_DEFINES=light=3");
+    EXPECT_FALSE(first == made("a", light + " SPP=3"));
+    EXPECT_EQ(fs::last_write_time(folder / "base/old.exr"), base_time);
+    EXPECT_FALSE(first == made("a", light + " METHOD=independent"));
+    EXPECT_TRUE(first == made("a", light));
+    // What the base depends on makes it anew.
+    made("a", light + " BASE_SPP=5");
+    EXPECT_NE(fs::last_write_time(folder / "base/old.exr"), base_time);
+
+    const Image before = read_image(folder / "base/old.exr"), residual = read_image(folder / "a/residual.exr"), sum = read_image(folder / "a/new.exr");
+    EXPECT_EQ(sum.samples, before.samples + residual.samples);
+    for (const char* channel : {"R", "G", "B", "VarMean.R", "VarMean.G", "VarMean.B"})
+        for (std::size_t i = 0; i < sum.n_pixels(); ++i) EXPECT_EQ(sum.find(channel)[i], before.find(channel)[i] + residual.find(channel)[i]) << channel;
+}
+
+TEST_F(MakeEdit, wrong_variables_are_refused) {
+    for (const char* wrong : {"METHOD=none", "SPP=0", "BASE_SPP=x", "OLD=missing.xml", "NEW=missing.xml", "OUT='two words'", "NEW_DEFINES=resx=25"}) {
+        const Outcome outcome = sh(edit("x", wrong));
+        EXPECT_EQ(outcome.code, 2) << wrong << "\n" << outcome.err;
+        EXPECT_EQ(outcome.out, "");
+    }
+}
+
+TEST_F(MakeEdit, plan_says_the_edit) {
+    const std::string box = stage("residual") + " scenes/cornell-box.xml --quiet --plan";
+    EXPECT_EQ(sh(box).out.substr(0, 16), "nothing differs\n");
+    EXPECT_EQ(sh(box).code, 0);
+    EXPECT_EQ(sh(box + " --old-define light=1 --new-define light=2,2,2").out.substr(0, 61), "light changed: lamp: radiance (1, 1, 1) -> (2, 2, 2)\nshapes: ");
+    EXPECT_NE(sh(box + " --method independent").out.find("on: independent paths (different random numbers in the two scenes, as asked)"), std::string::npos);
+}
+
+TEST_F(MakeEdit, wrong_command_lines_are_2) {
+    const std::string box = "scenes/cornell-box.xml -D resx=24 -D resy=16 --new-define light=3 ", o = " -o " + in("r.exr"), n = " --new " + in("n.exr");
+    ASSERT_EQ(sh(stage("trace") + " scenes/cornell-box.xml -D resx=24 -D resy=16 --spp 2 -o " + in("old.exr")).code, 0);
+    ASSERT_EQ(sh(stage("trace") + " scenes/cornell-box.xml -D resx=16 -D resy=24 --spp 2 -o " + in("tall.exr")).code, 0);
+    ASSERT_EQ(sh(stage("trace") + " scenes/cornell-box.xml -D resx=24 -D resy=16 --spp 1 -o " + in("one.exr")).code, 0);
+    ASSERT_EQ(sh(stage("trace") + " scenes/cornell-box.xml -D resx=24 -D resy=16 -D light=9 --spp 2 -o " + in("light.exr")).code, 0);
+    ASSERT_EQ(sh(stage("denoise") + " " + in("old.exr") + " -o " + in("clean.exr")).code, 0);
+    const auto old = [&](const char* name) { return " --old " + in(name); };
+    expect_refused("", "old");
+    expect_refused("missing.xml" + o, "missing.xml");
+    expect_refused(box, "-o: missing");
+    expect_refused(box + n, "give --old");
+    expect_refused(box + o + " --png " + in("n.png"), "give --new and --old");
+    expect_refused(box + " -o " + in("r.h5"), "must end in .exr");
+    expect_refused(box + old("old.exr") + n + " --spp 1", "at least 2");
+    expect_refused(box + o + old("tall.exr") + n, "is 16 x 24, but the film of cornell-box.xml has 24 x 16 pixels");
+    expect_refused(box + o + old("one.exr") + n, "does not say how noisy it is");
+    expect_refused(box + o + old("light.exr") + n, "trace it again");
+    expect_refused(box + o + " --new-define resx=25", "the film's width is 25, not 24 as in the old scene, at scenes/cornell-box.xml:");
+    EXPECT_EQ(sh(stage("residual") + " " + box + o + old("old.exr") + n + " --spp 2").code, 0);
+}
+
+// Passes of a residual merge into what one run gives.
+TEST_F(MakeEdit, passes_merge) {
+    const std::string box = stage("residual") + " scenes/cornell-box.xml -D resx=24 -D resy=16 --new-define light=3 --spp ";
+    ASSERT_EQ(sh(box + "8 -o " + in("whole.exr")).code, 0);
+    ASSERT_EQ(sh(box + "4 -o " + in("a.exr") + " && " + box + "4 --first-sample 4 -o " + in("b.exr")).code, 0);
+    ASSERT_EQ(sh(stage("merge") + " " + in("a.exr") + " " + in("b.exr") + " -o " + in("ab.exr")).code, 0);
+    const Image whole = read_image(in("whole.exr")), merged = read_image(in("ab.exr"));
+    for (const char* channel : {"R", "G", "B", "VarMean.R", "Albedo.R"})
+        for (std::size_t i = 0; i < whole.n_pixels(); ++i) EXPECT_NEAR(whole.find(channel)[i], merged.find(channel)[i], 1e-4) << channel << " " << i;
+}
+
+}  // namespace
+}  // namespace loom::pipeline
