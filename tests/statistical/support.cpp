@@ -65,7 +65,8 @@ Estimate Replicates::estimate(int channel, int region) const {
     return estimate_of(values);
 }
 
-Replicates trace_replicates(const Scene& scene, const PathOptions& path, std::uint64_t spp, int replicates) {
+Replicates trace_replicates(const Scene& scene, const PathOptions& path, std::uint64_t spp, int replicates,
+                            std::uint64_t first_seed) {
     app::Report report;
     report.set_quiet(true);
     Replicates out;
@@ -76,7 +77,7 @@ Replicates trace_replicates(const Scene& scene, const PathOptions& path, std::ui
     std::vector<Image> images(replicates);
     tbb::parallel_for(0, replicates, [&](int i) {
         PathOptions mine = path;
-        mine.seed = 1000 + i;
+        mine.seed = first_seed + std::uint64_t(i);
         trace::Counts counts;
         images[i] = trace::render_image(scene, mine, {0, spp, 1}, report, counts);
     });

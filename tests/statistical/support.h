@@ -37,7 +37,9 @@ struct Replicates {
     double spread_per_pixel = 0;  // sum over pixels and channels of the variance between replicates
     double claimed_per_pixel = 0; // sum of var_mean as the images claim it, mean over replicates
 };
-Replicates trace_replicates(const Scene& scene, const PathOptions& path, std::uint64_t spp, int replicates);
+/// in:  first_seed  of the replicates' seeds, one after the other
+Replicates trace_replicates(const Scene& scene, const PathOptions& path, std::uint64_t spp, int replicates,
+                            std::uint64_t first_seed = 1000);
 
 PathOptions options_of(const Scene& scene);
 
