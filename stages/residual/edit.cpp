@@ -317,6 +317,8 @@ Location place(const Object& root, std::initializer_list<Category> way, std::ini
 
 void check_views(const Object& old_root, const Object& new_root, Edit& edit) {
     const View a = read_view(old_root), b = read_view(new_root);
+    for (const auto& [root, view] : {std::pair{&old_root, &a}, std::pair{&new_root, &b}})
+        if (view->sensor.kind == SensorKind::nlos_capture_meter) root->fail("", "a capture around a corner is no picture: it has no residual");
     const auto refuse = [&](bool differs, std::initializer_list<Category> way, std::initializer_list<std::string_view> names,
                             const std::string& what) {
         if (differs)
