@@ -133,8 +133,8 @@ std::vector<std::string> differing(const Replicates& before, const Residuals& re
 
 class OldPlusResidual : public testing::TestWithParam<EditCase> {};
 
-// Power: a bias of the image mean of 0.3 to 1.2 % is seen in nine of ten runs (correlated; independent up to 2 %), in full
-// runs of 0.1 to 0.5 %. Breaks that are made here on purpose and must be seen in each edit: the sign of the residual swapped; the residual
+// Power: a bias of the image mean of 1.2 % at most is seen in nine of ten runs (correlated; independent 2 %), in full runs of 0.4 %
+// (0.6 %). Breaks that are made here on purpose and must be seen in each edit: the sign of the residual swapped; the residual
 // left out, which is what a new scene with the old one's lights gives where only lights were edited.
 TEST_P(OldPlusResidual, IsTheNewSceneRenderedAfresh) {
     const auto scene = scene_of(GetParam());
