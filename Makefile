@@ -48,7 +48,7 @@ compile = unset MAKEFLAGS MFLAGS; \
 demo: stages ## (default) install, build, trace a small scene, show where the results lie; takes SCENE= too
 	@$(MAKE) --no-print-directory -f pipelines/still.mk demo
 	@$(MAKE) --no-print-directory -f pipelines/transient.mk demo SCENE=scenes/flash.xml DEFINES= TRACE= SPP=8 PASSES=4 \
-		OUT=$(if $(strip $(OUT)),$(strip $(OUT))/flash)
+		$(if $(strip $(OUT)),OUT=$(strip $(OUT))/flash)
 
 image: stages ## render SCENE; with -s the only line on stdout is the path of the EXR
 	@$(MAKE) --no-print-directory -f pipelines/still.mk image

@@ -48,6 +48,15 @@ TEST_F(MakeTransient, front_door_prints_only_the_path) {
     EXPECT_EQ(outcome.out, (folder / "x/cube.h5").string() + "\n");
 }
 
+// What `make` alone shows. Break seen to fail: OUT= handed on empty, which no file of make can then set.
+TEST_F(MakeTransient, demo_knows_where_its_cube_lies) {
+    for (const auto& [out, cube] : {std::pair<std::string, std::string>{"", "out/flash/cube.h5"}, {" OUT=some/where", "some/where/flash/cube.h5"}}) {
+        const Outcome outcome = sh("make -n demo BUILD='" + fs::path(LOOM_BIN_DIR).parent_path().string() + "'" + out);
+        EXPECT_EQ(outcome.code, 0) << outcome.err;
+        EXPECT_NE(outcome.out.find("cube     " + cube), std::string::npos) << outcome.out.substr(outcome.out.size() > 500 ? outcome.out.size() - 500 : 0);
+    }
+}
+
 TEST_F(MakeTransient, cube_has_the_film_of_the_scene_and_all_of_its_light) {
     const TransientCube c = read_transient_cube(cube("x", small));
     EXPECT_EQ(c.film.width, 24u);
