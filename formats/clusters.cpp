@@ -76,6 +76,13 @@ Clusters read_clusters(const std::filesystem::path& path) {
     return read_format<Clusters>(path);
 }
 
+std::vector<std::uint32_t> cluster_of_vertices(const Clusters& clusters) {
+    std::vector<std::uint32_t> of_vertex(clusters.graph_vertices, no_cluster);
+    for (std::size_t c = 0; c < clusters.n_clusters(); ++c)
+        for (std::uint32_t i = clusters.first[c]; i < clusters.first[c + 1]; ++i) of_vertex[clusters.member[i]] = std::uint32_t(c);
+    return of_vertex;
+}
+
 void require_clusters_of(const PathGraph& graph, const InputId& graph_id, const Clusters& clusters,
                          const std::filesystem::path& clusters_path) {
     if (clusters.graph == graph_id.hash && clusters.graph_vertices == graph.n_vertices()) return;

@@ -9,6 +9,7 @@
 #include <filesystem>
 #include <memory>
 #include <string>
+#include <vector>
 
 #include "formats/io/documenter.h"
 #include "formats/io/field.h"
@@ -55,6 +56,10 @@ void write_clusters(const Clusters& clusters, const std::filesystem::path& path,
 /// Reads, maps and checks the whole file.
 /// throws:  InputError naming the file and the dataset
 Clusters read_clusters(const std::filesystem::path& path);
+
+inline constexpr std::uint32_t no_cluster = 0xffffffffu;
+/// The cluster of each vertex of the graph; no_cluster for the solitary.
+std::vector<std::uint32_t> cluster_of_vertices(const Clusters& clusters);
 
 /// Refuses clusters of another graph than this one, known as graph_id.
 /// throws:  InputError naming both files and the command that mends it

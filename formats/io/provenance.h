@@ -17,6 +17,10 @@ struct InputId {
 /// throws:  InputError when it cannot be read
 InputId identify(const std::filesystem::path& path);
 
+/// The same of parts whose samples go together.
+/// throws:  InputError when the same samples are there twice: they would halve the variance without halving the error
+std::vector<InputId> identify_parts(const std::vector<std::string>& files);
+
 /// The release and the commit of this build.
 std::string build_release();
 std::string build_commit();

@@ -10,8 +10,6 @@
 namespace loom::gather {
 namespace {
 
-constexpr std::uint32_t solitary = 0xffffffffu;
-
 Point3f position(const PathGraph& g, std::size_t j) {
     return {g.vertices.p[3 * j], g.vertices.p[3 * j + 1], g.vertices.p[3 * j + 2]};
 }
@@ -25,10 +23,8 @@ Normal3f geometric_normal(const PathGraph& g, std::size_t j) {
 SubsetGather::SubsetGather(const GraphReader& reader, const Clusters& clusters, const Radiance& radiance, const SubsetOptions& options)
     : reader_(reader), clusters_(clusters), radiance_(radiance), options_(options), light_edges_(light_edge_offsets(reader.graph())) {
     const PathGraph& g = reader.graph();
-    std::vector<std::uint32_t> of_vertex(g.n_vertices(), solitary);
-    for (std::size_t c = 0; c < clusters.n_clusters(); ++c)
-        for (std::uint32_t i = clusters.first[c]; i < clusters.first[c + 1]; ++i) of_vertex[clusters.member[i]] = std::uint32_t(c);
-    cluster_.assign(g.n_paths(), solitary);
+    const std::vector<std::uint32_t> of_vertex = cluster_of_vertices(clusters);
+    cluster_.assign(g.n_paths(), no_cluster);
     for (std::size_t i = 0; i < g.n_paths(); ++i)
         if (g.paths.first_vertex[i] < g.paths.first_vertex[i + 1]) cluster_[i] = of_vertex[g.paths.first_vertex[i]];
 }
@@ -57,7 +53,7 @@ int SubsetGather::Worker::own_lane() const {
 
 SubsetGather::Light SubsetGather::Worker::at(std::size_t path, std::uint32_t first, const Light& own, bool direct, bool indirect) {
     const PathGraph& g = gather_.reader_.graph();
-    if (gather_.cluster_[path] == solitary) return own;
+    if (gather_.cluster_[path] == no_cluster) return own;
     gather_.choose(path, first, members_);
     if (members_.size() == 1) return own;
     first_ = first;

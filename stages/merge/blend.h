@@ -20,7 +20,7 @@ bool has_estimates(const Image& image);
 /// with b^2 = mean(A - B)^2 - var(A - B) the squared bias of B less a multiple of its standard error; all of
 /// luminance, over a window around the pixel; noise of indirect light counts as at least that of a far wider one, which
 /// knows of rarer paths. First own samples (A) against the cluster (B); for indirect light then whole paths (A), the
-/// only estimate without any bias, against that blend (B), with a wider window and a stricter test. The weights of even
+/// only estimate without any bias, against that blend (B), with a wider window. The weights of even
 /// parts are applied to odd ones and the other way round: a weight that knew the noise of what it weighs would favour
 /// dark samples.
 /// in:      part   reads part i; called twice for each, so that memory does not grow with their number

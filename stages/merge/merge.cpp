@@ -3,7 +3,6 @@
 #include <fmt/format.h>
 
 #include <filesystem>
-#include <map>
 
 #include "formats/io/cost.h"
 #include "formats/io/error.h"
@@ -98,18 +97,6 @@ Image merge_images(std::span<const Image> parts, std::span<const std::string> na
         merged.channels.push_back({channel.name, std::vector<float>(values.begin(), values.end())});
     }
     return merged;
-}
-
-std::vector<InputId> identify_parts(const std::vector<std::string>& files) {
-    std::vector<InputId> ids;
-    std::map<std::string, std::string> name_by_hash;
-    for (const std::string& file : files) {
-        ids.push_back(identify(file));
-        // The same samples twice would halve the variance without halving the error.
-        const auto [known, inserted] = name_by_hash.try_emplace(ids.back().hash, file);
-        if (!inserted) throw InputError(fmt::format("{}: holds the same samples as {}", file, known->second));
-    }
-    return ids;
 }
 
 void declare(app::Command& command, Options& options) {

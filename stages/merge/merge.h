@@ -40,10 +40,6 @@ struct PartOf {
 std::vector<double> pooled_mean(std::span<const PartOf> parts);
 std::vector<double> pooled_var_mean(std::span<const PartOf> parts);
 
-/// Name and content of the parts.
-/// throws:  InputError when one is there twice
-std::vector<InputId> identify_parts(const std::vector<std::string>& files);
-
 /// The image of all samples of the parts together (pooled_mean, pooled_var_mean).
 /// in:      parts   with equal sizes and channels; every `samples` at least 1
 /// out:     image   layers other than R, G, B and VarMean are means weighted by samples

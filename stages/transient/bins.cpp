@@ -102,13 +102,14 @@ struct Block {
 };
 
 /// The same for pixels side by side, whose light edges lie one behind the other.
-void bin_own(Worker& worker, const GraphReader& reader, const Timing& timing, const GroupIndex& group, std::size_t first_pixel, std::size_t n) {
+void bin_own(Worker& worker, const GraphReader& reader, const Timing& timing, std::size_t first_pixel, std::size_t n) {
     const PathGraph& g = reader.graph();
+    const OpticalLengths lengths(g, timing);
     for (std::uint64_t s = 0; s < g.tracing.samples_per_pixel; ++s) {
         const std::size_t first_path = s * g.n_pixels() + first_pixel;
         std::size_t edge = first_light_edge(g, g.paths.first_vertex[first_path]);
         for (std::size_t i = 0; i < n; ++i) {
-            walk_in_time(reader, first_path + i, timing.camera_segment, group, edge,
+            walk_in_time(reader, lengths, first_path + i, edge,
                          [&](const Spectrum& L, double opl) { worker.add(worker.histograms[i], L, opl); });
             worker.end_sample(worker.histograms[i]);
         }
@@ -150,7 +151,6 @@ void bin_graphs(std::span<const PathGraph> graphs, std::span<SharedArrivals> sha
         for (const SharedArrivals& s : shared) bytes += s.bytes_per_pixel();
         span = std::clamp<std::size_t>(max_bytes / bytes, chunk, span);
     }
-    const GroupIndex group{timing.group_index};
     Block block(block_rows * width, response.n_bins);
     tbb::enumerable_thread_specific<Worker> workers([&] { return Worker(response, chunk); });
     for (std::size_t first_row = 0; first_row < height; first_row += block_rows) {
@@ -164,7 +164,7 @@ void bin_graphs(std::span<const PathGraph> graphs, std::span<SharedArrivals> sha
                 const std::size_t pixel = first + from + begin;
                 for (const SharedArrivals& s : shared) bin_shared(worker, s, by_graph, pixel, end - begin);
                 if (shared.empty())
-                    for (const GraphReader& reader : readers) bin_own(worker, reader, timing, group, pixel, end - begin);
+                    for (const GraphReader& reader : readers) bin_own(worker, reader, timing, pixel, end - begin);
                 for (std::size_t i = 0; i < end - begin; ++i) block.set(from + begin + i, worker.histograms[i], n_paths, by_graph ? double(shared.size()) : n_paths, response.n_bins);
                 progress.add(end - begin);
             });
@@ -176,13 +176,13 @@ void bin_graphs(std::span<const PathGraph> graphs, std::span<SharedArrivals> sha
 Window window_of(const PathGraph& graph, const Timing& timing) {
     constexpr std::size_t looked_at = 65536;
     const GraphReader reader(graph);
-    const GroupIndex group{timing.group_index};
+    const OpticalLengths lengths(graph, timing);
     std::vector<std::pair<double, double>> arrivals;  // (opl, luminance)
     double energy = 0;
     const std::size_t step = std::max<std::size_t>(graph.n_paths() / looked_at, 1);
     for (std::size_t path = 0; path < graph.n_paths(); path += step) {
         std::size_t edge = first_light_edge(graph, graph.paths.first_vertex[path]);
-        walk_in_time(reader, path, timing.camera_segment, group, edge, [&](const Spectrum& L, double opl) {
+        walk_in_time(reader, lengths, path, edge, [&](const Spectrum& L, double opl) {
             const double y = luminance(L);
             if (!std::isfinite(opl) || !(y > 0)) return;
             arrivals.emplace_back(opl, y);

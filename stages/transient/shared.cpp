@@ -9,30 +9,20 @@
 namespace loom::transient {
 
 SharedArrivals::SharedArrivals(const PathGraph& graph, const Clusters& clusters, const Timing& timing, int threads)
-    : reader_(graph), clusters_(clusters), camera_segment_(timing.camera_segment), group_{timing.group_index},
-      first_edge_(light_edge_offsets(graph)), cluster_of_(graph.n_vertices(), nobody), continuation_(graph.n_vertices()),
+    : reader_(graph), clusters_(clusters), lengths_(graph, timing),
+      first_edge_(light_edge_offsets(graph)), cluster_of_(cluster_of_vertices(clusters)), continuation_(graph.n_vertices()),
       light_(graph.n_light_edges()), slot_of_(graph.n_vertices(), nobody), is_first_(graph.n_vertices(), false) {
     for (std::size_t path = 0; path < graph.n_paths(); ++path)
         if (graph.paths.first_vertex[path] < graph.paths.first_vertex[path + 1]) is_first_[graph.paths.first_vertex[path]] = true;
-    for (std::size_t c = 0; c < clusters.n_clusters(); ++c)
-        for (std::uint32_t i = clusters.first[c]; i < clusters.first[c + 1]; ++i) cluster_of_[clusters.member[i]] = std::uint32_t(c);
     parallel_chunks(graph.n_vertices(), 4096, threads, [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
         for (std::size_t j = begin; j < end; ++j) {
             const ShadingPoint at = reader_.vertex(j);
             const Point3<double> x = position(graph, j);
-            for (std::uint32_t e = first_edge_[j]; e < first_edge_[j + 1]; ++e) light_[e] = {own_light(reader_, at, j, e), edge_length(e, x)};
+            for (std::uint32_t e = first_edge_[j]; e < first_edge_[j + 1]; ++e) light_[e] = {own_light(reader_, at, j, e), lengths_.to_light(e, x)};
             if (graph.vertices.flags[j] & vertex_flag::continued)
-                continuation_[j] = {own_continuation(reader_, at, j, continuation_direction(graph, j)),
-                                    length_of(graph.vertices.eta.empty() ? 1.0f : graph.vertices.eta[j + 1], x, position(graph, j + 1))};
+                continuation_[j] = {own_continuation(reader_, at, j, continuation_direction(graph, j)), lengths_.to_vertex(j + 1, x)};
         }
     });
-}
-
-double SharedArrivals::edge_length(std::size_t edge, const Point3<double>& from) const {
-    const auto& e = graph().light_edges;
-    const float* y = e.y.data() + 4 * edge;
-    if (y[3] == 0) return INFINITY;
-    return length_of(e.eta.empty() ? 1.0f : e.eta[edge], from, {y[0], y[1], y[2]});
 }
 
 std::size_t SharedArrivals::bytes_per_pixel() const {
@@ -81,7 +71,7 @@ void SharedArrivals::prepare(std::size_t first_pixel, std::size_t n, int threads
     for (std::size_t slot = 0; slot < n_slots; ++slot) {
         taken_[slot].clear();
         const auto [j, end] = first_vertex_of(slot, n);
-        if (j == end || cluster_of_[j] == nobody) continue;
+        if (j == end || cluster_of_[j] == no_cluster) continue;
         slot_of_[j] = std::uint32_t(slot);
         if (!seen[cluster_of_[j]]) {
             seen[cluster_of_[j]] = true;

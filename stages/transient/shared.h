@@ -46,8 +46,6 @@ class SharedArrivals {
     };
     static constexpr std::uint32_t nobody = 0xffffffffu;
 
-    double length_of(double phase_eta, const Point3<double>& a, const Point3<double>& b) const { return group_.of(float(phase_eta)) * distance(a, b); }
-    double edge_length(std::size_t edge, const Point3<double>& from) const;
     void take_all(ClusterShading& shading, std::size_t cluster, std::span<const std::uint32_t> slot_of_lane);
     /// Lights of path from vertex j on, times `beta`.
     template <class OnLight>
@@ -55,8 +53,7 @@ class SharedArrivals {
 
     GraphReader reader_;
     const Clusters& clusters_;
-    bool camera_segment_;
-    GroupIndex group_;
+    OpticalLengths lengths_;
     std::vector<std::uint32_t> first_edge_;         // vertex+1
     std::vector<std::uint32_t> cluster_of_;         // by vertex
     std::vector<Leg> continuation_, light_;         // by vertex, by light edge
@@ -86,20 +83,18 @@ void SharedArrivals::walk(std::size_t path, OnLight&& on_light) const {
         return;
     }
     const Point3<double> x = position(g, j);
-    const double opl = camera_segment_ ? length_of(g.vertices.eta.empty() ? 1.0f : g.vertices.eta[j], camera_point(g, path), x) : 0.0;
+    const double opl = lengths_.from_camera(path);
     if (!is_black(Le)) on_light(Le, opl);
-    if (cluster_of_[j] == nobody) {
+    if (cluster_of_[j] == no_cluster) {
         own_rest(j, Spectrum(1), opl, on_light);
         return;
     }
     const std::size_t pixel = path % g.n_pixels(), sample = path / g.n_pixels();
     for (const Taken& t : taken_[sample * n_prepared_ + pixel - first_pixel_]) {
-        if (t.is_light) {
-            on_light(t.factor, opl + edge_length(t.from, x));
-        } else {
-            const float eta = g.vertices.eta.empty() ? 1.0f : g.vertices.eta[t.from];
-            own_rest(t.from, t.factor, opl + length_of(eta, x, position(g, t.from)), on_light);
-        }
+        if (t.is_light)
+            on_light(t.factor, opl + lengths_.to_light(t.from, x));
+        else
+            own_rest(t.from, t.factor, opl + lengths_.to_vertex(t.from, x), on_light);
     }
     // What its own delta lobe has found is no other's.
     if (is_delta(Lobe(g.vertices.lobe[j]))) {

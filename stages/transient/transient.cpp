@@ -5,7 +5,6 @@
 #include <algorithm>
 #include <filesystem>
 #include <fstream>
-#include <map>
 #include <sstream>
 
 #include "formats/io/cost.h"
@@ -103,12 +102,9 @@ void set_pulse(const Options& options, double film_sigma, const Lengths& lengths
     }
 }
 
-/// Refuses graphs that are not of one film, or hold the same samples.
-void check_graphs(const std::vector<std::string>& names, const std::vector<PathGraph>& graphs, const std::vector<InputId>& ids) {
-    std::map<std::string, std::string> name_by_hash;
+/// Refuses graphs that are not of one film.
+void check_graphs(const std::vector<std::string>& names, const std::vector<PathGraph>& graphs) {
     for (std::size_t i = 0; i < graphs.size(); ++i) {
-        const auto [known, inserted] = name_by_hash.try_emplace(ids[i].hash, names[i]);
-        if (!inserted) throw InputError(fmt::format("{}: holds the same samples as {}", names[i], known->second));
         const auto scene = [](const PathGraph& g) { return g.provenance.inputs.empty() ? std::string() : g.provenance.inputs[0].hash; };
         if (graphs[i].sensor.width != graphs[0].sensor.width || graphs[i].sensor.height != graphs[0].sensor.height)
             throw InputError(fmt::format("{}: is {} x {}, but {} is {} x {}", names[i], graphs[i].sensor.width, graphs[i].sensor.height, names[0],
@@ -153,10 +149,10 @@ void run(const Options& options, app::Report& report) {
     TransientCubeHeader header;
     for (const std::string& file : options.graphs) {
         graphs.push_back(read_path_graph(file));
-        header.provenance.inputs.push_back(identify(file));
         header.film.samples_per_pixel += graphs.back().tracing.samples_per_pixel;
     }
-    check_graphs(options.graphs, graphs, header.provenance.inputs);
+    header.provenance.inputs = identify_parts(options.graphs);
+    check_graphs(options.graphs, graphs);
     std::vector<Clusters> clusters;
     if (!options.clusters.empty() && options.clusters.size() != graphs.size())
         throw InputError(fmt::format("--clusters: {} files for {} graphs", options.clusters.size(), graphs.size()));

@@ -10,6 +10,7 @@
 
 #include "formats/path_graph.h"
 #include "formats/transient_cube.h"
+#include "stages/core/transport/time_of_flight.h"
 #include "stages/core/transport/time_response.h"
 
 namespace loom::app {
@@ -48,12 +49,6 @@ struct Options {
 void declare(app::Command& command, Options& options);
 
 class SharedArrivals;
-
-/// How long light takes.
-struct Timing {
-    bool camera_segment = true;                          // counts
-    std::vector<std::pair<float, float>> group_index{};  // of light whose phase index is the first
-};
 
 /// Bins paths by optical path length and hands on rows of the cube, of several graphs together.
 ///   radiance[k] = mean over paths of sum over light edges of L S_e[k](opl)

@@ -23,7 +23,7 @@ struct Cube {
     double samples = 0;
     int replicates = 0;
 
-    void add(const PathGraph& graph, const TimeResponse& response, const transient::Timing& timing) {
+    void add(const PathGraph& graph, const TimeResponse& response, const Timing& timing) {
         app::Report report;
         report.set_quiet(true);
         app::Progress progress(report, "binning", graph.n_pixels());

@@ -39,7 +39,7 @@ struct Cube {
 };
 
 struct BinOptions {
-    transient::Timing timing{};
+    Timing timing{};
     std::uint64_t max_bytes = 1 << 30;
     int threads = 0;
     const Clusters* clusters = nullptr;
@@ -239,7 +239,7 @@ TEST(TimeOfFlight, ManySegmentsAddUpExactly) {
     const GraphReader reader(g);
     std::vector<double> opl;
     std::size_t edge = 0;
-    walk_in_time(reader, 0, true, {}, edge, [&](const Spectrum&, double l) { opl.push_back(l); });
+    walk_in_time(reader, OpticalLengths(g, {}), 0, edge, [&](const Spectrum&, double l) { opl.push_back(l); });
     ASSERT_EQ(opl.size(), 2u);
     const long double exact = (n + 1) * std::sqrt(2.0L);
     EXPECT_LT(std::abs(double((opl[1] - exact) / exact)), 1e-12);

@@ -5,19 +5,18 @@
 
 namespace loom {
 
-/// Index of refraction by which light of a phase index is slowed down.
-struct GroupIndex {
-    std::vector<std::pair<float, float>> table;  // (phase, group)
+/// What counts, and how fast light is.
+struct Timing {
+    bool camera_segment = true;  // counts; of captures around a corner the segment from the laser to where it lights, too
+    std::vector<std::pair<float, float>> group_index{};  // of light whose phase index is the first
 
-    double of(float phase) const {
-        for (const auto& [from, to] : table)
+    /// Index of refraction by which light of a phase index is slowed down.
+    double index(float phase) const {
+        for (const auto& [from, to] : group_index)
             if (std::abs(phase - from) < 1e-4f * from) return to;
         return phase;
     }
 };
-
-/// in m, along the positions as they are stored, in double precision
-inline double distance(const Point3<double>& a, const Point3<double>& b) { return length(b - a); }
 
 inline Point3<double> position(const PathGraph& graph, std::size_t j) {
     const float* p = graph.vertices.p.data() + 3 * j;
@@ -31,30 +30,51 @@ inline Point3<double> camera_point(const PathGraph& graph, std::size_t path) {
     return {o[0], o[1], o[2]};
 }
 
-/// Whether light edge k ends where the light itself starts; else the way from there to the point that it lights is
-/// known by their places.
-inline bool from_emitter(const PathGraph& graph, std::size_t k) {
-    if (graph.emitters.position.empty()) return true;  // no projector at all
-    return EmitterKind(graph.emitters.kind[graph.light_edges.emitter[k]]) != EmitterKind::laser_spot;
-}
+/// Optical path lengths (m) along the positions as they are stored, in double precision. The graph is borrowed.
+///   opl = sum_i eta_i |x_i - x_(i-1)|, infinite for lights at infinity               [TR eq. 4, with absolute indices]
+class OpticalLengths {
+  public:
+    OpticalLengths(const PathGraph& graph, Timing timing)
+        : graph_(graph), timing_(std::move(timing)), laser_segment_(timing_.camera_segment || graph.nlos.capture.empty()) {}
 
-inline Point3<double> emitter_position(const PathGraph& graph, std::size_t emitter) {
-    const float* p = graph.emitters.position.data() + 3 * emitter;
-    return {p[0], p[1], p[2]};
-}
+    /// From the camera to the first vertex of a path; 0 where that does not count.
+    double from_camera(std::size_t path) const {
+        return timing_.camera_segment ? to_vertex(graph_.paths.first_vertex[path], camera_point(graph_, path)) : 0.0;
+    }
+    /// From a point to vertex j, in the medium of the segment that arrives there.
+    double to_vertex(std::size_t j, const Point3<double>& from) const {
+        return index_of(graph_.vertices.eta, j) * length(position(graph_, j) - from);
+    }
+    /// Along light edge k from a point, and on to where the light starts if that is elsewhere (a lit spot).
+    double to_light(std::size_t k, const Point3<double>& from) const {
+        const auto& e = graph_.light_edges;
+        const float* y = e.y.data() + 4 * k;
+        if (y[3] == 0) return INFINITY;
+        const Point3<double> light{y[0], y[1], y[2]};
+        const bool lit_spot = !graph_.emitters.position.empty() && EmitterKind(graph_.emitters.kind[e.emitter[k]]) == EmitterKind::laser_spot;
+        double sum = lit_spot || laser_segment_ ? index_of(e.eta, k) * length(light - from) : 0;
+        if (lit_spot && laser_segment_) {
+            const float* p = graph_.emitters.position.data() + 3 * e.emitter[k];
+            sum += length(Point3<double>{p[0], p[1], p[2]} - light);
+        }
+        return sum;
+    }
+
+  private:
+    double index_of(const Column<float>& eta, std::size_t i) const { return timing_.index(eta.empty() ? 1.0f : eta[i]); }
+
+    const PathGraph& graph_;
+    Timing timing_;
+    bool laser_segment_;
+};
 
 /// Walks along a path: on_light(L, opl) for each light that reaches the camera, what is seen directly included.
-///   opl = sum_i eta_i |x_i - x_(i-1)|, infinite for lights at infinity               [TR eq. 4, with absolute indices]
-/// in: camera_segment  of captures around a corner: the segment from the laser to where it lights, too
 /// in: edge  first light edge of the path; out: that of the next path
 template <class OnLight>
-void walk_in_time(const GraphReader& reader, std::size_t path, bool camera_segment, const GroupIndex& group, std::size_t& edge, OnLight&& on_light) {
+void walk_in_time(const GraphReader& reader, const OpticalLengths& lengths, std::size_t path, std::size_t& edge, OnLight&& on_light) {
     const PathGraph& g = reader.graph();
-    const auto& v = g.vertices;
-    const auto& e = g.light_edges;
     const std::uint64_t begin = g.paths.first_vertex[path];
     const Spectrum Le = rgb(g.paths.Le, path);
-    const bool laser_segment = camera_segment || g.nlos.capture.empty();
     double opl = 0;
     Point3<double> x;
     if (begin == g.paths.first_vertex[path + 1]) {
@@ -64,20 +84,11 @@ void walk_in_time(const GraphReader& reader, std::size_t path, bool camera_segme
     walk_path(
         reader, path, edge,
         [&](std::size_t j, const ShadingPoint&) {
-            const Point3<double> from = j == begin ? camera_point(g, path) : x;
+            opl += j == begin ? lengths.from_camera(path) : lengths.to_vertex(j, x);
             x = position(g, j);
-            if (j > begin || camera_segment) opl += group.of(v.eta.empty() ? 1.0f : v.eta[j]) * distance(from, x);
             if (j == begin && !is_black(Le)) on_light(Le, opl);
         },
-        [&](std::size_t, std::size_t k, const Spectrum& L) {
-            const float* y = e.y.data() + 4 * k;
-            if (y[3] == 0) return on_light(L, double(INFINITY));
-            const Point3<double> light{y[0], y[1], y[2]};
-            const bool ends = from_emitter(g, k);
-            double length = !ends || laser_segment ? group.of(e.eta.empty() ? 1.0f : e.eta[k]) * distance(x, light) : 0;
-            if (!ends && laser_segment) length += distance(light, emitter_position(g, e.emitter[k]));
-            on_light(L, opl + length);
-        });
+        [&](std::size_t, std::size_t k, const Spectrum& L) { on_light(L, opl + lengths.to_light(k, x)); });
 }
 
 }  // namespace loom
