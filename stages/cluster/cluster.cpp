@@ -4,15 +4,16 @@
 
 #include <algorithm>
 #include <numeric>
+#include <stdexcept>
 #include <vector>
 
 #include "stages/cluster/median_splits.h"
 #include "stages/cluster/metric.h"
 #include "stages/cluster/nearest_centres.h"
+#include "stages/cluster/pool.h"
 #include "stages/cluster/scratch.h"
 #include "stages/core/sampling/sampler.h"
 #include "stages/core/transport/parallel.h"
-#include "stages/core/transport/sharing.h"
 
 namespace loom::cluster {
 
@@ -38,40 +39,33 @@ constexpr std::uint32_t subset_per_bucket = 32;
 constexpr std::size_t most_buckets = 1 << 15;
 constexpr std::uint32_t no_bucket = 0xffffffffu;
 
-struct Sharing {
-    SharingRule rule;
-    std::size_t n = 0;  // vertices that share
-};
-
-Sharing count_sharing(const PathGraph& graph, const ClusterOptions& options) {
-    Sharing sharing{SharingRule(graph, options.private_roughness)};
-    const std::size_t n = graph.n_vertices();
+std::size_t count_sharing(const Pool& pool, const ClusterOptions& options) {
+    const std::size_t n = pool.size();
     std::vector<std::size_t> counts((n + vertices_per_chunk - 1) / vertices_per_chunk);
     parallel_chunks(n, vertices_per_chunk, options.threads,
                     [&](std::uint64_t chunk, std::uint64_t begin, std::uint64_t end) {
                         std::size_t count = 0;
-                        for (std::uint64_t j = begin; j < end; ++j) count += sharing.rule(j) ? 1 : 0;
+                        for (std::uint64_t j = begin; j < end; ++j) count += pool.shares(j) ? 1 : 0;
                         counts[chunk] = count;
                     });
-    sharing.n = std::accumulate(counts.begin(), counts.end(), std::size_t{0});
-    return sharing;
+    return std::accumulate(counts.begin(), counts.end(), std::size_t{0});
 }
 
-/// All sharing vertices as points, bucket by bucket, in each bucket in the order of the graph.
+/// All sharing vertices as points, bucket by bucket, in each bucket in the order of the pool.
 struct BucketedPoints {
     std::span<Point> points;
     std::vector<std::size_t> first;  // bucket+1 offsets into points
 };
 
-BucketedPoints fill_buckets(const PathGraph& graph, const Sharing& sharing, const Metric& metric,
+BucketedPoints fill_buckets(const Pool& pool, std::size_t n_sharing, const Metric& metric,
                             const ClusterOptions& options, Workspace::Parts& memory) {
-    const std::size_t n = graph.n_vertices();
-    const std::size_t n_wanted = std::clamp<std::size_t>(sharing.n / points_per_bucket, 1, most_buckets);
+    const std::size_t n = pool.size();
+    const std::size_t n_wanted = std::clamp<std::size_t>(n_sharing / points_per_bucket, 1, most_buckets);
     std::vector<Point> subset;
     const std::size_t n_subset = n_wanted == 1 ? 0 : n_wanted * subset_per_bucket;
     for (std::uint64_t i = 0; subset.size() < n_subset; ++i) {
         const std::size_t j = mix64(options.seed * 0x9e3779b97f4a7c15ull + i) % n;
-        if (sharing.rule(j)) subset.push_back(metric(j));
+        if (pool.shares(j)) subset.push_back(metric(j));
     }
     const Buckets buckets(subset, subset_per_bucket, options.seed);
 
@@ -94,14 +88,14 @@ BucketedPoints fill_buckets(const PathGraph& graph, const Sharing& sharing, cons
                         };
                         for (std::uint64_t j = begin; j < end; ++j) {
                             bucket_of[j] = no_bucket;
-                            if (!sharing.rule(j)) continue;
+                            if (!pool.shares(j)) continue;
                             batch[n_batch++] = metric(j);
                             if (n_batch == Buckets::batch) place_batch();
                         }
                         place_batch();
                     });
 
-    BucketedPoints out{memory.points.get(sharing.n), std::vector<std::size_t>(n_buckets + 1)};
+    BucketedPoints out{memory.points.get(n_sharing), std::vector<std::size_t>(n_buckets + 1)};
     std::vector<std::size_t> places(n_chunks * n_buckets);
     std::size_t place = 0;
     for (std::size_t bucket = 0; bucket < n_buckets; ++bucket) {
@@ -121,6 +115,11 @@ BucketedPoints fill_buckets(const PathGraph& graph, const Sharing& sharing, cons
     return out;
 }
 
+Splits with_seed(Splits splits, std::uint64_t seed) {
+    splits.seed = seed;
+    return splits;
+}
+
 /// Sizes of the clusters that each task has made, in the order of the tasks, as offsets.
 std::vector<std::uint32_t> offsets_of(const std::vector<std::vector<std::uint32_t>>& sizes_of_tasks) {
     std::size_t n = 0;
@@ -133,18 +132,22 @@ std::vector<std::uint32_t> offsets_of(const std::vector<std::vector<std::uint32_
     return first;
 }
 
-void balanced_clusters(const BucketedPoints& in, const ClusterOptions& options, float spread, Clusters& out) {
+/// Cells of a pool: runs of members, which are vertices of the pool.
+struct Cells {
+    std::vector<std::uint32_t> first, member;
+};
+
+Cells balanced_cells(const BucketedPoints& in, const ClusterOptions& options, const Splits& splits) {
     const std::size_t n_buckets = in.first.size() - 1;
     std::vector<std::vector<std::uint32_t>> sizes(n_buckets);
     std::vector<std::uint32_t> member(in.points.size());
     parallel_chunks(n_buckets, 1, options.threads, [&](std::uint64_t bucket, std::uint64_t, std::uint64_t) {
         const auto points = in.points.subspan(in.first[bucket], in.first[bucket + 1] - in.first[bucket]);
         sizes[bucket].reserve(points.size() / options.k * 5 / 4 + 1);
-        split_by_medians(points, {options.k, spread, mix64(options.seed + bucket)}, sizes[bucket]);
+        split_by_medians(points, with_seed(splits, mix64(options.seed + bucket)), sizes[bucket]);
         for (std::size_t i = 0; i < points.size(); ++i) member[in.first[bucket] + i] = points[i].vertex;
     });
-    out.first = offsets_of(sizes);
-    out.member = std::move(member);
+    return {offsets_of(sizes), std::move(member)};
 }
 
 /// Bits of x with two zeros after each; x < 1024.
@@ -189,13 +192,14 @@ void select(std::span<const Point> points, std::span<Point> chosen, std::uint64_
     }
 }
 
-void centre_clusters(const BucketedPoints& in, const ClusterOptions& options, std::uint32_t max_size, float spread,
-                     Workspace::Parts& memory, Clusters& out) {
+/// in: mean_size  of a cell;  splits  of what is larger than a cell may be
+Cells centre_cells(const BucketedPoints& in, const ClusterOptions& options, std::uint32_t mean_size, const Splits& splits,
+                   Workspace::Parts& memory) {
     const std::size_t n = in.points.size();
     parallel_chunks(in.first.size() - 1, 1, options.threads, [&](std::uint64_t bucket, std::uint64_t, std::uint64_t) {
         sort_along_curve(in.points.subspan(in.first[bucket], in.first[bucket + 1] - in.first[bucket]));
     });
-    const std::size_t n_centres = (n + options.k - 1) / options.k;
+    const std::size_t n_centres = (n + mean_size - 1) / mean_size;
     const std::span<Point> centres = memory.centres.get(n_centres);
     select(in.points, centres, options.seed);
     const std::span<std::uint32_t> nearest = memory.nearest.get(n);
@@ -218,13 +222,50 @@ void centre_clusters(const BucketedPoints& in, const ClusterOptions& options, st
                             points.clear();
                             for (std::uint32_t i = first[centre]; i < first[centre + 1]; ++i)
                                 points.push_back(in.points[slot[i]]);
-                            split_by_medians(points, {max_size, spread, mix64(options.seed + centre)}, sizes[chunk]);
+                            split_by_medians(points, with_seed(splits, mix64(options.seed + centre)), sizes[chunk]);
                             for (std::size_t i = 0; i < points.size(); ++i)
                                 member[first[centre] + i] = points[i].vertex;
                         }
                     });
-    out.first = offsets_of(sizes);
+    return {offsets_of(sizes), std::move(member)};
+}
+
+struct PooledCells {
+    Cells cells;
+    Clusters::Settings settings;
+};
+
+PooledCells make_cells(const Pool& pool, const ClusterOptions& options, Workspace::Parts& memory) {
+    const std::uint32_t n_graphs = pool.joint() ? 2 : 1;
+    const std::size_t n_sharing = count_sharing(pool, options);
+    const float length_scale = typical_radius(pool, n_sharing, n_graphs * options.k);
+    const std::uint32_t max_size = options.max_size == 0 ? 2 * options.k : options.max_size;
+    const Metric metric(pool, length_scale, options.normal_weight, options.seed);
+    const BucketedPoints points = fill_buckets(pool, n_sharing, metric, options, memory);
+    Splits splits;
+    if (options.normal_weight > 0) splits.normal_spread = normal_spread * options.normal_weight;
+    if (pool.joint()) splits.second_graph = std::uint32_t(pool.n_first());
+    splits.k = options.method == Method::balanced ? options.k : max_size;
+    Cells cells = options.method == Method::balanced ? balanced_cells(points, options, splits)
+                                                     : centre_cells(points, options, n_graphs * options.k, splits, memory);
+    return {std::move(cells),
+            {std::string(method_name(options.method)), options.k, max_size, options.normal_weight, length_scale, options.private_roughness, options.seed}};
+}
+
+/// The members of each cell that are vertices [begin, end) of the pool, as clusters of a graph of its own.
+Clusters clusters_within(const PooledCells& pooled, std::size_t begin, std::size_t end) {
+    std::vector<std::uint32_t> first{0}, member;
+    for (std::size_t c = 0; c + 1 < pooled.cells.first.size(); ++c) {
+        for (std::uint32_t i = pooled.cells.first[c]; i < pooled.cells.first[c + 1]; ++i)
+            if (const std::uint32_t vertex = pooled.cells.member[i]; vertex >= begin && vertex < end) member.push_back(std::uint32_t(vertex - begin));
+        if (member.size() > first.back()) first.push_back(std::uint32_t(member.size()));
+    }
+    Clusters out;
+    out.graph_vertices = end - begin;
+    out.settings = pooled.settings;
+    out.first = std::move(first);
     out.member = std::move(member);
+    return out;
 }
 
 }  // namespace
@@ -234,24 +275,12 @@ std::string_view method_name(Method method) {
 }
 
 Clusters make_clusters(const PathGraph& graph, const ClusterOptions& options, Workspace& workspace) {
-    const Sharing sharing = count_sharing(graph, options);
-    const float length_scale = typical_radius(graph, sharing.rule, sharing.n, options.k);
-    const std::uint32_t max_size = options.max_size == 0 ? 2 * options.k : options.max_size;
-
+    PooledCells pooled = make_cells(Pool(graph, nullptr, options.private_roughness), options, workspace.parts());
     Clusters out;
     out.graph_vertices = graph.n_vertices();
-    out.settings = {std::string(method_name(options.method)),
-                    options.k,
-                    max_size,
-                    options.normal_weight,
-                    length_scale,
-                    options.private_roughness,
-                    options.seed};
-    const Metric metric(graph, length_scale, options.normal_weight, options.seed);
-    const BucketedPoints points = fill_buckets(graph, sharing, metric, options, workspace.parts());
-    const float spread = options.normal_weight > 0 ? normal_spread * options.normal_weight : infinite_spread;
-    if (options.method == Method::balanced) balanced_clusters(points, options, spread, out);
-    else centre_clusters(points, options, max_size, spread, workspace.parts(), out);
+    out.settings = std::move(pooled.settings);
+    out.first = std::move(pooled.cells.first);
+    out.member = std::move(pooled.cells.member);
     return out;
 }
 
@@ -260,11 +289,20 @@ Clusters make_clusters(const PathGraph& graph, const ClusterOptions& options) {
     return make_clusters(graph, options, workspace);
 }
 
-std::string plan(const PathGraph& graph, const ClusterOptions& options) {
-    const Sharing sharing = count_sharing(graph, options);
-    const std::size_t n_solitary = graph.n_vertices() - sharing.n;
+JointClusters make_joint_clusters(const PathGraph& first, const PathGraph& second, const ClusterOptions& options) {
+    const std::size_t n_first = first.n_vertices(), n = n_first + second.n_vertices();
+    if (n >= Splits::no_second) throw std::logic_error("make_joint_clusters: too many vertices");
+    Workspace workspace;
+    const PooledCells pooled = make_cells(Pool(first, &second, options.private_roughness), options, workspace.parts());
+    return {clusters_within(pooled, 0, n_first), clusters_within(pooled, n_first, n)};
+}
+
+std::string plan(const PathGraph& graph, const PathGraph* with, const ClusterOptions& options) {
+    const Pool pool(graph, with, options.private_roughness);
+    const std::size_t n_solitary = pool.size() - count_sharing(pool, options);
     std::string on = options.method == Method::balanced ? "median splits" : "nearest of random centres", off;
     (options.normal_weight > 0 ? on : off) += options.normal_weight > 0 ? ", normals" : "normals (weight 0)";
+    if (with) on += ", cells of two graphs";
     if (n_solitary == 0) off += std::string(off.empty() ? "" : ", ") + "solitary vertices (all share)";
     else on += fmt::format(", {} solitary vertices", n_solitary);
     return "on: " + on + "; off: " + (off.empty() ? "nothing" : off);

@@ -51,9 +51,23 @@ class Workspace {
 Clusters make_clusters(const PathGraph& graph, const ClusterOptions& options, Workspace& workspace);
 Clusters make_clusters(const PathGraph& graph, const ClusterOptions& options);
 
+/// The same cells for two graphs of nearly one scene, for the difference of what they say: what both have in common is
+/// then shared alike in both, so that noise and blur of the difference are those of what differs.
+///   balanced:  median splits of all vertices of both, down to at most k of either
+///   centres:   one set of centres, drawn from both: one for k of each
+/// Vertices of one place and normal are in the same cell, whichever graph they are of (unless more than k of one graph
+/// lie there). A cell with vertices of one graph alone is in that graph's clusters only: the numbers of the two files do
+/// not go together. The same graph twice gives the same clusters twice.
+/// needs:   fewer than 2^32 - 1 vertices in both
+struct JointClusters {
+    Clusters first, second;
+};
+JointClusters make_joint_clusters(const PathGraph& first, const PathGraph& second, const ClusterOptions& options);
+
 struct Options {
     std::string graph;   // path graph (.h5)
     std::string output;  // clusters (.h5)
+    std::string with, with_output;  // another graph in the same cells, and its clusters
     ClusterOptions cluster;
     bool plan = false;   // print the plan and stop
 };
@@ -61,7 +75,8 @@ struct Options {
 void declare(app::Command& command, Options& options);
 
 /// What is on, what is off and why, in one line.
-std::string plan(const PathGraph& graph, const ClusterOptions& options);
+/// in:  with  another graph in the same cells, or null
+std::string plan(const PathGraph& graph, const PathGraph* with, const ClusterOptions& options);
 
 /// throws: InputError
 void run(const Options& options, app::Report& report);

@@ -82,6 +82,21 @@ std::size_t divide_range(std::span<Point> points, int axis, float low, float hig
     return std::size_t(right - points.begin());
 }
 
+/// Moves a cut of sorted sides (all of the first n_left at most as large as any other) to where the value changes, the
+/// nearer way: points at one place then stay together.
+/// out: n_left where all values are one
+std::size_t off_ties(std::span<Point> points, std::size_t c, std::size_t n_left) {
+    float at = points[n_left].x[c];
+    for (const Point& p : points.subspan(n_left)) at = std::min(at, p.x[c]);
+    const auto not_left = std::partition(points.begin(), points.end(), [=](const Point& p) { return p.x[c] < at; });
+    const auto right = std::partition(not_left, points.end(), [=](const Point& p) { return p.x[c] == at; });
+    const auto below = std::size_t(not_left - points.begin()), through = std::size_t(right - points.begin());
+    if (below == 0 && through == points.size()) return n_left;
+    if (below == 0) return through;
+    if (through == points.size()) return below;
+    return n_left - below <= through - n_left ? below : through;
+}
+
 class Splitter {
   public:
     Splitter(const Splits& splits, std::vector<std::uint32_t>& sizes) : splits_(splits), sizes_(sizes) {}
@@ -95,7 +110,8 @@ class Splitter {
         }
         const Extent extent = extent_of(points);
         const int normal = extent.widest(3, 6);
-        const bool small = n <= splits_.k;
+        const std::size_t n_counted = counted(points);
+        const bool small = n_counted <= splits_.k;
         if (small && !(extent.width(normal) > splits_.normal_spread)) {
             // In the order of the graph: as good as any for the eye, and kinder to caches.
             std::sort(points.begin(), points.end(), [](const Point& a, const Point& b) { return a.vertex < b.vertex; });
@@ -106,17 +122,39 @@ class Splitter {
         std::size_t n_left;
         if (small || extent.width(normal) > extent.width(position)) {
             n_left = divide_range(points, normal, extent.low[std::size_t(normal)], extent.high[std::size_t(normal)]);
+        } else if (joint() && !(extent.width(position) > 0)) {
+            n_left = divide_place(points);
         } else {
-            const std::size_t n_pieces = (n + splits_.k - 1) / splits_.k;
+            const std::size_t n_pieces = (n_counted + splits_.k - 1) / splits_.k;
             const std::size_t left_pieces = (n_pieces + (mix64(key) & 1)) / 2;
             n_left = std::clamp<std::size_t>(n * left_pieces / n_pieces, 1, n - 1);
             divide(points, position, n_left, extent.low[std::size_t(position)], extent.high[std::size_t(position)]);
+            if (joint()) n_left = off_ties(points, std::size_t(position), n_left);
         }
         split(points.first(n_left), 2 * key + 1);
         split(points.subspan(n_left), 2 * key + 2);
     }
 
   private:
+    bool joint() const { return splits_.second_graph != Splits::no_second; }
+    bool of_second(const Point& p) const { return p.vertex >= splits_.second_graph; }
+
+    /// Of the graph that has more points here.
+    std::size_t counted(std::span<const Point> points) const {
+        if (!joint()) return points.size();
+        const auto n_second = std::size_t(std::ranges::count_if(points, [this](const Point& p) { return of_second(p); }));
+        return std::max(n_second, points.size() - n_second);
+    }
+
+    /// More points at one place than a piece may have: half of each graph's, in its order.
+    std::size_t divide_place(std::span<Point> points) {
+        std::sort(points.begin(), points.end(), [](const Point& a, const Point& b) { return a.vertex < b.vertex; });
+        const auto second = std::ranges::partition_point(points, [this](const Point& p) { return !of_second(p); });
+        const auto n_first = second - points.begin(), n_second = points.end() - second;
+        std::rotate(points.begin() + n_first / 2, second, second + n_second / 2);
+        return std::size_t(n_first / 2 + n_second / 2);
+    }
+
     const Splits& splits_;
     std::vector<std::uint32_t>& sizes_;
 };

@@ -16,6 +16,9 @@ struct Splits {
     std::uint32_t k = 16;                   // largest piece
     float normal_spread = infinite_spread;  // widest piece along each axis of the normals' half, in its units (w)
     std::uint64_t seed = 0;                 // where the larger half goes when a split cannot be even
+    std::uint32_t second_graph = no_second;  // vertices from here on are of another graph than those before
+
+    static constexpr std::uint32_t no_second = 0xffffffffu;
 };
 
 /// Cuts points into pieces of at most k, each cut across the axis in which the set is widest.
@@ -26,6 +29,8 @@ struct Splits {
 /// in/out:  points  reordered: piece by piece, neighbouring pieces close together
 /// out:     sizes   size of each piece, appended
 /// Ties are broken by vertex, so that the pieces depend on the set alone and not on its order.
+/// Of two graphs a piece has at most k points of either, and points at one place are in one piece, as far as no piece
+/// would become too large; so what a path of one graph shares with its twin of the other is all in the same pieces.
 void split_by_medians(std::span<Point> points, const Splits& splits, std::vector<std::uint32_t>& sizes);
 
 /// The same cuts, found on a subset and then applied to all points: pieces of about equal size that are worked on

@@ -29,45 +29,48 @@ std::array<Vector3f, 3> random_rotation(std::uint64_t key, float scale) {
     return rows;
 }
 
-/// Of all vertices of the graph: enough for a median to a percent or two.
+/// Of all vertices of the pool: enough for a median to a percent or two.
 constexpr std::size_t subset_size = 32768;
 constexpr std::uint32_t subset_k = 16;
 
 }  // namespace
 
-Metric::Metric(const PathGraph& graph, float length_scale, float normal_weight, std::uint64_t seed)
-    : graph_(graph),
+Metric::Metric(const Pool& pool, float length_scale, float normal_weight, std::uint64_t seed)
+    : pool_(pool),
       p_rows_(random_rotation(mix64(seed), 1 / length_scale)),
       n_rows_(random_rotation(mix64(~seed), normal_weight)),
       origin_{} {
     // Rounding is smallest near the middle of things; where exactly does not matter.
-    if (graph.n_vertices() > 0) origin_ = {graph.vertices.p[0], graph.vertices.p[1], graph.vertices.p[2]};
+    if (pool.size() == 0) return;
+    const auto [graph, row] = pool[0];
+    origin_ = {graph.vertices.p[3 * row], graph.vertices.p[3 * row + 1], graph.vertices.p[3 * row + 2]};
 }
 
-Point Metric::operator()(std::size_t j) const {
-    const auto& v = graph_.vertices;
+Point Metric::operator()(std::size_t vertex) const {
+    const auto [graph, j] = pool_[vertex];
+    const auto& v = graph.vertices;
     const Vector3f p = Vector3f{v.p[3 * j], v.p[3 * j + 1], v.p[3 * j + 2]} - origin_;
     const auto unit = unit_from_octahedral(v.ns[2 * j], v.ns[2 * j + 1]);
     Vector3f n{unit[0], unit[1], unit[2]};
     if (dot(n, Vector3f{v.wo[3 * j], v.wo[3 * j + 1], v.wo[3 * j + 2]}) < 0) n = -n;
     return {{dot(p_rows_[0], p), dot(p_rows_[1], p), dot(p_rows_[2], p), dot(n_rows_[0], n), dot(n_rows_[1], n),
              dot(n_rows_[2], n)},
-            std::uint32_t(j),
+            std::uint32_t(vertex),
             0};
 }
 
-float typical_radius(const PathGraph& graph, const SharingRule& shares, std::size_t n_sharing, std::uint32_t k) {
-    const std::size_t n = graph.n_vertices();
-    const Metric positions(graph, 1, 0, 0);
+float typical_radius(const Pool& pool, std::size_t n_sharing, std::uint32_t k) {
+    const std::size_t n = pool.size();
+    const Metric positions(pool, 1, 0, 0);
     std::vector<Point> points;
     const std::size_t n_tried = std::min(n, subset_size);
     for (std::size_t i = 0; i < n_tried; ++i) {
         const std::size_t j = n <= subset_size ? i : std::size_t(mix64(i) % n);
-        if (shares(j)) points.push_back(positions(j));
+        if (pool.shares(j)) points.push_back(positions(j));
     }
     if (points.empty()) return 1;
     std::vector<std::uint32_t> sizes;
-    split_by_medians(points, {subset_k, infinite_spread, 0}, sizes);
+    split_by_medians(points, {.k = subset_k, .normal_spread = infinite_spread, .seed = 0}, sizes);
     std::vector<double> squares;
     const Point* at = points.data();
     for (const std::uint32_t size : sizes) {

@@ -2,9 +2,8 @@
 #include <array>
 #include <cstdint>
 
-#include "formats/path_graph.h"
+#include "stages/cluster/pool.h"
 #include "stages/core/math/vector.h"
-#include "stages/core/transport/sharing.h"
 
 namespace loom::cluster {
 
@@ -21,11 +20,11 @@ static_assert(sizeof(Point) == 32);
 /// boxes) lies elsewhere in each pass.
 class Metric {
   public:
-    Metric(const PathGraph& graph, float length_scale, float normal_weight, std::uint64_t seed);
+    Metric(const Pool& pool, float length_scale, float normal_weight, std::uint64_t seed);
     Point operator()(std::size_t vertex) const;
 
   private:
-    const PathGraph& graph_;
+    const Pool& pool_;
     std::array<Vector3f, 3> p_rows_, n_rows_;
     Vector3f origin_;
 };
@@ -34,8 +33,8 @@ class Metric {
 /// vertices, of the root mean square distance to the centroid, scaled from the density of the subset to that of all.
 /// Vertices lie on surfaces, so the radius goes with the root of the area per cluster. A median: a ground plane that
 /// reaches to the horizon does not count for more than its share of vertices.
-/// in: n_sharing  how many vertices of the graph share
+/// in: n_sharing  how many vertices of the pool share
 /// out: > 0 (1 when all vertices lie at one point)
-float typical_radius(const PathGraph& graph, const SharingRule& shares, std::size_t n_sharing, std::uint32_t k);
+float typical_radius(const Pool& pool, std::size_t n_sharing, std::uint32_t k);
 
 }  // namespace loom::cluster

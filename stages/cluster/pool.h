@@ -1,0 +1,46 @@
+#pragma once
+#include <cstddef>
+#include <cstdint>
+
+#include "formats/path_graph.h"
+#include "stages/core/transport/sharing.h"
+
+namespace loom::cluster {
+
+/// The vertices that are put into clusters: those of one graph, or of two, the second's behind the first's.
+class Pool {
+  public:
+    /// The graphs are borrowed.
+    /// in:  second  null: one graph alone
+    Pool(const PathGraph& first, const PathGraph* second, float private_roughness)
+        : first_(first),
+          second_(second ? *second : first),
+          first_shares_(first, private_roughness),
+          second_shares_(second_, private_roughness),
+          n_first_(first.n_vertices()),
+          n_(n_first_ + (second ? second->n_vertices() : 0)),
+          joint_(second != nullptr) {}
+
+    struct Row {
+        const PathGraph& graph;
+        std::size_t row;
+    };
+    Row operator[](std::size_t vertex) const {
+        return vertex < n_first_ ? Row{first_, vertex} : Row{second_, vertex - n_first_};
+    }
+    bool shares(std::size_t vertex) const {
+        return vertex < n_first_ ? first_shares_(vertex) : second_shares_(vertex - n_first_);
+    }
+    std::size_t size() const { return n_; }
+    /// Vertices from here on are of the second graph.
+    std::size_t n_first() const { return n_first_; }
+    bool joint() const { return joint_; }
+
+  private:
+    const PathGraph &first_, &second_;
+    SharingRule first_shares_, second_shares_;
+    std::size_t n_first_, n_;
+    bool joint_;
+};
+
+}  // namespace loom::cluster
