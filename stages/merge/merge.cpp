@@ -8,6 +8,7 @@
 #include "formats/io/error.h"
 #include "stages/core/app/command.h"
 #include "stages/merge/blend.h"
+#include "stages/merge/two_level.h"
 
 namespace loom::merge {
 namespace {
@@ -99,14 +100,32 @@ Image merge_images(std::span<const Image> parts, std::span<const std::string> na
     return merged;
 }
 
+Image difference_of(const Image& after, const Image& before, const std::string& after_name, const std::string& before_name) {
+    check_fit(after, before, after_name, before_name);
+    if (after.samples != before.samples)
+        throw InputError(fmt::format("{}: has {} samples per pixel, but {} has {}", before_name, before.samples, after_name, after.samples));
+    Image difference = after;
+    std::erase_if(difference.channels, [](const Image::Channel& channel) { return channel.name.starts_with(variance_layer); });
+    for (Image::Channel& channel : difference.channels) {
+        const bool of_surfaces = channel.name.starts_with("Albedo.") || channel.name.starts_with("N.") || channel.name.starts_with("Depth.");
+        if (of_surfaces) continue;
+        const auto subtracted = before.find(channel.name);
+        for (std::size_t i = 0; i < subtracted.size(); ++i) channel.values[i] -= subtracted[i];
+    }
+    return difference;
+}
+
 void declare(app::Command& command, Options& options) {
     command
         .files("parts", options.parts, "images (EXR with `samples`) of one size, or transient cubes (.h5) of one window, in the order to sum them")
         .required();
+    command.files("--minus", options.minus, "for each part the image of the scene before an edit, of the same random numbers: joins the differences, whose VarMean is the spread between them");
     command.output("-o,--output", options.output, "the joined image or cube");
     command.flag("--zip", options.zip, "compress the output image");
     command.file("--direct", options.direct, "emission and direct light of other samples (EXR, paths of at most two edges), for the blend");
     command.flag("--no-blend", options.no_blend, "do not blend the estimates of path graphs with those of their paths");
+    command.option("--unbiased", options.unbiased, "two levels: all parts' own pictures, and what the paths of the first N parts say beyond them, which leaves no bias; 0: off",
+                   app::Range<std::uint64_t>{0, 1u << 20});
     command.flag("--plan-direct", options.plan_direct, "print how many samples of direct light per pixel are worth their cost in the blend, and stop");
     command.example("loom-merge pass-0.exr pass-1.exr -o image.exr");
 }
@@ -152,19 +171,38 @@ void run(const Options& options, app::Report& report) {
     if (options.output.empty()) throw InputError("--output: missing (an .exr file, or .h5 for cubes)");
     if (options.parts.empty()) throw InputError("no image to merge");
     if (std::filesystem::path(options.parts[0]).extension() == ".h5") {
-        if (options.zip || options.no_blend || !options.direct.empty()) throw InputError("--zip, --direct, --no-blend: are for images, not for cubes");
+        if (options.zip || options.no_blend || !options.direct.empty() || !options.minus.empty() || options.unbiased > 0)
+            throw InputError("--zip, --direct, --minus, --unbiased, --no-blend: are for images, not for cubes");
         run_cubes(options, report);
         return;
     }
+    const bool differences = !options.minus.empty();
+    if (differences && options.minus.size() != options.parts.size())
+        throw InputError(fmt::format("--minus: {} images for {} parts", options.minus.size(), options.parts.size()));
     Provenance provenance;
     provenance.inputs = identify_parts(options.parts);
-    const Image first = read_image(options.parts[0]);
-    const bool estimates = has_estimates(first);
-    const bool blend = estimates && !options.no_blend && options.parts.size() >= min_blend_parts;
+    if (differences)
+        for (InputId& id : identify_parts(options.minus)) provenance.inputs.push_back(std::move(id));
+    const auto read_part = [&](std::size_t i) {
+        Image image = read_image(options.parts[i]);
+        if (!differences) return image;
+        const Image before = read_image(options.minus[i]);
+        if (image.provenance.seed != before.provenance.seed)
+            throw InputError(fmt::format("{}: was made with seed {}, but {} with {}: only the same random numbers have noise in common", options.minus[i],
+                                         before.provenance.seed, options.parts[i], image.provenance.seed));
+        return difference_of(image, before, options.parts[i], options.minus[i]);
+    };
+    const Image first = read_part(0);
+    const bool estimates = has_estimates(first), two_levels = options.unbiased > 0;
+    const bool blend = estimates && !options.no_blend && !two_levels && options.parts.size() >= min_blend_parts;
+    if (two_levels) {
+        if (!estimates) throw InputError(fmt::format("--unbiased: {} does not say what its paths alone know (loom-gather --estimates)", options.parts[0]));
+        check_two_levels(options.unbiased, options.parts.size());
+    }
     Image merged, direct;
     if (!options.direct.empty()) {
-        if (!blend)
-            throw InputError(fmt::format("{}: only a blend takes it: {} or more parts of path graphs with estimates", options.direct, min_blend_parts));
+        if (!blend || differences)
+            throw InputError(fmt::format("{}: only a blend takes it: {} or more parts of path graphs with estimates, no differences", options.direct, min_blend_parts));
         direct = read_image(options.direct);
         if (direct.width != first.width || direct.height != first.height)
             throw InputError(fmt::format("{}: is {} x {}, but {} is {} x {}", options.direct, direct.width, direct.height,
@@ -173,19 +211,23 @@ void run(const Options& options, app::Report& report) {
             throw InputError(fmt::format("{}: does not say how noisy it is (VarMean of two samples or more)", options.direct));
         provenance.inputs.push_back(identify(options.direct));
     }
-    if (estimates && options.parts.size() > 1) {
+    if ((estimates || differences) && options.parts.size() > 1) {
         const auto part = [&](std::size_t i) {
-            Image image = read_image(options.parts[i]);
+            Image image = read_part(i);
             check_fit(first, image, options.parts[0], options.parts[i]);
             return image;
         };
-        merged = blend ? blend_images(options.parts.size(), part, options.direct.empty() ? nullptr : &direct) : average_images(options.parts.size(), part);
+        merged = two_levels ? two_level_image(options.parts.size(), options.unbiased, part)
+                 : blend    ? blend_images(options.parts.size(), part, options.direct.empty() ? nullptr : &direct)
+                            : average_images(options.parts.size(), part);
     } else {
         std::vector<Image> parts{first};
         for (std::size_t i = 1; i < options.parts.size(); ++i) parts.push_back(read_image(options.parts[i]));
         merged = merge_images(parts, options.parts);
+        if (differences) report.warn("{}: one difference does not know its noise, so there is no VarMean; give two or more", options.output);
     }
-    const std::string why = blend ? fmt::format("on: blend with the paths' own estimates; off: {}", options.direct.empty() ? "further direct light (none given)" : "nothing")
+    const std::string why = two_levels ? fmt::format("on: {} parts, corrected by what the paths of {} say; off: blend", options.parts.size(), options.unbiased)
+                            : blend ? fmt::format("on: blend with the paths' own estimates; off: {}", options.direct.empty() ? "further direct light (none given)" : "nothing")
                             : !estimates       ? ""
                             : options.no_blend ? "off: blend with the paths' own estimates (--no-blend)"
                                                : fmt::format("off: blend with the paths' own estimates (fewer than {} parts)", min_blend_parts);
@@ -193,7 +235,7 @@ void run(const Options& options, app::Report& report) {
     provenance.stage = report.name();
     provenance.command = report.command();
     provenance.seed = first.provenance.seed;
-    provenance.plan = why.empty() ? first.provenance.plan : why;
+    provenance.plan = (why.empty() ? first.provenance.plan : why) + (differences ? "; differences of pairs, new minus old" : "");
     merged.provenance = std::move(provenance);
     write_image(merged, options.output, options.zip ? Compression::zip : Compression::none);
 
@@ -201,6 +243,7 @@ void run(const Options& options, app::Report& report) {
     cost.plan = merged.provenance.plan;
     cost.bytes_written = std::filesystem::file_size(options.output);
     for (const std::string& part : options.parts) cost.parents.push_back(parent_of(options.output, part));
+    for (const std::string& part : options.minus) cost.parents.push_back(parent_of(options.output, part));
     if (!options.direct.empty()) cost.parents.push_back(parent_of(options.output, options.direct));
     write_cost(cost, options.output);
     const std::size_t n_bad = count_nonfinite(merged);

@@ -16,10 +16,12 @@ namespace loom::merge {
 
 struct Options {
     std::vector<std::string> parts;  // images or transient cubes, in the order in which they are summed
+    std::vector<std::string> minus;  // of the scene before an edit, one for each part and of the same random numbers
     std::string output;              // the joined image or cube
     bool zip = false;                // compress the output
     std::string direct;              // emission and direct light by themselves, to be blended in
     bool no_blend = false;           // leave the parts' own picture as it is
+    std::uint64_t unbiased = 0;      // so many parts correct all of them by what their paths alone say; 0: none
     bool plan_direct = false;        // say how many samples of direct light pay, and stop
 };
 
@@ -46,6 +48,13 @@ std::vector<double> pooled_var_mean(std::span<const PartOf> parts);
 /// throws:  InputError naming the part (by `names`) that does not fit
 /// differs: exact for pixels whose samples weigh alike; pixel filters that weigh them make it approximate
 Image merge_images(std::span<const Image> parts, std::span<const std::string> names);
+
+/// What an edit changes, by two pictures of the same random numbers, before and after.
+///   after - before, of R, G, B and all layers of estimates; Albedo, N, Depth of `after`
+/// out:     no VarMean: the noise of one is partly that of the other, and how far no pair knows. The spread over pairs
+///          with their own random numbers does (average_images).
+/// throws:  InputError (by the names) when the two do not fit
+Image difference_of(const Image& after, const Image& before, const std::string& after_name, const std::string& before_name);
 
 /// The same of transient cubes, row by row: neither parts nor result are ever held.
 /// throws:  InputError naming the part of another size, window or response

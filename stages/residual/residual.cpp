@@ -50,6 +50,18 @@ Image read_old_picture(const std::string& file, const Scene& old_scene, const st
     return image;
 }
 
+/// A residual that was made before: merged passes, a difference of path graphs.
+Image read_residual(const std::string& file, const Scene& new_scene, const std::string& scene_name) {
+    Image image = read_image(file);
+    if (image.width != new_scene.sensor.width || image.height != new_scene.sensor.height)
+        throw InputError(fmt::format("{}: is {} x {}, but the film of {} has {} x {} pixels", file, image.width, image.height, scene_name,
+                                     new_scene.sensor.width, new_scene.sensor.height));
+    for (const char* c : rgb)
+        if (image.find(std::string("VarMean.") + c).empty())
+            throw InputError(fmt::format("{}: does not say how noisy it is (no channel VarMean.{}); loom-residual and loom-merge of two or more passes write it", file, c));
+    return image;
+}
+
 void check_endings(const Options& options) {
     const auto check = [](const std::string& flag, const std::string& file, const char* ending) {
         if (file.empty()) return;
@@ -60,10 +72,11 @@ void check_endings(const Options& options) {
     check("--new", options.new_picture, ".exr");
     check("--png", options.png, ".png");
     check("--residual-png", options.residual_png, ".png");
+    if (!options.residual.empty() && !options.output.empty()) throw InputError(fmt::format("-o: the residual is there, {}; give --new", options.residual));
     if (options.output.empty() && options.new_picture.empty()) throw InputError("-o: missing (an .exr file), or --new with --old");
     if (!options.png.empty() && options.new_picture.empty()) throw InputError("--png: is of the new picture; give --new and --old");
     if (!options.new_picture.empty() && options.old_picture.empty()) throw InputError("--new: is the sum of the residual and the old picture; give --old");
-    if (!options.new_picture.empty() && options.spp < 2) throw InputError("--spp 1: one sample has no variance, so that --new could not say its own; at least 2");
+    if (!options.new_picture.empty() && options.residual.empty() && options.spp < 2) throw InputError("--spp 1: one sample has no variance, so that --new could not say its own; at least 2");
 }
 
 }  // namespace
@@ -75,6 +88,7 @@ void declare(app::Command& command, Options& options) {
     command.option("--old-define", options.old_defines, "the same in the old scene only, after -D");
     command.option("--new-define", options.new_defines, "the same in the new scene only, after -D");
     command.file("--old", options.old_picture, "picture of the old scene (EXR with VarMean)");
+    command.file("--residual", options.residual, "a residual made before, of passes or path graphs (loom-merge), to be added to --old: nothing is traced");
     command.output("-o,--output", options.output, "the residual, new minus old: signed R, G, B with VarMean, and Albedo, N, Depth of the new scene");
     command.output("--new", options.new_picture, "picture of the new scene: --old plus the residual");
     command.output("--png", options.png, "preview of --new");
@@ -137,7 +151,7 @@ void run(const Options& options, app::Report& report) {
     for (const std::string& note : edit.notes) report.info("{}", note);
     if (edit.nothing()) report.info("edit: nothing differs");
     for (const std::string& line : edit.changes) report.info("edit: {}", line);
-    report.info("plan: {}", choice.plan);
+    if (options.residual.empty()) report.info("plan: {}", choice.plan);
 
     const auto old_scene = build_scene(std::move(old_description)), new_scene = build_scene(std::move(new_description));
     for (const std::string& note : new_scene->notes) report.info("{}", note);
@@ -151,17 +165,20 @@ void run(const Options& options, app::Report& report) {
     path.rr_depth = new_scene->rr_depth;
     path.max_depth = options.max_depth.value_or(new_scene->max_depth);
     Counts counts;
-    Image residual = render_residual({*old_scene, *new_scene}, choice.method, path, {options.first_sample, options.spp, options.threads}, report, counts);
+    const bool made = !options.residual.empty();
+    Image residual = made ? read_residual(options.residual, *new_scene, new_name)
+                          : render_residual({*old_scene, *new_scene}, choice.method, path, {options.first_sample, options.spp, options.threads}, report, counts);
+    const std::string how = made ? residual.provenance.plan : choice.plan;
     residual.provenance.stage = report.name();
     residual.provenance.command = report.command();
     residual.provenance.seed = options.seed;
-    residual.provenance.plan = fmt::format("edit: {}; {}", edit.nothing() ? "nothing differs" : fmt::format("{}", fmt::join(edit.changes, "; ")), choice.plan);
+    residual.provenance.plan = fmt::format("edit: {}; {}", edit.nothing() ? "nothing differs" : fmt::format("{}", fmt::join(edit.changes, "; ")), how);
     residual.provenance.inputs = {{old_name, content_hash_text(old_scene->content_hash)}, {new_name, content_hash_text(new_scene->content_hash)}};
 
     Cost cost = report.cost();
     cost.load_s = loading.cpu_s;
     cost.rays = counts.rays;
-    cost.samples = new_scene->sensor.n_pixels() * options.spp;
+    cost.samples = made ? 0 : new_scene->sensor.n_pixels() * options.spp;
     cost.plan = residual.provenance.plan;
     cost.sources = {old_name};
     if (new_name != old_name) cost.sources.push_back(new_name);
@@ -177,8 +194,10 @@ void run(const Options& options, app::Report& report) {
     if (!options.new_picture.empty()) {
         Image sum = add_residual(old_picture, residual);
         sum.provenance.inputs.push_back(identify(options.old_picture));
+        if (made) sum.provenance.inputs.push_back(identify(options.residual));
         // All that this run cost is the new picture's, whether the residual is kept or not.
         cost.parents = {parent_of(options.new_picture, options.old_picture)};
+        if (made) cost.parents.push_back(parent_of(options.new_picture, options.residual));
         write(sum, options.new_picture);
         if (!options.png.empty()) write_png(sum, options.png);
     }
