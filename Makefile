@@ -2,7 +2,7 @@
 
 .DEFAULT_GOAL := demo
 .DELETE_ON_ERROR:
-.PHONY: demo image edit transient chart chart-transient chart-all report table choices test test-full stability asan bench peers peers-transient oidn tools build stages clean help
+.PHONY: demo image edit transient chart chart-transient chart-edit-graph chart-all report table choices test test-full stability asan bench peers peers-transient oidn tools build stages clean help
 SHELL := /bin/sh
 
 BUILD ?= build
@@ -64,6 +64,9 @@ chart: stages ## error against cost of METHODS on SCENE; the last lines are the 
 
 chart-transient: stages ## error of the cubes of SCENE against paths and cost; the last lines are the paths of the charts
 	@$(MAKE) --no-print-directory -f pipelines/chart-transient.mk chart-transient
+
+chart-edit-graph: stages ## error, bias and variance of the residual of OLD to NEW by path graphs and by paths; the last lines are the paths of the charts
+	@$(MAKE) --no-print-directory -f pipelines/chart-edit-graph.mk chart-edit-graph
 
 chart-all: stages ## charts of pt, west and pathgraph on many scenes at small size, OUT=out/chart-all; DOCS= copies them
 	@$(MAKE) --no-print-directory -f pipelines/chart-all.mk chart-all

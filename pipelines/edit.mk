@@ -9,8 +9,14 @@
 
 OLD ?= scenes/cornell-box.xml  ## scene before the edit
 # NEW=  ## scene after the edit (OLD, with NEW_DEFINES)
-METHOD ?= auto  ## of the residual: correlated, independent or auto
-SPP ?= 8  ## pairs of paths per pixel of the residual
+METHOD ?= auto  ## of the residual: correlated, independent, auto, or graph: the difference of two path graphs, biased a little
+SPP ?= 8  ## pairs of paths per pixel of the residual; graph: of each of its PASSES
+# PASSES=  ## of graph: passes, whose spread is its variance (4)
+# K=  ## of graph: vertices of a cluster (as of make image)
+# ITERATIONS=  ## of graph: steps of the refinement (6)
+# UNBIASED=  ## of graph: 1: what the paths of some passes say beyond it is added, which leaves no bias and most of their noise
+# CLUSTER=  ## of graph: further options of loom-cluster; REFINE, GATHER, MERGE likewise
+# KEEP=  ## of graph: 1: keep the graphs
 BASE_SPP ?= 64  ## samples per pixel of OLD's picture
 # DEFINES=  ## values of the parameters of both scenes
 # OLD_DEFINES=  ## values of OLD only
@@ -30,8 +36,8 @@ BASE_SPP := $(strip $(BASE_SPP))
 
 include pipelines/words.mk
 
-ifeq ($(filter auto correlated independent,$(METHOD)),)
-$(error METHOD=$(METHOD): must be auto, correlated or independent)
+ifeq ($(filter auto correlated independent graph,$(METHOD)),)
+$(error METHOD=$(METHOD): must be auto, correlated, independent or graph)
 endif
 ifneq ($(shell printf '%s\n' $(call quote,$(SPP)) $(call quote,$(BASE_SPP)) | grep -cxE '[1-9][0-9]{0,8}'),2)
 $(error SPP=$(SPP) BASE_SPP=$(BASE_SPP): must be whole numbers from 1)
@@ -66,10 +72,19 @@ $(eval $(call parameter,$(BASE)/old.parameters,$(old_parameters)))
 $(BASE)/old.exr: $(call scene,$(OLD)) $(BASE)/old.parameters $(trace)
 	$(LAUNCH) $(trace) $(old_parameters)$(threads) --depfile $(BASE)/old.d -o $@
 
+ifeq ($(METHOD),graph)
+include pipelines/edit-graph.mk
+edit_parameters = $(call quote,$(OLD)) $(call quote,$(NEW))$(call defines,-D,$(DEFINES))$(call defines,--old-define,$(OLD_DEFINES))$(call defines,--new-define,$(NEW_DEFINES))
+$(eval $(call parameter,$(OUT)/edit.parameters,graph))
+$(OUT)/new.exr: $(OUT)/residual.exr $(BASE)/old.exr $(OUT)/edit.parameters $(residual)
+	$(LAUNCH) $(residual) $(edit_parameters) --residual $(OUT)/residual.exr --old $(BASE)/old.exr --depfile $(OUT)/edit.d \
+		--residual-png $(OUT)/residual.png --new $(OUT)/new.exr
+else
 $(eval $(call parameter,$(OUT)/edit.parameters,$(edit_parameters)))
 $(OUT)/new.exr $(OUT)/residual.exr &: $(call scene,$(OLD)) $(call scene,$(NEW)) $(BASE)/old.exr $(OUT)/edit.parameters $(residual)
 	$(LAUNCH) $(residual) $(edit_parameters)$(threads) --old $(BASE)/old.exr --depfile $(OUT)/edit.d \
 		-o $(OUT)/residual.exr --residual-png $(OUT)/residual.png --new $(OUT)/new.exr
+endif
 
 $(eval $(call parameter,$(OUT)/preview.parameters,$(EXPOSURE)))
 $(OUT)/new.png: $(OUT)/new.exr $(OUT)/preview.parameters $(inspect)

@@ -54,8 +54,57 @@ TEST_F(MakeEdit, edits_share_the_picture_before) {
         for (std::size_t i = 0; i < sum.n_pixels(); ++i) EXPECT_EQ(sum.find(channel)[i], before.find(channel)[i] + residual.find(channel)[i]) << channel;
 }
 
+// The difference of path graphs: old + residual, its passes made once, the graphs gone; the same scene is 0.
+TEST_F(MakeEdit, by_path_graphs) {
+    const std::string light = "METHOD=graph PASSES=4 NEW_DEFINES=light=20,10,5";
+    const std::string first = made("g", light);
+    const auto passes_time = fs::last_write_time(folder / "g/graph/new-0.exr");
+    EXPECT_TRUE(first == made("g", light + " THREADS=1"));
+    for (const char* file : {"g/residual.exr", "g/residual.png", "g/new.png", "g/new.exr.cost.json"}) EXPECT_TRUE(fs::exists(folder / file)) << file;
+    for (const auto& file : files()) EXPECT_FALSE(file.ends_with(".h5")) << file;
+    const Image before = read_image(folder / "base/old.exr"), residual = read_image(folder / "g/residual.exr"), sum = read_image(folder / "g/new.exr");
+    EXPECT_EQ(residual.samples, 8u);
+    EXPECT_FALSE(residual.find("Blend.Path").empty());
+    for (const char* channel : {"R", "G", "B", "VarMean.R"})
+        for (std::size_t i = 0; i < sum.n_pixels(); ++i) EXPECT_EQ(sum.find(channel)[i], before.find(channel)[i] + residual.find(channel)[i]) << channel;
+    // Another way to merge them makes no pass anew.
+    EXPECT_FALSE(first == made("g", light + " UNBIASED=1"));
+    EXPECT_EQ(fs::last_write_time(folder / "g/graph/new-0.exr"), passes_time);
+    EXPECT_TRUE(read_image(folder / "g/residual.exr").find("Blend.Path").empty());
+    // What it cost, once each: 4 passes of two scenes, a common clustering of each.
+    const Outcome cost = sh(stage("compare") + " --quiet --cost " + (folder / "g/residual.exr").string());
+    EXPECT_EQ(cost.code, 0) << cost.err;
+
+    made("same", "METHOD=graph PASSES=2");
+    const Image zero = read_image(folder / "same/residual.exr");
+    for (const char* channel : {"R", "G", "B", "VarMean.R", "VarMean.G", "VarMean.B"})
+        for (const float v : zero.find(channel)) ASSERT_EQ(v, 0.0f) << channel;
+}
+
+TEST_F(MakeEdit, what_does_not_go_together_is_refused) {
+    const std::string box = " scenes/cornell-box.xml -D resx=24 -D resy=16 --spp 2 --quiet ";
+    ASSERT_EQ(sh(stage("trace") + box + "-o " + in("a.exr") + " && " + stage("trace") + box + "--seed 1 -o " + in("b.exr")).code, 0);
+    const auto refused = [&](const std::string& command, const std::string& message) {
+        const Outcome outcome = sh(command);
+        EXPECT_EQ(outcome.code, 2) << command;
+        EXPECT_NE(outcome.err.find(message), std::string::npos) << command << "\n" << outcome.err;
+    };
+    const std::string merge = stage("merge") + " " + in("a.exr") + " -o " + in("x.exr"), cluster = stage("cluster") + " " + in("a.h5");
+    refused(merge + " --minus " + in("b.exr"), "only the same random numbers have noise in common");
+    refused(merge + " --minus " + in("a.exr") + " --minus " + in("b.exr"), "2 images for 1 parts");
+    refused(merge + " --unbiased 1", "does not say what its paths alone know");
+    ASSERT_EQ(sh(stage("trace") + box + "-o " + in("a.h5")).code, 0);
+    refused(cluster + " -o " + in("x.h5") + " --with " + in("a.h5"), "needs --with-output");
+    refused(cluster + " -o " + in("x.h5") + " --with-output " + in("y.h5"), "needs --with");
+    EXPECT_FALSE(fs::exists(folder / "x.exr"));
+    EXPECT_FALSE(fs::exists(folder / "x.h5"));
+    ASSERT_EQ(sh(merge + " --minus " + in("a.exr")).code, 0);
+    refused(stage("residual") + " scenes/cornell-box.xml -D resx=24 -D resy=16 --old " + in("a.exr") + " --new " + in("n.exr") + " --residual " + in("x.exr"),
+            "does not say how noisy it is");
+}
+
 TEST_F(MakeEdit, wrong_variables_are_refused) {
-    for (const char* wrong : {"METHOD=none", "SPP=0", "BASE_SPP=x", "OLD=missing.xml", "NEW=missing.xml", "OUT='two words'", "NEW_DEFINES=resx=25"}) {
+    for (const char* wrong : {"METHOD=graph PASSES=1", "METHOD=graph K=0", "METHOD=graph UNBIASED=2", "METHOD=none", "SPP=0", "BASE_SPP=x", "OLD=missing.xml", "NEW=missing.xml", "OUT='two words'", "NEW_DEFINES=resx=25"}) {
         const Outcome outcome = sh(edit("x", wrong));
         EXPECT_EQ(outcome.code, 2) << wrong << "\n" << outcome.err;
         EXPECT_EQ(outcome.out, "");

@@ -1,0 +1,84 @@
+# METHOD=graph of edit.mk: the residual as the difference of two path graphs on common clusters.
+#
+# Per pass: trace both scenes with the same random numbers, put the vertices of both graphs into the same clusters, let each
+# graph share its light (refine) and gather its picture; then merge the differences of the pictures. What the graphs have in
+# common has the same noise and the same blur in both. The spread between passes is the variance: no pass knows its own.
+#
+# in:   what edit.mk has
+# out:  OUT/residual.exr
+
+graph_work := $(OUT)/graph
+PASSES := $(or $(strip $(PASSES)),4)
+ITERATIONS := $(or $(strip $(ITERATIONS)),6)
+UNBIASED := $(or $(strip $(UNBIASED)),0)
+ifeq ($(strip $(K)),)
+K := $(shell awk 'BEGIN { k = int(16 * sqrt("$(SPP)")); print (k < 1 ? 1 : k > 128 ? 128 : k) }')
+endif
+K := $(strip $(K))
+ifneq ($(shell printf '%s\n' $(call quote,$(K)) $(call quote,$(ITERATIONS)) $(call quote,$(PASSES)) | grep -cxE '[1-9][0-9]{0,8}'),3)
+$(error K=$(K) ITERATIONS=$(ITERATIONS) PASSES=$(PASSES): must be whole numbers from 1)
+endif
+ifeq ($(PASSES),1)
+$(error PASSES=1: the variance of a difference of path graphs is the spread between passes; at least 2)
+endif
+ifneq ($(shell printf '%s\n' $(call quote,$(UNBIASED)) | grep -cxE '0|1'),1)
+$(error UNBIASED=$(UNBIASED): must be 0 or 1)
+endif
+# A quarter of the passes correct the others, at least two, and those that are left are none or at least two.
+corrected := $(shell n=$(PASSES); m=$$((n / 4)); [ $$m -ge 2 ] || m=2; [ $$((n - m)) != 1 ] || m=$$n; echo $$m)
+
+cluster := $(BUILD)/bin/loom-cluster
+refine := $(BUILD)/bin/loom-refine
+gather := $(BUILD)/bin/loom-gather
+merge := $(BUILD)/bin/loom-merge
+numbers := $(shell seq 0 $$(($(PASSES) - 1)))
+sides := old new
+in_pass = $(foreach s,$(sides),$(numbers:%=$(graph_work)/$(s)-%.$(1)))
+graphs := $(call in_pass,h5)
+pictures := $(call in_pass,exr)
+
+# Not the seed of OLD's picture, whose noise would be in the residual too.
+graph_seed := $(shell echo $$(($(or $(SEED),0) + 2000003)))
+old_scene_parameters = $(call quote,$(OLD))$(call defines,-D,$(DEFINES) $(OLD_DEFINES))
+new_scene_parameters = $(call quote,$(NEW))$(call defines,-D,$(DEFINES) $(NEW_DEFINES))
+graph_parameters = --spp $(SPP) --seed $(graph_seed)
+
+# All graphs of a scene are traced by one process, so that it is read once; each goes once its picture is there.
+.SECONDARY: $(graphs) $(call in_pass,clusters.h5) $(call in_pass,radiance.h5)
+$(eval $(call parameter,$(graph_work)/trace.parameters,$(old_scene_parameters) $(new_scene_parameters) $(graph_parameters)))
+define traced
+$(numbers:%=$(graph_work)/$(1)-%.h5) &: $(call scene,$(2)) $(graph_work)/trace.parameters $(trace)
+	$(LAUNCH) $(trace) $($(1)_scene_parameters) $(graph_parameters) --passes $(PASSES)$(threads) --depfile $(graph_work)/$(1).d \
+		-o $(graph_work)/$(1)-%.h5
+endef
+$(eval $(call traced,old,$(OLD)))
+$(eval $(call traced,new,$(NEW)))
+-include $(wildcard $(sides:%=$(graph_work)/%.d))
+
+cluster_parameters = --k $(K)$(if $(CLUSTER), $(CLUSTER))
+$(eval $(call parameter,$(graph_work)/cluster.parameters,$(cluster_parameters)))
+define clustered
+$(graph_work)/old-$(1).clusters.h5 $(graph_work)/new-$(1).clusters.h5 &: $(graph_work)/old-$(1).h5 $(graph_work)/new-$(1).h5 $(graph_work)/cluster.parameters $(cluster)
+	$(LAUNCH) $(cluster) $(graph_work)/old-$(1).h5 --with $(graph_work)/new-$(1).h5 $(cluster_parameters) --seed $(1) \
+		-o $(graph_work)/old-$(1).clusters.h5 --with-output $(graph_work)/new-$(1).clusters.h5$(threads)
+endef
+$(foreach i,$(numbers),$(eval $(call clustered,$(i))))
+
+refine_parameters = --iterations $(ITERATIONS)$(if $(REFINE), $(REFINE))
+$(eval $(call parameter,$(graph_work)/refine.parameters,$(refine_parameters)))
+$(call in_pass,radiance.h5): $(graph_work)/%.radiance.h5: $(graph_work)/%.h5 $(graph_work)/%.clusters.h5 $(graph_work)/refine.parameters $(refine)
+	$(LAUNCH) $(refine) $(filter %.h5,$^) $(refine_parameters) -o $@$(threads)
+
+gather_parameters = --estimates$(if $(GATHER), $(GATHER))
+$(eval $(call parameter,$(graph_work)/gather.parameters,$(gather_parameters)))
+$(pictures): $(graph_work)/%.exr: $(graph_work)/%.h5 $(graph_work)/%.radiance.h5 $(if $(filter subset,$(GATHER)),$(graph_work)/%.clusters.h5) $(graph_work)/gather.parameters $(gather)
+	$(LAUNCH) $(gather) $(filter %.h5,$^) $(gather_parameters) -o $@$(threads)
+
+merge_parameters = $(if $(filter 1,$(UNBIASED)),--unbiased $(corrected),$(MERGE))
+$(eval $(call parameter,$(graph_work)/merge.parameters,$(PASSES) $(merge_parameters)))
+$(OUT)/residual.exr: $(pictures) $(graph_work)/merge.parameters $(merge)
+	$(LAUNCH) $(merge) $(numbers:%=$(graph_work)/new-%.exr) $(numbers:%=--minus $(graph_work)/old-%.exr) $(merge_parameters) -o $@
+	$(if $(filter-out 0,$(KEEP)),,rm -f $(graphs) $(call in_pass,clusters.h5) $(call in_pass,radiance.h5))
+
+$(cluster) $(refine) $(gather) $(merge) &:
+	$(MAKE) --no-print-directory -f Makefile stages
