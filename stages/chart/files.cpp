@@ -210,9 +210,9 @@ Files part_files(const std::string& stem, const Table& table, const Options& opt
     const int lines = (int(scenes.size()) + columns - 1) / columns;
     if (scenes.size() > 1) body += fmt::format("set multiplot layout {},{}\n", lines, columns);
     body += fmt::format(
-        "set logscale xy\nset xlabel {}\nset ylabel 'part of the relMSE'\n"
+        "set logscale xy\nset xlabel {}\nset ylabel 'part of the {}'\n"
         "set key outside top center horizontal\n",
-        in_quotes(words_for(options.x)));
+        in_quotes(words_for(options.x)), table.has("relmse") || !table.has("mse") ? "relMSE" : "MSE");
     std::size_t row = 1;  // of the data; 0 is its head
     for (const std::string& scene : scenes) {
         LogAxis x, y;
