@@ -9,7 +9,7 @@
 
 OLD ?= scenes/cornell-box.xml  ## scene before the edit
 # NEW=  ## scene after the edit (OLD, with NEW_DEFINES)
-METHOD ?= auto  ## of the residual: correlated, independent, auto, or graph: the difference of two path graphs, biased a little
+METHOD ?= auto  ## of the residual: correlated, independent, dynamic, auto, or graph: the difference of two path graphs, biased a little
 SPP ?= 8  ## pairs of paths per pixel of the residual; graph: of each of its PASSES
 # PASSES=  ## of graph: passes, whose spread is its variance (4)
 # K=  ## of graph: vertices of a cluster (as of make image)
@@ -36,8 +36,8 @@ BASE_SPP := $(strip $(BASE_SPP))
 
 include pipelines/words.mk
 
-ifeq ($(filter auto correlated independent graph,$(METHOD)),)
-$(error METHOD=$(METHOD): must be auto, correlated, independent or graph)
+ifeq ($(filter auto correlated independent dynamic graph,$(METHOD)),)
+$(error METHOD=$(METHOD): must be auto, correlated, independent, dynamic or graph)
 endif
 ifneq ($(shell printf '%s\n' $(call quote,$(SPP)) $(call quote,$(BASE_SPP)) | grep -cxE '[1-9][0-9]{0,8}'),2)
 $(error SPP=$(SPP) BASE_SPP=$(BASE_SPP): must be whole numbers from 1)

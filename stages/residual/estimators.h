@@ -13,7 +13,7 @@ class Report;
 
 namespace loom::residual {
 
-enum class Method : std::uint8_t { automatic, correlated, independent };
+enum class Method : std::uint8_t { automatic, correlated, independent, dynamic };
 
 /// The two scenes of an edit; film and camera are the same.
 struct ScenePair {

@@ -12,6 +12,7 @@
 #include "stages/core/app/command.h"
 #include "stages/core/app/depfile.h"
 #include "stages/core/scene/build.h"
+#include "stages/residual/dynamic_estimator.h"
 
 namespace loom::residual {
 namespace {
@@ -79,6 +80,17 @@ void check_endings(const Options& options) {
     if (!options.new_picture.empty() && options.residual.empty() && options.spp < 2) throw InputError("--spp 1: one sample has no variance, so that --new could not say its own; at least 2");
 }
 
+Image render_by_dynamic_paths(const ScenePair& scenes, const Edit& edit, const Options& options, const PathOptions& path, app::Report& report, Counts& counts) {
+    DynamicOptions dynamic;
+    dynamic.mapping = !options.no_mapping;
+    dynamic.limits.d_min = 0.01f * scenes.new_scene.radius;
+    DynamicCounts counted;
+    Image image = render_dynamic(scenes, edit, dynamic, path, {options.first_sample, options.spp, options.threads}, report, counted);
+    counts = counted.counts;
+    if (counted.n_unrelocated > 0) report.info("{} samples of ghosts lie on a segment that does not reach them (surfaces in one place)", counted.n_unrelocated);
+    return image;
+}
+
 }  // namespace
 
 void declare(app::Command& command, Options& options) {
@@ -94,7 +106,8 @@ void declare(app::Command& command, Options& options) {
     command.output("--png", options.png, "preview of --new");
     command.output("--residual-png", options.residual_png, "the residual in false colours: blue is darker now, red is brighter");
     command.choice("--method", options.method, "pairs of paths with the same random numbers, or with different ones",
-                   {{"auto", Method::automatic}, {"correlated", Method::correlated}, {"independent", Method::independent}});
+                   {{"auto", Method::automatic}, {"correlated", Method::correlated}, {"independent", Method::independent}, {"dynamic", Method::dynamic}});
+    command.flag("--no-mapping", options.no_mapping, "dynamic: pair paths of the two scenes by their random numbers alone");
     command.option("--spp", options.spp, "pairs of paths per pixel", app::Range<std::uint64_t>{1, 1u << 30});
     command.option("--first-sample", options.first_sample, "number of the first sample of each pixel");
     command.option("--seed", options.seed, "seed of all random numbers; those of loom-trace with the same seed are others");
@@ -109,7 +122,13 @@ Choice choose(Method asked, const Edit& edit) {
     const Method method = asked == Method::automatic ? Method::correlated : asked;
     const std::string why = asked == Method::automatic ? "" : ", as asked";
     std::string plan;
-    if (method == Method::correlated)
+    if (method == Method::dynamic) {
+        const bool moves = edit.n_dynamic() + edit.n_ghosts() > 0;
+        plan = fmt::format("on: path tracing with paths that the edit cannot change left out; {}{}as asked",
+                           moves ? "paths from moved, added and removed shapes and from their ghosts (techniques 1 to 6); " : "",
+                           edit.n_dyed() > 0 ? "paths from repainted shapes (techniques 1 to 3), " : "");
+        if (!moves) plan += "; off: ghosts (nothing moves)";
+    } else if (method == Method::correlated)
         plan = "on: correlated paths (same random numbers in both scenes: a path that meets nothing of the edit differs by 0" + why +
                "); off: independent paths (more noise for all but the largest edits)";
     else
@@ -167,7 +186,9 @@ void run(const Options& options, app::Report& report) {
     Counts counts;
     const bool made = !options.residual.empty();
     Image residual = made ? read_residual(options.residual, *new_scene, new_name)
-                          : render_residual({*old_scene, *new_scene}, choice.method, path, {options.first_sample, options.spp, options.threads}, report, counts);
+                          : choice.method == Method::dynamic
+                              ? render_by_dynamic_paths({*old_scene, *new_scene}, edit, options, path, report, counts)
+                              : render_residual({*old_scene, *new_scene}, choice.method, path, {options.first_sample, options.spp, options.threads}, report, counts);
     const std::string how = made ? residual.provenance.plan : choice.plan;
     residual.provenance.stage = report.name();
     residual.provenance.command = report.command();

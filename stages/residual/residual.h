@@ -25,6 +25,7 @@ struct Options {
     std::string output, new_picture;   // the residual, and the sum of the two
     std::string png, residual_png;     // previews of the sum, and of the residual in false colours
     Method method = Method::automatic;
+    bool no_mapping = false;           // dynamic: no path mappings
     std::uint64_t spp = 4;             // pairs of paths per pixel
     std::uint64_t first_sample = 0;
     std::uint64_t seed = 0;

@@ -14,6 +14,7 @@
 
 #include "stages/core/stats/chi_square.h"
 #include "stages/core/stats/moments.h"
+#include "stages/residual/dynamic_estimator.h"
 #include "tests/statistical/support.h"
 
 namespace loom::residual {
@@ -57,19 +58,29 @@ std::string base_text() {
     return text.replace(text.rfind("</scene>"), 8, sky);
 }
 
-std::unique_ptr<Scene> scene_of(const EditCase& edit) {
-    std::string text = base_text();
-    for (const auto& [from, to] : edit.changes) {
-        const auto at = text.rfind(from);
-        if (at == std::string::npos) throw std::logic_error(std::string("no such text: ") + from);
-        text.replace(at, std::string(from).size(), to);
+/// The scene file of an edit, for as long as it is needed: what is built from a description reads it again.
+class SceneFile {
+  public:
+    explicit SceneFile(const EditCase& edit) : file_(std::filesystem::temp_directory_path() / fmt::format("loom-edit-{}-{}.xml", getpid(), edit.name)) {
+        std::string text = base_text();
+        for (const auto& [from, to] : edit.changes) {
+            const auto at = text.rfind(from);
+            if (at == std::string::npos) throw std::logic_error(std::string("no such text: ") + from);
+            text.replace(at, std::string(from).size(), to);
+        }
+        std::ofstream(file_) << text;
     }
-    const auto file = std::filesystem::temp_directory_path() / fmt::format("loom-edit-{}-{}.xml", getpid(), edit.name);
-    std::ofstream(file) << text;
-    auto scene = load_scene(file, {{"resx", std::to_string(size)}, {"resy", std::to_string(size)}});
-    std::filesystem::remove(file);
-    return scene;
-}
+    ~SceneFile() { std::filesystem::remove(file_); }
+    SceneFile(const SceneFile&) = delete;
+    SceneFile& operator=(const SceneFile&) = delete;
+
+    SceneDescription read() const { return read_scene(file_.string(), {{"resx", std::to_string(size)}, {"resy", std::to_string(size)}}); }
+
+  private:
+    std::filesystem::path file_;
+};
+
+std::unique_ptr<Scene> scene_of(const EditCase& edit) { return build_scene(SceneFile(edit).read()); }
 
 struct Base {
     std::unique_ptr<Scene> scene;
@@ -106,6 +117,36 @@ Residuals residuals_of(const Scene& before, const Scene& after, Method method, s
             for (float v : image.find(std::string("VarMean.") + c).subspan(size * size / 4)) out.var_mean += double(v) / (3.0 * 0.75 * size * size * replicates);
     }
     return out;
+}
+
+/// The same from dynamic paths; the edit is found in the two files that the scenes come from.
+Residuals dynamic_residuals(const EditCase& before, const EditCase& after, const DynamicOptions& options, std::uint64_t spp, int threads = 1) {
+    const SceneFile old_file(before), new_file(after);
+    SceneDescription old_description = old_file.read(), new_description = new_file.read();
+    const Edit edit = find_edit(old_description, new_description);
+    const auto old_scene = build_scene(std::move(old_description)), new_scene = build_scene(std::move(new_description));
+    app::Report report;
+    report.set_quiet(true);
+    std::vector<Image> images(replicates);
+    tbb::parallel_for(0, replicates, [&](int i) {
+        PathOptions path = options_of(*new_scene);
+        path.seed = std::uint64_t(7000 + i);
+        DynamicCounts counts;
+        images[std::size_t(i)] = render_dynamic({*old_scene, *new_scene}, edit, options, path, {0, spp, threads}, report, counts);
+    });
+    Residuals out;
+    for (const Image& image : images) {
+        out.regions.push_back(region_means(image));
+        for (const char* c : rgb)
+            for (float v : image.find(std::string("VarMean.") + c).subspan(size * size / 4)) out.var_mean += double(v) / (3.0 * 0.75 * size * size * replicates);
+    }
+    return out;
+}
+
+Estimate mean_of(const Residuals& residual, int channel, int region, double sign = 1) {
+    std::vector<double> values;
+    for (const RegionMeans& means : residual.regions) values.push_back(sign * means[std::size_t(channel)][std::size_t(region)]);
+    return estimate_of(values);
 }
 
 /// Old + sign x residual, replicate by replicate.
@@ -157,6 +198,37 @@ TEST_P(OldPlusResidual, IsTheNewSceneRenderedAfresh) {
 }
 
 INSTANTIATE_TEST_SUITE_P(Edits, OldPlusResidual, testing::ValuesIn(edits()), [](const auto& info) { return std::string(info.param.name); });
+
+class DynamicPaths : public testing::TestWithParam<EditCase> {};
+
+// Dynamic paths against correlated paths, with mappings and without.
+TEST_P(DynamicPaths, HaveTheMeanOfCorrelatedPaths) {
+    const EditCase base_case{"base", {}};
+    const std::uint64_t spp = full_run() ? 64 : 2;
+    const auto scene = scene_of(GetParam());
+    const Residuals correlated = residuals_of(*base().scene, *scene, Method::correlated, 4 * spp);
+    for (const bool mapping : {true, false}) {
+        SCOPED_TRACE(mapping ? "mapped" : "not mapped");
+        DynamicOptions options;
+        options.mapping = mapping;
+        options.limits.d_min = 0.01f * scene->radius;
+        const Residuals dynamic = dynamic_residuals(base_case, GetParam(), options, spp);
+        const double alpha = sidak_alpha(int(2 * edits().size() * 3 * 65));
+        bool swapped_sign_seen = false;
+        for (int c = 0; c < 3; ++c)
+            for (int region = 0; region < 1 + n_tiles * n_tiles; ++region) {
+                const Estimate ours = mean_of(dynamic, c, region), theirs = mean_of(correlated, c, region);
+                EXPECT_GT(welch_p_value(ours, theirs), alpha)
+                    << fmt::format("channel {} region {}: dynamic {:.6g} +- {:.2g}, correlated {:.6g} +- {:.2g}", c, region, ours.mean, ours.se, theirs.mean, theirs.se);
+                swapped_sign_seen |= welch_p_value(mean_of(dynamic, c, region, -1), theirs) < alpha;
+            }
+        EXPECT_TRUE(swapped_sign_seen);
+        fmt::print("{}{}: variance of correlated over dynamic paths, at equal --spp: {:.3g}\n", GetParam().name, mapping ? "" : ", not mapped",
+                   4 * correlated.var_mean / dynamic.var_mean);
+    }
+}
+
+INSTANTIATE_TEST_SUITE_P(Edits, DynamicPaths, testing::ValuesIn(edits()), [](const auto& info) { return std::string(info.param.name); });
 
 // Bit for bit, for any number of threads. Break seen to fail: different seeds.
 TEST(Residual, OfTheSameSceneTwiceIsZero) {

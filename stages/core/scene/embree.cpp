@@ -5,6 +5,7 @@
 #include <pmmintrin.h>
 #include <xmmintrin.h>
 
+#include <algorithm>
 #include <stdexcept>
 #include <string>
 
@@ -22,8 +23,8 @@ struct AnalyticHit {
     float u, v;
 };
 
-/// Nearest root in (t_min, t_max), in double: a float quadratic loses the far side of a large sphere.
-bool intersect_sphere(const Shape& s, const Ray& r, AnalyticHit& hit) {
+/// Roots of the line of a ray, in double: a float quadratic loses the far side of a large sphere. False: none.
+bool sphere_roots(const Shape& s, const Ray& r, double roots[2]) {
     const Vector3<double> o{double(r.o.x) - s.center.x, double(r.o.y) - s.center.y, double(r.o.z) - s.center.z};
     const Vector3<double> d(r.d);
     const double a = length2(d), half_b = dot(o, d), radius = s.radius;
@@ -32,11 +33,21 @@ bool intersect_sphere(const Shape& s, const Ray& r, AnalyticHit& hit) {
     const double discriminant = a * (radius * radius - length2(nearest));
     if (discriminant < 0) return false;
     const double root = std::sqrt(discriminant);
-    double t = (-half_b - root) / a;
-    if (!(t > r.t_min && t < r.t_max)) t = (-half_b + root) / a;
-    if (!(t > r.t_min && t < r.t_max)) return false;
-    hit = {t, 0, 0};
+    roots[0] = (-half_b - root) / a;
+    roots[1] = (-half_b + root) / a;
     return true;
+}
+
+/// Nearest root in (t_min, t_max).
+bool intersect_sphere(const Shape& s, const Ray& r, AnalyticHit& hit) {
+    double roots[2];
+    if (!sphere_roots(s, r, roots)) return false;
+    for (double t : roots)
+        if (t > r.t_min && t < r.t_max) {
+            hit = {t, 0, 0};
+            return true;
+        }
+    return false;
 }
 
 bool intersect_disk(const Shape& s, const Ray& r, AnalyticHit& hit) {
@@ -91,8 +102,44 @@ void analytic_intersect(const RTCIntersectFunctionNArguments* args) {
     }
 }
 
+/// What crossings() hands to the functions below: they write all that a ray meets, and never stop it.
+struct CollectingContext {
+    RTCIntersectContext rtc;
+    std::vector<Hit>* hits;
+};
+
+void collect_triangle(const RTCFilterFunctionNArguments* args) {
+    std::vector<Hit>& hits = *reinterpret_cast<CollectingContext*>(args->context)->hits;
+    for (unsigned i = 0; i < args->N; ++i) {
+        if (!args->valid[i]) continue;
+        args->valid[i] = 0;
+        const Hit hit{RTCRayN_tfar(args->ray, args->N, i), RTCHitN_u(args->hit, args->N, i), RTCHitN_v(args->hit, args->N, i),
+                      RTCHitN_geomID(args->hit, args->N, i), RTCHitN_primID(args->hit, args->N, i)};
+        // A triangle that the builder has split is met in each of its parts.
+        const auto same = [&](const Hit& h) { return h.shape == hit.shape && h.primitive == hit.primitive; };
+        if (std::none_of(hits.begin(), hits.end(), same)) hits.push_back(hit);
+    }
+}
+
+void collect_analytic(const Shape& shape, unsigned index, const Ray& ray, std::vector<Hit>& hits) {
+    if (shape.kind == ShapeKind::sphere) {
+        double roots[2];
+        if (!sphere_roots(shape, ray, roots)) return;
+        for (double t : roots)
+            if (t > ray.t_min && t < ray.t_max) hits.push_back({float(t), 0, 0, index, 0});
+    } else if (AnalyticHit hit; intersect_disk(shape, ray, hit)) {
+        hits.push_back({float(hit.t), hit.u, hit.v, index, 0});
+    }
+}
+
 void analytic_occluded(const RTCOccludedFunctionNArguments* args) {
     const unsigned n = args->N;
+    if (args->context->filter == collect_triangle) {
+        std::vector<Hit>& hits = *reinterpret_cast<CollectingContext*>(args->context)->hits;
+        for (unsigned i = 0; i < n; ++i)
+            if (args->valid[i]) collect_analytic(*static_cast<const Shape*>(args->geometryUserPtr), args->geomID, lane(args->ray, n, i), hits);
+        return;
+    }
     for (unsigned i = 0; i < n; ++i) {
         AnalyticHit hit;
         if (args->valid[i] && intersect_analytic(*static_cast<const Shape*>(args->geometryUserPtr), lane(args->ray, n, i), hit))
@@ -115,12 +162,13 @@ struct RayEngine::Impl {
     }
 };
 
-RayEngine::RayEngine(const std::vector<Shape>& shapes) : impl_(std::make_unique<Impl>()) {
+RayEngine::RayEngine(const std::vector<Shape>& shapes, bool for_crossings) : impl_(std::make_unique<Impl>()) {
     prepare_ray_thread();
     impl_->device = rtcNewDevice(nullptr);
     if (!impl_->device) throw std::runtime_error("Embree cannot make a device");
     rtcSetDeviceErrorFunction(impl_->device, on_error, nullptr);
     impl_->scene = rtcNewScene(impl_->device);
+    if (for_crossings) rtcSetSceneFlags(impl_->scene, RTC_SCENE_FLAG_CONTEXT_FILTER_FUNCTION);
     rtcSetSceneBuildQuality(impl_->scene, RTC_BUILD_QUALITY_HIGH);
     for (std::size_t i = 0; i < shapes.size(); ++i) {
         const Shape& shape = shapes[i];
@@ -177,6 +225,16 @@ bool RayEngine::occluded(const Ray& ray) const {
     rtcInitIntersectContext(&context);
     rtcOccluded1(impl_->scene, &context, &r);
     return r.tfar < 0;
+}
+
+void RayEngine::crossings(const Ray& ray, std::vector<Hit>& hits) const {
+    hits.clear();
+    RTCRay r = to_rtc(ray);
+    CollectingContext context;
+    rtcInitIntersectContext(&context.rtc);
+    context.rtc.filter = collect_triangle;
+    context.hits = &hits;
+    rtcOccluded1(impl_->scene, &context.rtc, &r);
 }
 
 namespace {

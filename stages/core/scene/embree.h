@@ -12,15 +12,18 @@ struct Hit;
 /// The acceleration structure over all shapes of a scene. The shapes are borrowed and must outlive it.
 class RayEngine {
   public:
-    explicit RayEngine(const std::vector<Shape>& shapes);
+    /// in: for_crossings  it will be asked for crossings(), which costs the others a little
+    explicit RayEngine(const std::vector<Shape>& shapes, bool for_crossings = false);
     ~RayEngine();
     RayEngine(const RayEngine&) = delete;
     RayEngine& operator=(const RayEngine&) = delete;
 
     Hit intersect(const Ray& ray) const;
     bool occluded(const Ray& ray) const;
+    /// All surfaces that a ray passes through, in no order, each once; a sphere may be passed through twice.
+    void crossings(const Ray& ray, std::vector<Hit>& hits) const;
 
-    /// The same for many rays, sixteen at a time. in: rays, n; coherent: neighbours start and go alike
+    /// intersect() and occluded() of many rays, sixteen at a time. in: rays, n; coherent: neighbours start and go alike
     void intersect(const Ray* const* rays, std::size_t n, Hit* hits, bool coherent) const;
     void occluded(const Ray* const* rays, std::size_t n, bool* blocked) const;
 

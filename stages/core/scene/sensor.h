@@ -1,6 +1,7 @@
 #pragma once
 #include <array>
 #include <cstdint>
+#include <optional>
 #include <string>
 
 #include "stages/core/math/vector.h"
@@ -8,6 +9,16 @@
 namespace loom {
 
 struct Ray;
+
+/// Where a point of space lies on the film.
+struct FilmPoint {
+    Point2f film;      // pixels from the upper left corner; beyond the film where no camera ray goes
+    Point3f from;      // origin of the camera ray through the point
+    Vector3f d;        // and its direction
+    float t = 0;       // distance of the point along it, m
+    float t_min = 0;   // where the near plane is
+    double scale = 0;  // film area over area at right angles to the ray at the point, pixels^2 / m^2
+};
 
 /// nlos_capture_meter: its rays are those of Scene::nlos, not of sample_ray().
 enum class SensorKind : std::uint8_t { perspective, orthographic, nlos_capture_meter };
@@ -33,11 +44,23 @@ struct Sensor {
     /// Ray through pixel (x, y) at a film position that u chooses inside the pixel's filter.
     Ray sample_ray(std::uint32_t x, std::uint32_t y, Point2f u) const;
 
+    /// Nothing for a point behind the near plane or beyond the far one.
+    std::optional<FilmPoint> project(const Point3f& p) const;
+    /// Where on the film a ray of sample_ray() goes through.
+    FilmPoint film_of(const Ray& ray, float t) const;
+    /// Density of the film positions of pixel (x, y), pixels^-2: its reconstruction filter as sample_ray() draws from it.
+    float filter_density(std::uint32_t x, std::uint32_t y, Point2f film) const;
+
   private:
     /// Inverse of the filter's cumulative distribution, truncated to [low, high] pixels from the centre.
     float sample_offset(float u, float low, float high) const;
+    float offset_density(float x, float low, float high) const;
+    /// Of the Gaussian, over its whole support; x within it.
+    float gaussian_distribution(float x) const;
 
     std::array<Vector3f, 3> axes_;  // camera x, y, z in world space
+    std::array<Vector3<double>, 3> film_axes_;  // rows of the inverse of axes_
+    double cell_ = 1;                           // |det axes_| times the size of a pixel at distance 1, squared
     double scale_x_ = 1, scale_y_ = 1;  // orthographic half-extents
     std::array<float, 257> gaussian_cdf_{};
 };

@@ -1,0 +1,151 @@
+#include "stages/residual/dynamic_scene.h"
+
+#include "stages/core/sampling/warp.h"
+#include "stages/core/transport/path_step.h"
+
+namespace loom::residual {
+namespace {
+
+/// What a ray engine needs to know of a shape.
+Shape geometry_of(const Shape& shape) {
+    Shape copy = shape;
+    copy.emitter = -1;
+    return copy;
+}
+
+Normal3f normal_at(const Shape& shape, const Hit& hit, const Point3f& p) {
+    if (shape.kind == ShapeKind::mesh) return shape.triangles[hit.primitive].ng;
+    if (shape.kind == ShapeKind::sphere) return Normal3f(normalize(p - shape.center));
+    return Normal3f(normalize(cross(shape.u_axis, shape.v_axis)));
+}
+
+bool sided(const Scene& scene, const Shape& shape) {
+    const Material& material = scene.materials[shape.material];
+    return material.perturbed() || material.back >= 0;
+}
+
+}  // namespace
+
+void SiteShapes::add(const Scene& scene, std::uint32_t index, Member member) {
+    const Shape& shape = scene.shapes[index];
+    std::vector<double> areas;
+    double area = 0;
+    if (shape.kind == ShapeKind::mesh) {
+        for (const TriangleRecord& t : shape.triangles) areas.push_back(0.5 * length(cross(Vector3<double>(t.e1), Vector3<double>(t.e2))));
+        if (areas.empty()) return;
+        triangles_.emplace_back(areas);
+        area = triangles_.back().sum();
+    } else {
+        triangles_.emplace_back();
+        area = shape.kind == ShapeKind::sphere ? 4 * pi_double * sqr(double(shape.radius))
+                                               : pi_double * length(cross(Vector3<double>(shape.u_axis), Vector3<double>(shape.v_axis)));
+    }
+    members_.push_back(member);
+    shapes_.push_back(&shape);
+    areas_.push_back(area);
+}
+
+void SiteShapes::finish() {
+    if (!areas_.empty()) by_area_ = Distribution1(areas_);
+}
+
+SitePoint SiteShapes::sample(float u_choice, Point2f u) const {
+    SitePoint point;
+    point.member = std::uint32_t(by_area_.sample(u_choice));
+    const Shape& shape = *shapes_[point.member];
+    point.hit.shape = point.member;
+    if (shape.kind == ShapeKind::mesh) {
+        point.hit.primitive = std::uint32_t(triangles_[point.member].sample(u_choice));
+        const Point2f b = sample_triangle(u);
+        point.hit.u = b.x;
+        point.hit.v = b.y;
+        const TriangleRecord& t = shape.triangles[point.hit.primitive];
+        point.p = t.p0 + (t.e1 * b.x + t.e2 * b.y);
+    } else if (shape.kind == ShapeKind::sphere) {
+        point.p = shape.center + sample_uniform_sphere(u) * shape.radius;
+    } else {
+        const Point2f d = sample_concentric_disk(u);
+        point.hit.u = d.x;
+        point.hit.v = d.y;
+        point.p = shape.center + shape.u_axis * d.x + shape.v_axis * d.y;
+    }
+    point.ng = normal_at(shape, point.hit, point.p);
+    return point;
+}
+
+Vertex DynamicScene::vertex(const Ray& ray, const Hit& hit) const {
+    Vertex v;
+    v.at = scene.surface(ray, hit);
+    v.here = shading_point(scene, v.at, -ray.d);
+    v.hit = hit;
+    v.site = site_of[hit.shape];
+    v.sided = sided(scene, scene.shapes[hit.shape]);
+    return v;
+}
+
+ShadingPoint DynamicScene::aimed(const Vertex& v, const Vector3f& wo) const {
+    if (v.sided) {
+        Hit hit = v.hit;
+        hit.t = 1;
+        return shading_point(scene, scene.surface({v.at.p + wo, -wo}, hit), wo);
+    }
+    ShadingPoint here = v.here;
+    here.wo = wo;
+    here.wo_local = here.frame.to_local(wo);
+    return here;
+}
+
+Vertex DynamicScene::vertex(const SitePoint& point, std::uint32_t shape, const Vector3f& wo) const {
+    Hit hit = point.hit;
+    hit.shape = shape;
+    hit.t = 1;
+    return vertex(Ray{point.p + wo, -wo}, hit);
+}
+
+std::uint32_t DynamicScene::cross(const Ray& ray, std::vector<Hit>& scratch, std::vector<Crossing>& out) const {
+    if (!ghost_rays) return 0;
+    ghost_rays->crossings(ray, scratch);
+    for (const Hit& hit : scratch) {
+        const Point3f p = ray.o + ray.d * hit.t;
+        out.push_back({p, normal_at(ghosts[hit.shape], hit, p), hit.shape, hit.primitive});
+    }
+    return std::uint32_t(scratch.size());
+}
+
+DynamicScenes::DynamicScenes(const Scene& old_, const Scene& new_, const Edit& edit) : new_scene(new_, true), old_scene(old_, false) {
+    for (DynamicScene* side : {&old_scene, &new_scene}) {
+        const auto& shapes = side->is_new ? edit.new_shapes : edit.old_shapes;
+        const auto& emitters = side->is_new ? edit.new_emitters : edit.old_emitters;
+        side->site_of.assign(shapes.size(), no_site);
+        for (const ShapeEdit& shape : shapes) {
+            side->partner_of.push_back(shape.partner);
+            side->to_partner.push_back({shape.to_partner});
+        }
+        for (std::uint32_t i = 0; i < shapes.size(); ++i) {
+            const ShapeEdit& shape = shapes[i];
+            const bool moves = shape.dynamic(), repainted = (shape.changes & change::repainted) != 0;
+            if (!moves && !repainted) continue;
+            const Site site = moves ? side->own_site() : Site::repainted;
+            side->site_of[i] = std::uint8_t(site);
+            if (moves) movers.push_back(geometry_of(side->scene.shapes[i]));
+            if (moves || side->is_new)
+                sites[std::size_t(site)].add(side->scene, i, side->is_new ? SiteShapes::Member{i, shape.partner} : SiteShapes::Member{shape.partner, i});
+        }
+        for (const EmitterEdit& emitter : emitters) {
+            side->changed_emitter.push_back(emitter.changed);
+            lights_changed |= emitter.changed;
+        }
+    }
+    same_choice_of_lights = old_.emitters.size() == new_.emitters.size();
+    for (std::size_t i = 0; same_choice_of_lights && i < new_.emitters.size(); ++i)
+        same_choice_of_lights = edit.new_emitters[i].partner == i && old_.emitters[i].sampling_weight == new_.emitters[i].sampling_weight;
+    for (SiteShapes& site : sites) site.finish();
+    for (DynamicScene* side : {&old_scene, &new_scene}) {
+        const Scene& other = side->is_new ? old_ : new_;
+        for (const SiteShapes::Member& m : at(side->ghost_site()).members()) side->ghosts.push_back(geometry_of(other.shapes[side->is_new ? m.old_shape : m.new_shape]));
+        if (!side->ghosts.empty()) side->ghost_rays = std::make_unique<RayEngine>(side->ghosts, true);
+    }
+    if (!movers.empty()) mover_rays = std::make_unique<RayEngine>(movers);
+}
+
+}  // namespace loom::residual

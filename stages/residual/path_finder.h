@@ -1,0 +1,87 @@
+#pragma once
+// Finds whole paths by the seven techniques of [RP] §4, in one of the two scenes of an edit.
+
+#include <functional>
+#include <vector>
+
+#include "stages/residual/dynamic_path.h"
+
+namespace loom::residual {
+
+/// What a path was found by: the technique, and the vertex or crossing that it started from (as Term::place).
+struct Found {
+    Technique technique;
+    std::uint32_t place;
+    bool by_next_event = true;  // path tracing: else by hitting the light
+};
+
+/// One thread's. Paths that one sample finds share its vertices; each is shown once, and is gone afterwards.
+class PathFinder {
+  public:
+    using Visitor = std::function<void(const FullPath&, const Found&)>;
+
+    PathFinder(const DynamicScenes& scenes, const DynamicScene& side, const PathOptions& options);
+
+    /// Paths from one point of a site. With the same numbers in the two scenes the two points are the same: one of the
+    /// shape itself where the site is its place in either, the same in space where it is dynamic in one and a ghost in
+    /// the other.
+    /// needs: technique is 1 to 3 and the site dynamic here, or 4 to 6 and the site a ghost
+    void find(Technique technique, Site site, const Sampler& numbers, const Visitor& visit);
+
+    /// Paths of one camera sample, with the random numbers that loom-trace takes; static ones are not shown.
+    /// out: whether the same sample may be another path in the other scene
+    bool find_from_camera(PathId id, const Sampler& numbers, const Visitor& visit);
+
+    FirstHit first_hit;  // of the last camera sample
+    std::uint64_t n_rays = 0, n_vertices = 0;
+    std::uint64_t n_unrelocated = 0;  // samples of ghosts whose segment, looked at again, does not pass there
+
+  private:
+    /// A vertex of a walk: how the walk goes on from it, and how it is joined to the sensor or a light.
+    struct Stop {
+        Vertex v;
+        Vector3f back;        // to the vertex before, or to what the walk starts from
+        Vector3f ahead;       // to the next
+        Lobe lobe = Lobe::none;
+        Interaction onward;
+        Segment segment;      // to the next
+        bool joined = false;
+        Interaction end;
+        Segment end_segment;
+        SensorEnd sensor;
+        LightEnd light;
+        Vector3f to_light;    // of a camera path, until it is known to be needed
+    };
+
+    void to_sensor(const Sampler& numbers, int n_max);
+    void to_light(const Sampler& numbers, int n_max, bool first_too);
+    bool step(const Stop& from, Point2f u, Point2f u_lobe_roulette, Vector3f& d, Lobe& lobe, Hit& hit, Ray& ray);
+    void join_sensor(Stop& stop);
+    void join_light(Stop& stop, Point2f u);
+    bool occluded(const Ray& ray);
+    Hit intersect(const Ray& ray);
+    bool scatters(const Hit& hit) const;
+    Segment segment_between(const Vertex& sensor_side, const Vertex& light_side);
+    Segment segment_to_light(const Vertex& v, const LightEnd& light);
+    Segment segment_to_sensor(const Vertex& v, const FilmPoint& film);
+    LightEnd light_end(const LightSample& light) const;
+    std::uint32_t crossing_of(const Segment& segment, const SitePoint& point) const;
+
+    void show_to_sensor(const LightEnd& light, const Segment& light_segment, const Found& found, const Visitor& visit);
+    void show_from_sensor(const SensorEnd& sensor, const Segment& sensor_segment, const Found& found, std::size_t first, const Visitor& visit);
+    void show_two_ends(const Interaction* middle, const Vertex* middle_vertex, const Segment* between, int n_between, const Found& found, const Visitor& visit);
+
+    int longest() const { return options_.max_depth < 0 ? most_vertices : std::min(options_.max_depth - 1, most_vertices); }
+
+    static constexpr int most_vertices = 512;  // survival is at most 0.95 each
+
+    const DynamicScenes& scenes_;
+    const DynamicScene& side_;
+    PathOptions options_;
+    std::vector<Stop> z_, y_;  // walks towards the sensor and the light
+    std::vector<Crossing> crossings_;
+    std::vector<Hit> scratch_;
+    FullPath path_;
+};
+
+}  // namespace loom::residual
