@@ -2,7 +2,7 @@
 
 .DEFAULT_GOAL := demo
 .DELETE_ON_ERROR:
-.PHONY: demo image edit transient chart chart-transient chart-edit-graph chart-all report table choices test test-full stability asan bench peers peers-transient oidn tools build stages clean help
+.PHONY: demo image edit transient chart chart-transient chart-edit-graph chart-all report table table-edit edit-pictures choices test test-full stability asan bench peers peers-transient oidn tools build stages clean help
 SHELL := /bin/sh
 
 BUILD ?= build
@@ -58,6 +58,12 @@ transient: stages ## light in flight of SCENE, binned over time; with -s the onl
 
 edit: stages ## picture of NEW from that of OLD and the difference that the edit makes; with -s prints only its path
 	@$(MAKE) --no-print-directory -f pipelines/edit.mk edit
+
+table-edit: stages ## residuals beside correlated path tracing at equal time, a row per edit ([RP] Tables 2 and 3); takes ROWS= METHODS= OUT= DOCS=
+	@$(MAKE) --no-print-directory -f pipelines/table-edit.mk table-edit
+
+edit-pictures: stages ## old, new and residual of the edits of table-edit, as PNG; takes ROWS=
+	@$(MAKE) --no-print-directory -f pipelines/table-edit.mk edit-pictures
 
 chart: stages ## error against cost of METHODS on SCENE; the last lines are the paths of the charts
 	@$(MAKE) --no-print-directory -f pipelines/chart.mk chart
@@ -146,6 +152,8 @@ help: ## list targets and variables
 	@echo 'Variables of edit:'
 	@sed -n 's/^\([A-Z_]*\) ?= *\(.*[^ ]\)  *## \(.*\)/\1=\2\t\3/p; s/^# *\([A-Z_]*\)=  *## \(.*\)/\1=\t\2/p' \
 		pipelines/edit.mk | awk -F'\t' '{printf "  %-28s %s\n", $$1, $$2}'
+	@echo 'Variables of table-edit and edit-pictures, beside SEED and OUT (out/table-edit):'
+	@sed -n 's/^# *\([A-Z_]*\)=  *## \(.*\)/\1=\t\2/p' pipelines/table-edit.mk | awk -F'\t' '{printf "  %-28s %s\n", $$1, $$2}'
 	@echo 'Variables of the build:'
 	@printf '  %-28s %s\n' 'BUILD=$(BUILD)' 'build folder' 'JOBS=$(JOBS)' 'compilations at a time' \
 		'PEERS_PYTHON=$(PEERS_PYTHON)' 'an interpreter that has mitsuba, for peers'

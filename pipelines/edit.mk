@@ -22,6 +22,7 @@ BASE_SPP ?= 64  ## samples per pixel of OLD's picture
 # OLD_DEFINES=  ## values of OLD only
 # NEW_DEFINES=  ## values of NEW only: NEW_DEFINES="light=20"
 # SEED=  ## seed of the random numbers
+# BASE_SEED=  ## of OLD's picture, where it must not change with that of the residual (SEED)
 # THREADS=  ## threads of a stage (all); no result depends on it
 # EXPOSURE=  ## of the PNGs, in stops
 # OUT=  ## folder of the results (out/NAME/edit, after NEW)
@@ -47,8 +48,9 @@ ifneq ($(strip $(missing)),)
 $(error $(strip $(missing)): no such file)
 endif
 
+base_seed := $(or $(strip $(BASE_SEED)),$(strip $(SEED)))
 defines = $(foreach d,$(2), $(1) $(call quote,$(d)))
-old_parameters = $(call quote,$(OLD))$(call defines,-D,$(DEFINES) $(OLD_DEFINES)) --spp $(BASE_SPP)$(if $(SEED), --seed $(SEED))
+old_parameters = $(call quote,$(OLD))$(call defines,-D,$(DEFINES) $(OLD_DEFINES)) --spp $(BASE_SPP)$(if $(base_seed), --seed $(base_seed))
 edit_parameters = $(call quote,$(OLD)) $(call quote,$(NEW))$(call defines,-D,$(DEFINES))$(call defines,--old-define,$(OLD_DEFINES))$(call defines,--new-define,$(NEW_DEFINES)) \
 	--method $(METHOD) --spp $(SPP)$(if $(SEED), --seed $(SEED))
 

@@ -152,5 +152,21 @@ TEST_F(MakeEdit, passes_merge) {
         for (std::size_t i = 0; i < whole.n_pixels(); ++i) EXPECT_NEAR(whole.find(channel)[i], merged.find(channel)[i], 1e-4) << channel << " " << i;
 }
 
+// Breaks seen to fail: awk that only GNU's takes (mawk is Debian's).
+TEST_F(MakeEdit, table_has_a_row_per_method_and_is_made_once) {
+    const std::string table = "make -s table-edit BUILD='" + fs::path(LOOM_BIN_DIR).parent_path().string() + "' OUT=" + in("t") +
+                              " ROWS=blue METHODS='correlated dynamic' SPP=2 SPPS='2 4' REPLICATES=2 SIZE=24 REFERENCE_SPP=8 BASE_SPP=4";
+    const Outcome first = sh(table);
+    ASSERT_EQ(first.code, 0) << first.err;
+    EXPECT_EQ(first.out, in("t/table.md") + "\n");
+    const std::string text = bytes_of(folder / "t/table.md");
+    for (const char* row : {"### Materials (Table 2)", "| blue | correlated | 2 |", "| blue | correlated | 4 |", "| blue | dynamic | 2 |", "| 8.5 |"})
+        EXPECT_NE(text.find(row), std::string::npos) << row << "\n" << text;
+    const auto made_at = fs::last_write_time(folder / "t/table.md");
+    EXPECT_EQ(sh(table).code, 0);
+    EXPECT_EQ(fs::last_write_time(folder / "t/table.md"), made_at);
+    EXPECT_NE(sh(table + " ROWS=nothing").code, 0);
+}
+
 }  // namespace
 }  // namespace loom::pipeline
