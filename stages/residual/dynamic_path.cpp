@@ -7,6 +7,28 @@ double cosine(const Normal3f& n, const Vector3f& d) { return std::abs(double(dot
 
 }  // namespace
 
+bool FullPath::dynamic() const {
+    return light.changed || std::any_of(vertices.begin(), vertices.end(), [](const Interaction& x) { return x.site != no_site; }) ||
+           std::any_of(segments.begin(), segments.end(), [](const Segment& s) { return s.n > 0; });
+}
+
+Vector3f direction_to(const LightEnd& light, const Point3f& from) { return light.at_infinity ? Vector3f(light.y) : normalize(light.y - from); }
+
+Ray shadow_ray(const Vertex& v, const LightEnd& light) {
+    return light.at_infinity ? spawn_ray(v.at.p, v.at.ng, Vector3f(light.y)) : spawn_segment(v.at.p, v.at.ng, light.y);
+}
+
+Segment segment_between(const DynamicScene& side, const Vertex& s, const Vertex& l, Crossings& crossings) {
+    const Vector3f d = normalize(l.at.p - s.at.p);
+    const auto first = std::uint32_t(crossings.all.size());
+    return {std::abs(dot(s.at.ng, d)), std::abs(dot(l.at.ng, d)), first, side.cross(spawn_segment(s.at.p, s.at.ng, l.at.p), crossings)};
+}
+
+Segment segment_to_light(const DynamicScene& side, const Vertex& v, const LightEnd& light, Crossings& crossings) {
+    const auto first = std::uint32_t(crossings.all.size());
+    return {std::abs(dot(v.at.ng, direction_to(light, v.at.p))), 1, first, side.cross(shadow_ray(v, light), crossings)};
+}
+
 double survival(const ShadingPoint& here) { return std::min(max_channel(albedo(here.bsdf, here.wo_local)), max_survival); }
 
 bool scatters_on_both_sides(const Scene& scene, const ShadingPoint& here, const Vertex& vertex) {
@@ -60,10 +82,7 @@ Evaluation evaluate(const DynamicScenes& scenes, const DynamicScene& side, const
                     std::vector<Term>* terms) {
     const std::size_t m = path.m();
     Evaluation e;
-    e.dynamic = path.light.changed;
-    for (const Interaction& x : path.vertices) e.dynamic |= x.site != no_site;
-    for (const Segment& s : path.segments) e.dynamic |= s.n > 0;
-    if (!e.dynamic) return e;
+    if (!path.dynamic()) return e;
     e.F = path.light.Le;
     double nee = counts.per_pixel, hit = counts.per_pixel;
     for (std::size_t i = 0; i < m; ++i) {
@@ -121,7 +140,7 @@ Evaluation evaluate(const DynamicScenes& scenes, const DynamicScene& side, const
             if (i == m) {
                 if (path.light.delta && path.vertices[m - 1].specular) continue;
                 const Point3f& v = path.places[m - 1]->at.p;
-                const Vector3f to_light = path.light.at_infinity ? Vector3f(path.light.y) : normalize(path.light.y - v);
+                const Vector3f to_light = direction_to(path.light, v);
                 double nearer = 1;  // the light of a point falls off from the ghost to the vertex
                 if (path.light.delta && !path.light.at_infinity) nearer = double(length2(path.light.y - g.p)) / length2(path.light.y - v);
                 add(Technique::ghost_from_emitter, ghosts, c,

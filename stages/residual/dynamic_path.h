@@ -81,6 +81,7 @@ struct LightEnd {
     bool at_infinity = false, delta = false, changed = false;
 };
 
+/// Vertices and segments in turn, from the sensor.
 struct FullPath {
     SensorEnd sensor;
     LightEnd light;
@@ -88,10 +89,35 @@ struct FullPath {
     std::vector<const Vertex*> places;  // of the same
     std::vector<Segment> segments;      // m + 1
     const std::vector<Crossing>* crossings = nullptr;
-    std::vector<Hit>* scratch = nullptr;
 
     std::size_t m() const { return vertices.size(); }
+    /// Whether the edit can change it: else its difference is 0.
+    bool dynamic() const;
+
+    void start(const SensorEnd& from, const Segment& ahead) {
+        sensor = from;
+        vertices.clear();
+        places.clear();
+        segments.assign(1, ahead);
+    }
+    void add(const Interaction& x, const Vertex& place, const Segment& ahead) {
+        vertices.push_back(x);
+        places.push_back(&place);
+        segments.push_back(ahead);
+    }
+    void remove_last() {
+        vertices.pop_back();
+        places.pop_back();
+        segments.pop_back();
+    }
 };
+
+/// Segments of a scene, their crossings appended.
+Segment segment_between(const DynamicScene& side, const Vertex& sensor_side, const Vertex& light_side, Crossings& crossings);
+Segment segment_to_light(const DynamicScene& side, const Vertex& v, const LightEnd& light, Crossings& crossings);
+Vector3f direction_to(const LightEnd& light, const Point3f& from);
+/// The ray that finds out whether a vertex sees a light.
+Ray shadow_ray(const Vertex& v, const LightEnd& light);
 
 /// One way to find a path: expected number of samples of it per measure of the path.
 struct Term {
@@ -105,12 +131,12 @@ struct Evaluation {
     double site_density = 0;    // sum of the densities of techniques 1 to 6
     double camera_density = 0;  // of path tracing, both ways, to be multiplied by h_pixel
     double nee_density = 0;     // the part of next-event estimation
-    bool dynamic = false;       // a path that the edit can change: else its difference is 0
 };
 
 /// Density of next-event estimation from a point for the light point of a path.
 double light_pdf(const Scene& scene, const LightEnd& light, const Point3f& from);
 
+/// All 0 for a path that is not dynamic.
 /// in:  terms  null, or where each technique's density goes, in the order of places
 Evaluation evaluate(const DynamicScenes& scenes, const DynamicScene& side, const SampleCounts& counts, const PathOptions& options, const FullPath& path,
                     std::vector<Term>* terms);

@@ -102,14 +102,14 @@ Vertex DynamicScene::vertex(const SitePoint& point, std::uint32_t shape, const V
     return vertex(Ray{point.p + wo, -wo}, hit);
 }
 
-std::uint32_t DynamicScene::cross(const Ray& ray, std::vector<Hit>& scratch, std::vector<Crossing>& out) const {
+std::uint32_t DynamicScene::cross(const Ray& ray, Crossings& crossings) const {
     if (!ghost_rays) return 0;
-    ghost_rays->crossings(ray, scratch);
-    for (const Hit& hit : scratch) {
+    ghost_rays->crossings(ray, crossings.scratch);
+    for (const Hit& hit : crossings.scratch) {
         const Point3f p = ray.o + ray.d * hit.t;
-        out.push_back({p, normal_at(ghosts[hit.shape], hit, p), hit.shape, hit.primitive});
+        crossings.all.push_back({p, normal_at(ghosts[hit.shape], hit, p), hit.shape, hit.primitive});
     }
-    return std::uint32_t(scratch.size());
+    return std::uint32_t(crossings.scratch.size());
 }
 
 DynamicScenes::DynamicScenes(const Scene& old_, const Scene& new_, const Edit& edit) : new_scene(new_, true), old_scene(old_, false) {

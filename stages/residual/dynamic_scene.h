@@ -60,6 +60,12 @@ struct Crossing {
     std::uint32_t member = 0, primitive = 0;
 };
 
+/// Those of all segments of a sample, one segment's in a row.
+struct Crossings {
+    std::vector<Crossing> all;
+    std::vector<Hit> scratch;
+};
+
 /// A point on a surface where a path scatters.
 struct Vertex {
     SurfacePoint at;
@@ -100,7 +106,7 @@ struct DynamicScene {
     /// A point on a site that is dynamic here, seen from wo.
     Vertex vertex(const SitePoint& point, std::uint32_t shape, const Vector3f& wo) const;
     /// Appends where the ray passes through ghosts; returns how many.
-    std::uint32_t cross(const Ray& ray, std::vector<Hit>& scratch, std::vector<Crossing>& out) const;
+    std::uint32_t cross(const Ray& ray, Crossings& crossings) const;
 };
 
 struct DynamicScenes {

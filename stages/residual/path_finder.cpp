@@ -13,7 +13,7 @@ constexpr std::uint32_t walk_pair(int k, bool to_light, std::uint32_t what) { re
 }  // namespace
 
 PathFinder::PathFinder(const DynamicScenes& scenes, const DynamicScene& side, const PathOptions& options) : scenes_(scenes), side_(side), options_(options) {
-    path_.crossings = &crossings_;
+    path_.crossings = &crossings_.all;
 }
 
 bool PathFinder::occluded(const Ray& ray) {
@@ -28,23 +28,21 @@ Hit PathFinder::intersect(const Ray& ray) {
 
 bool PathFinder::scatters(const Hit& hit) const { return hit && !side_.scene.materials[side_.scene.shapes[hit.shape].material].black(); }
 
-Segment PathFinder::segment_between(const Vertex& s, const Vertex& l) {
-    const Ray ray = spawn_segment(s.at.p, s.at.ng, l.at.p);
-    const Vector3f d = normalize(l.at.p - s.at.p);
-    const auto first = std::uint32_t(crossings_.size());
-    return {std::abs(dot(s.at.ng, d)), std::abs(dot(l.at.ng, d)), first, side_.cross(ray, scratch_, crossings_)};
-}
-
-Segment PathFinder::segment_to_light(const Vertex& v, const LightEnd& light) {
-    const Ray ray = light.at_infinity ? spawn_ray(v.at.p, v.at.ng, Vector3f(light.y)) : spawn_segment(v.at.p, v.at.ng, light.y);
-    const Vector3f d = light.at_infinity ? Vector3f(light.y) : normalize(light.y - v.at.p);
-    const auto first = std::uint32_t(crossings_.size());
-    return {std::abs(dot(v.at.ng, d)), 1, first, side_.cross(ray, scratch_, crossings_)};
-}
-
 Segment PathFinder::segment_to_sensor(const Vertex& v, const FilmPoint& film) {
-    const auto first = std::uint32_t(crossings_.size());
-    return {1, std::abs(dot(v.at.ng, film.d)), first, side_.cross({film.from, film.d, film.t_min, film.t * (1 - shadow_epsilon)}, scratch_, crossings_)};
+    const auto first = std::uint32_t(crossings_.all.size());
+    return {1, std::abs(dot(v.at.ng, film.d)), first, side_.cross({film.from, film.d, film.t_min, film.t * (1 - shadow_epsilon)}, crossings_)};
+}
+
+std::optional<FilmPoint> PathFinder::on_film(const Point3f& p) const {
+    const Sensor& sensor = side_.scene.sensor;
+    const std::optional<FilmPoint> at = sensor.project(p);
+    const float r = sensor.filter_radius;
+    const bool reached = at && at->film.x > -r && at->film.y > -r && at->film.x < float(sensor.width) + r && at->film.y < float(sensor.height) + r;
+    return reached ? at : std::nullopt;
+}
+
+bool PathFinder::hides_from_sensor(const Vertex& v, const FilmPoint& film) {
+    return occluded({offset_origin(v.at.p, v.at.ng, -film.d), -film.d, 0, film.t - film.t_min});
 }
 
 LightEnd PathFinder::light_end(const LightSample& s) const {
@@ -60,44 +58,44 @@ LightEnd PathFinder::light_end(const LightSample& s) const {
     return light;
 }
 
-std::uint32_t PathFinder::crossing_of(const Segment& segment, const SitePoint& point) const {
-    for (std::uint32_t c = segment.first; c < segment.first + segment.n; ++c)
-        if (crossings_[c].member == point.member && crossings_[c].primitive == point.hit.primitive) {
-            // A sphere is passed through twice.
-            if (c + 1 < segment.first + segment.n && crossings_[c + 1].member == point.member && crossings_[c + 1].primitive == point.hit.primitive &&
-                length2(crossings_[c + 1].p - point.p) < length2(crossings_[c].p - point.p))
-                return c + 1;
-            return c;
-        }
-    return ~0u;
+bool PathFinder::relocate(const Segment& segment, const SitePoint& point, std::uint32_t& place) {
+    // A sphere is passed through twice: the nearer one.
+    float nearest = INFINITY;
+    for (std::uint32_t c = segment.first; c < segment.first + segment.n; ++c) {
+        const Crossing& crossing = crossings_.all[c];
+        const float distance2 = length2(crossing.p - point.p);
+        if (crossing.member != point.member || crossing.primitive != point.hit.primitive || !(distance2 < nearest)) continue;
+        nearest = distance2;
+        place = c;
+    }
+    if (nearest < INFINITY) return true;
+    ++n_unrelocated;
+    return false;
 }
 
-bool PathFinder::step(const Stop& from, Point2f u, Point2f u_lobe_roulette, Vector3f& d, Lobe& lobe, Hit& hit, Ray& ray) {
+bool PathFinder::step(Stop& from, Point2f u, Point2f u_lobe_roulette, Stop& next) {
     const ShadingPoint here = side_.aimed(from.v, from.back);
     if (u_lobe_roulette.y >= survival(here)) return false;
     const BsdfSample<float> s = sample(here.bsdf, here.wo_local, u_lobe_roulette.x, u);
     if (s.lobe == Lobe::none || is_black(s.weight)) return false;
-    d = here.frame.to_world(s.wi);
-    lobe = s.lobe;
-    ray = spawn_ray(from.v.at.p, from.v.at.ng, d);
-    hit = intersect(ray);
-    return scatters(hit);
+    from.ahead = here.frame.to_world(s.wi);
+    from.lobe = s.lobe;
+    const Ray ray = spawn_ray(from.v.at.p, from.v.at.ng, from.ahead);
+    const Hit hit = intersect(ray);
+    if (!scatters(hit)) return false;
+    next.v = side_.vertex(ray, hit);
+    next.back = -from.ahead;
+    return true;
 }
 
 void PathFinder::join_sensor(Stop& stop) {
-    const Sensor& sensor = side_.scene.sensor;
-    const std::optional<FilmPoint> film = sensor.project(stop.v.at.p);
-    const float r = sensor.filter_radius;
-    if (!film || !(film->film.x > -r && film->film.y > -r && film->film.x < float(sensor.width) + r && film->film.y < float(sensor.height) + r)) return;
-    const Vector3f to_sensor = -film->d;
-    stop.end = interact(side_, stop.v, to_sensor, stop.back, Lobe::none);
-    if (!(max_channel(stop.end.f_cos) > 0)) return;
-    const Point3f o = offset_origin(stop.v.at.p, stop.v.at.ng, to_sensor);
-    if (occluded({o, to_sensor, 0, film->t - film->t_min})) return;
+    const std::optional<FilmPoint> film = on_film(stop.v.at.p);
+    if (!film) return;
+    stop.end = interact(side_, stop.v, -film->d, stop.back, Lobe::none);
+    if (!(max_channel(stop.end.f_cos) > 0) || hides_from_sensor(stop.v, *film)) return;
     stop.end_segment = segment_to_sensor(stop.v, *film);
-    if (!(stop.end_segment.cos_light > 0)) return;
     stop.sensor = {film->film, film->scale};
-    stop.joined = true;
+    stop.joined = stop.end_segment.cos_light > 0;
 }
 
 void PathFinder::join_light(Stop& stop, Point2f u) {
@@ -105,71 +103,47 @@ void PathFinder::join_light(Stop& stop, Point2f u) {
     const LightSample light = sample_light(side_.scene, stop.v.at.p, u);
     if (!(light.pdf_w > 0)) return;
     stop.end = interact(side_, stop.v, stop.back, light.wi, Lobe::none);
-    if (!(max_channel(stop.end.f_cos) > 0)) return;
-    const Point3f& p = stop.v.at.p;
-    if (occluded(light.at_infinity ? spawn_ray(p, stop.v.at.ng, light.wi) : spawn_segment(p, stop.v.at.ng, light.y))) return;
     stop.light = light_end(light);
-    stop.end_segment = segment_to_light(stop.v, stop.light);
+    if (!(max_channel(stop.end.f_cos) > 0) || occluded(shadow_ray(stop.v, stop.light))) return;
+    stop.end_segment = segment_to_light(side_, stop.v, stop.light, crossings_);
     stop.joined = true;
 }
 
-void PathFinder::to_sensor(const Sampler& numbers, int n_max) {
+void PathFinder::walk(std::vector<Stop>& stops, Towards towards, const Sampler& numbers, int n_max, bool join_first) {
+    const bool lit = towards == Towards::light;
     for (int k = 0;; ++k) {
         ++n_vertices;
-        join_sensor(z_.back());
-        if (int(z_.size()) >= n_max) return;
-        Vector3f d;
-        Lobe lobe;
-        Hit hit;
-        Ray ray;
-        if (!step(z_.back(), numbers.pair(walk_pair(k, false, 0)), numbers.pair(walk_pair(k, false, 1)), d, lobe, hit, ray)) return;
+        if (k > 0 || join_first) {
+            if (lit) join_light(stops.back(), numbers.pair(walk_pair(k, lit, 2)));
+            else join_sensor(stops.back());
+        }
         Stop next;
-        next.v = side_.vertex(ray, hit);
-        next.back = -d;
-        Stop& here = z_.back();
-        here.onward = interact(side_, here.v, d, here.back, lobe);
-        here.segment = segment_between(next.v, here.v);
-        z_.push_back(next);
+        if (int(stops.size()) >= n_max || !step(stops.back(), numbers.pair(walk_pair(k, lit, 0)), numbers.pair(walk_pair(k, lit, 1)), next)) return;
+        Stop& here = stops.back();
+        here.onward = interact(side_, here.v, lit ? here.back : here.ahead, lit ? here.ahead : here.back, here.lobe);
+        here.segment = lit ? segment_between(side_, here.v, next.v, crossings_) : segment_between(side_, next.v, here.v, crossings_);
+        stops.push_back(next);
     }
 }
 
-void PathFinder::to_light(const Sampler& numbers, int n_max, bool first_too) {
-    for (int k = 0;; ++k) {
-        ++n_vertices;
-        if (k > 0 || first_too) join_light(y_.back(), numbers.pair(walk_pair(k, true, 2)));
-        if (int(y_.size()) >= n_max) return;
-        Vector3f d;
-        Lobe lobe;
-        Hit hit;
-        Ray ray;
-        if (!step(y_.back(), numbers.pair(walk_pair(k, true, 0)), numbers.pair(walk_pair(k, true, 1)), d, lobe, hit, ray)) return;
-        Stop next;
-        next.v = side_.vertex(ray, hit);
-        next.back = -d;
-        Stop& here = y_.back();
-        here.onward = interact(side_, here.v, here.back, d, lobe);
-        here.segment = segment_between(here.v, next.v);
-        y_.push_back(next);
-    }
+/// The part of path_ from the sensor to where the walk towards it began, and the segment that goes on from there.
+void PathFinder::from_sensor(std::size_t a, const Segment& ahead) {
+    path_.start(z_[a].sensor, z_[a].end_segment);
+    for (std::size_t k = a + 1; k-- > 0;) path_.add(k == a ? z_[k].end : z_[k].onward, z_[k].v, k > 0 ? z_[k - 1].segment : ahead);
+}
+
+/// The part of path_ from where the walk towards the light began.
+void PathFinder::to_light(std::size_t b) {
+    for (std::size_t k = 0; k < b; ++k) path_.add(y_[k].onward, y_[k].v, y_[k].segment);
+    path_.add(y_[b].end, y_[b].v, y_[b].end_segment);
+    path_.light = y_[b].light;
 }
 
 void PathFinder::show_to_sensor(const LightEnd& light, const Segment& light_segment, const Found& found, const Visitor& visit) {
     for (std::size_t a = 0; a < z_.size(); ++a) {
         if (!z_[a].joined) continue;
-        path_.vertices.clear();
-        path_.places.clear();
-        path_.segments.clear();
-        path_.sensor = z_[a].sensor;
+        from_sensor(a, light_segment);
         path_.light = light;
-        path_.vertices.push_back(z_[a].end);
-        path_.places.push_back(&z_[a].v);
-        path_.segments.push_back(z_[a].end_segment);
-        for (std::size_t k = a; k-- > 0;) {
-            path_.vertices.push_back(z_[k].onward);
-            path_.places.push_back(&z_[k].v);
-            path_.segments.push_back(z_[k].segment);
-        }
-        path_.segments.push_back(light_segment);
         Found mine = found;
         if (found.technique == Technique::dynamic_from_emitter) mine.place = std::uint32_t(path_.m());
         visit(path_, mine);
@@ -179,59 +153,25 @@ void PathFinder::show_to_sensor(const LightEnd& light, const Segment& light_segm
 void PathFinder::show_from_sensor(const SensorEnd& sensor, const Segment& sensor_segment, const Found& found, std::size_t first, const Visitor& visit) {
     for (std::size_t b = first; b < y_.size(); ++b) {
         if (!y_[b].joined) continue;
-        path_.vertices.clear();
-        path_.places.clear();
-        path_.segments.clear();
-        path_.sensor = sensor;
-        path_.light = y_[b].light;
-        path_.segments.push_back(sensor_segment);
-        for (std::size_t k = 0; k < b; ++k) {
-            path_.vertices.push_back(y_[k].onward);
-            path_.places.push_back(&y_[k].v);
-            path_.segments.push_back(y_[k].segment);
-        }
-        path_.vertices.push_back(y_[b].end);
-        path_.places.push_back(&y_[b].v);
-        path_.segments.push_back(y_[b].end_segment);
+        path_.start(sensor, sensor_segment);
+        to_light(b);
         visit(path_, found);
     }
 }
 
-void PathFinder::show_two_ends(const Interaction* middle, const Vertex* middle_vertex, const Segment* between, int n_between, const Found& found,
-                               const Visitor& visit) {
+void PathFinder::show_two_ends(const Interaction* middle, const Vertex* middle_vertex, const Segment* between, const Found& found, const Visitor& visit) {
     const int most = longest();
     for (std::size_t a = 0; a < z_.size(); ++a) {
         if (!z_[a].joined) continue;
         for (std::size_t b = 0; b < y_.size(); ++b) {
             if (!y_[b].joined || int(a + b + 2 + (middle ? 1 : 0)) > most) continue;
-            path_.vertices.clear();
-            path_.places.clear();
-            path_.segments.clear();
-            path_.sensor = z_[a].sensor;
-            path_.light = y_[b].light;
-            path_.vertices.push_back(z_[a].end);
-            path_.places.push_back(&z_[a].v);
-            path_.segments.push_back(z_[a].end_segment);
-            for (std::size_t k = a; k-- > 0;) {
-                path_.vertices.push_back(z_[k].onward);
-                path_.places.push_back(&z_[k].v);
-                path_.segments.push_back(z_[k].segment);
-            }
             Found mine = found;
+            from_sensor(a, between[0]);
             if (middle) {
-                path_.vertices.push_back(*middle);
-                path_.places.push_back(middle_vertex);
+                path_.add(*middle, *middle_vertex, between[1]);
                 mine.place = std::uint32_t(path_.m());
             }
-            for (int k = 0; k < n_between; ++k) path_.segments.push_back(between[k]);
-            for (std::size_t k = 0; k < b; ++k) {
-                path_.vertices.push_back(y_[k].onward);
-                path_.places.push_back(&y_[k].v);
-                path_.segments.push_back(y_[k].segment);
-            }
-            path_.vertices.push_back(y_[b].end);
-            path_.places.push_back(&y_[b].v);
-            path_.segments.push_back(y_[b].end_segment);
+            to_light(b);
             visit(path_, mine);
         }
     }
@@ -242,7 +182,7 @@ void PathFinder::find(Technique technique, Site site, const Sampler& numbers, co
     const Scene& scene = side_.scene;
     const int most = longest();
     if (most < 1) return;
-    crossings_.clear();
+    crossings_.all.clear();
     z_.clear();
     y_.clear();
     const Point2f u_choice = numbers.pair(choice_pair), u_light = numbers.pair(light_pair);
@@ -261,11 +201,11 @@ void PathFinder::find(Technique technique, Site site, const Sampler& numbers, co
             first.back = s.wi;
             if (!scatters(first.v.hit) || !has_smooth_lobe(first.v.here.bsdf)) return;
             if (!scatters_on_both_sides(scene, first.v.here, first.v) && !(first.v.here.wo_local.z > 0)) return;
-            if (occluded(s.at_infinity ? spawn_ray(point.p, point.ng, s.wi) : spawn_segment(point.p, point.ng, s.y))) return;
             const LightEnd light = light_end(s);
-            const Segment light_segment = segment_to_light(first.v, light);
+            if (occluded(shadow_ray(first.v, light))) return;
+            const Segment light_segment = segment_to_light(side_, first.v, light, crossings_);
             z_.push_back(first);
-            to_sensor(numbers, most);
+            walk(z_, Towards::sensor, numbers, most);
             show_to_sensor(light, light_segment, found, visit);
             return;
         }
@@ -281,7 +221,6 @@ void PathFinder::find(Technique technique, Site site, const Sampler& numbers, co
             if (!scatters(hit)) return;
             Stop first;
             first.v = side_.vertex(away, hit);
-            first.back = seen.wi;
             const Point3f& p = first.v.at.p;
             LightEnd light;
             if (query.placed || seen.delta) {
@@ -292,26 +231,20 @@ void PathFinder::find(Technique technique, Site site, const Sampler& numbers, co
                 light = light_end(seen);
                 light.pdf = light_pdf(scene, light, p);
             }
-            if (!light.at_infinity) first.back = normalize(light.y - p);
-            if (occluded(light.at_infinity ? spawn_ray(p, first.v.at.ng, first.back) : spawn_segment(p, first.v.at.ng, light.y))) return;
-            const Segment light_segment = segment_to_light(first.v, light);
-            found.place = crossing_of(light_segment, point);
-            if (found.place == ~0u) {
-                ++n_unrelocated;
-                return;
-            }
+            first.back = direction_to(light, p);
+            if (occluded(shadow_ray(first.v, light))) return;
+            const Segment light_segment = segment_to_light(side_, first.v, light, crossings_);
+            if (!relocate(light_segment, point, found.place)) return;
             z_.push_back(first);
-            to_sensor(numbers, most);
+            walk(z_, Towards::sensor, numbers, most);
             show_to_sensor(light, light_segment, found, visit);
             return;
         }
         case Technique::dynamic_from_sensor:
         case Technique::ghost_from_sensor: {
             const bool ghost = technique == Technique::ghost_from_sensor;
-            const std::optional<FilmPoint> film = scene.sensor.project(point.p);
-            const float r = scene.sensor.filter_radius;
-            if (!film || !(film->film.x > -r && film->film.y > -r && film->film.x < float(scene.sensor.width) + r && film->film.y < float(scene.sensor.height) + r))
-                return;
+            const std::optional<FilmPoint> film = on_film(point.p);
+            if (!film) return;
             Stop first;
             first.back = -film->d;
             FilmPoint at = *film;
@@ -326,20 +259,14 @@ void PathFinder::find(Technique technique, Site site, const Sampler& numbers, co
                 first.v = side_.vertex(point, shape, first.back);
                 if (!scatters(first.v.hit)) return;
                 if (!scatters_on_both_sides(scene, first.v.here, first.v) && !(first.v.here.wo_local.z > 0)) return;
-                if (occluded({offset_origin(point.p, point.ng, first.back), first.back, 0, film->t - film->t_min})) return;
+                if (hides_from_sensor(first.v, *film)) return;
                 found.place = 1;
             }
             const Segment sensor_segment = segment_to_sensor(first.v, at);
             if (!(sensor_segment.cos_light > 0)) return;
-            if (ghost) {
-                found.place = crossing_of(sensor_segment, point);
-                if (found.place == ~0u) {
-                    ++n_unrelocated;
-                    return;
-                }
-            }
+            if (ghost && !relocate(sensor_segment, point, found.place)) return;
             y_.push_back(first);
-            to_light(numbers, most, ghost);
+            walk(y_, Towards::light, numbers, most, ghost);
             show_from_sensor({at.film, at.scale}, sensor_segment, found, ghost ? 0 : 1, visit);
             return;
         }
@@ -353,24 +280,18 @@ void PathFinder::find(Technique technique, Site site, const Sampler& numbers, co
             const Ray ray = spawn_ray(point.p, point.ng, to_light_d);
             const Hit hit = intersect(ray);
             if (!scatters(hit)) return;
-            Vector3f to_sensor_d;
-            Lobe lobe;
-            Hit sensor_hit;
-            Ray sensor_ray;
             middle.back = to_light_d;
-            if (!step(middle, numbers.pair(walk_pair(0, false, 3)), numbers.pair(lobe_pair), to_sensor_d, lobe, sensor_hit, sensor_ray)) return;
-            const Interaction x = interact(side_, middle.v, to_sensor_d, to_light_d, lobe);
             Stop z, y;
-            z.v = side_.vertex(sensor_ray, sensor_hit);
-            z.back = -to_sensor_d;
+            if (!step(middle, numbers.pair(walk_pair(0, false, 3)), numbers.pair(lobe_pair), z)) return;
+            const Interaction x = interact(side_, middle.v, middle.ahead, to_light_d, middle.lobe);
             y.v = side_.vertex(ray, hit);
             y.back = -to_light_d;
-            const Segment between[2] = {segment_between(z.v, middle.v), segment_between(middle.v, y.v)};
+            const Segment between[2] = {segment_between(side_, z.v, middle.v, crossings_), segment_between(side_, middle.v, y.v, crossings_)};
             z_.push_back(z);
             y_.push_back(y);
-            to_sensor(numbers, most - 2);
-            to_light(numbers, most - 2, true);
-            show_two_ends(&x, &middle.v, between, 2, found, visit);
+            walk(z_, Towards::sensor, numbers, most - 2);
+            walk(y_, Towards::light, numbers, most - 2);
+            show_two_ends(&x, &middle.v, between, found, visit);
             return;
         }
         case Technique::ghost_two_ends: {
@@ -387,17 +308,13 @@ void PathFinder::find(Technique technique, Site site, const Sampler& numbers, co
             y.v = side_.vertex(ahead, light_hit);
             y.back = normalize(z.v.at.p - y.v.at.p);
             z.back = -y.back;
-            const Segment between = segment_between(z.v, y.v);
-            found.place = crossing_of(between, point);
-            if (found.place == ~0u) {
-                ++n_unrelocated;
-                return;
-            }
+            const Segment between = segment_between(side_, z.v, y.v, crossings_);
+            if (!relocate(between, point, found.place)) return;
             z_.push_back(z);
             y_.push_back(y);
-            to_sensor(numbers, most - 1);
-            to_light(numbers, most - 1, true);
-            show_two_ends(nullptr, nullptr, &between, 1, found, visit);
+            walk(z_, Towards::sensor, numbers, most - 1);
+            walk(y_, Towards::light, numbers, most - 1);
+            show_two_ends(nullptr, nullptr, &between, found, visit);
             return;
         }
         case Technique::path_tracing: return;
@@ -406,38 +323,30 @@ void PathFinder::find(Technique technique, Site site, const Sampler& numbers, co
 
 bool PathFinder::find_from_camera(PathId id, const Sampler& numbers, const Visitor& visit) {
     const Scene& scene = side_.scene;
-    crossings_.clear();
+    crossings_.all.clear();
     y_.clear();
-    path_.vertices.clear();
-    path_.places.clear();
-    path_.segments.clear();
-    Ray ray = scene.sensor.sample_ray(std::uint32_t(id.pixel % scene.sensor.width), std::uint32_t(id.pixel / scene.sensor.width), numbers.pair(film_pair));
-    bool touched = !scenes_.same_choice_of_lights;
     first_hit = {};
-    // What the path meets, first; what it is worth only where the edit has a part in it.
-    std::vector<LightEnd> hit_light;  // by segment: the light at its end
+    const Ray first = scene.sensor.sample_ray(std::uint32_t(id.pixel % scene.sensor.width), std::uint32_t(id.pixel / scene.sensor.width), numbers.pair(film_pair));
+    Ray ray = first;
+    bool touched = !scenes_.same_choice_of_lights, escaped = false;
+    LightEnd sky;
     const auto crosses = [&](const Ray& r) { return scenes_.mover_rays && scenes_.mover_rays->occluded(r); };
+    // What the path meets, first; what it is worth only where the edit has a part in it.
     for (int depth = 1;; ++depth) {
         const Hit hit = intersect(ray);
-        LightEnd light;
         Ray upto = ray;
         if (hit) upto.t_max = hit.t * (1 - shadow_epsilon);
         touched = touched || crosses(upto);
         if (!hit) {
-            const Spectrum Le = environment(scene, ray.d);
-            if (is_black(Le) && !(scene.environment >= 0 && side_.changed_emitter[std::size_t(scene.environment)])) {
-                hit_light.push_back(light);
-                if (scenes_.lights_changed) touched = true;
-                break;
-            }
-            light.Le = Radiance(Le);
-            light.y = Point3f(ray.d);
-            light.at_infinity = true;
-            light.emitter = std::uint16_t(scene.environment);
-            light.changed = side_.changed_emitter[std::size_t(scene.environment)];
-            light.pdf = pdf_environment_w(scene, ray.d);
-            touched = touched || light.changed;
-            hit_light.push_back(light);
+            escaped = true;
+            touched = touched || scenes_.lights_changed;
+            if (scene.environment < 0) break;
+            sky.Le = Radiance(environment(scene, ray.d));
+            sky.y = Point3f(ray.d);
+            sky.at_infinity = true;
+            sky.emitter = std::uint16_t(scene.environment);
+            sky.changed = side_.changed_emitter[std::size_t(scene.environment)];
+            sky.pdf = pdf_environment_w(scene, ray.d);
             break;
         }
         Stop stop;
@@ -446,23 +355,13 @@ bool PathFinder::find_from_camera(PathId id, const Sampler& numbers, const Visit
         touched = touched || stop.v.site != no_site;
         if (depth == 1) first_hit = {albedo(stop.v.here.bsdf, stop.v.here.wo_local), stop.v.here.frame.n, hit.t};
         if (const int emitter = scene.shapes[hit.shape].emitter; emitter >= 0) {
-            light.Le = Radiance(emitted(scene, stop.v.at, stop.back));
-            light.y = stop.v.at.p;
-            light.n = stop.v.at.ng;
-            light.emitter = std::uint16_t(emitter);
-            light.changed = side_.changed_emitter[std::size_t(emitter)];
-            light.pdf = depth > 1 ? pdf_light_w(scene, y_.back().v.at.p, stop.v.at) : 0.0f;
-            touched = touched || light.changed;
-        }
-        hit_light.push_back(light);
-        // The edge that has arrived.
-        if (depth == 1) {
-            path_.sensor = {};
-            const FilmPoint film = scene.sensor.film_of(ray, hit.t);
-            path_.sensor = {film.film, film.scale};
-            path_.segments.push_back(segment_to_sensor(stop.v, film));
-        } else {
-            y_.back().segment = segment_between(y_.back().v, stop.v);
+            stop.met.Le = Radiance(emitted(scene, stop.v.at, stop.back));
+            stop.met.y = stop.v.at.p;
+            stop.met.n = stop.v.at.ng;
+            stop.met.emitter = std::uint16_t(emitter);
+            stop.met.changed = side_.changed_emitter[std::size_t(emitter)];
+            stop.met.pdf = depth > 1 ? pdf_light_w(scene, y_.back().v.at.p, stop.v.at) : 0.0f;
+            touched = touched || stop.met.changed;
         }
         if (depth == options_.max_depth || !scatters(hit)) {
             y_.push_back(stop);
@@ -474,11 +373,10 @@ bool PathFinder::find_from_camera(PathId id, const Sampler& numbers, const Visit
             const LightSample s = sample_light(scene, here.p, numbers.pair(dimension(depth, Place::light)));
             touched = touched || side_.changed_emitter[s.emitter];
             if (s.pdf_w > 0 && !is_black(f_cos_pdf(here, s.wi).f_cos)) {
-                const Ray shadow = s.at_infinity ? spawn_ray(here.p, here.ng, s.wi) : spawn_segment(here.p, here.ng, s.y);
+                stop.light = light_end(s);
+                const Ray shadow = shadow_ray(stop.v, stop.light);
                 stop.joined = !occluded(shadow);
                 touched = touched || crosses(shadow);
-                stop.light = light_end(s);
-                stop.to_light = s.wi;
             }
         }
         const float q = options_.roulette != Roulette::off && depth >= options_.rr_depth ? float(survival(here)) : 1.0f;
@@ -502,51 +400,32 @@ bool PathFinder::find_from_camera(PathId id, const Sampler& numbers, const Visit
 
     const auto show = [&](const LightEnd& light, bool next_event) {
         path_.light = light;
-        bool any = light.changed;
-        for (const Segment& s : path_.segments) any = any || s.n > 0;
-        for (const Interaction& x : path_.vertices) any = any || x.site != no_site;
-        if (any && max_channel(light.Le) > 0) visit(path_, {Technique::path_tracing, 0, next_event});
+        if (max_channel(light.Le) > 0 && path_.dynamic()) visit(path_, {Technique::path_tracing, 0, next_event});
     };
-    for (std::size_t k = 0; k < hit_light.size(); ++k) {
-        // hit_light[k] lies at the end of segment k, behind k vertices.
-        if (k >= y_.size() && k > 0) {
-            // The path has left the scene.
-            Stop& last = y_[k - 1];
-            last.onward = interact(side_, last.v, last.back, last.ahead, last.lobe);
-            path_.vertices.push_back(last.onward);
-            path_.places.push_back(&last.v);
-            path_.segments.push_back(segment_to_light(last.v, hit_light[k]));
-            show(hit_light[k], false);
-            break;
-        }
-        if (k == 0 && y_.empty()) {
-            const FilmPoint film = scene.sensor.film_of(ray, 1);
-            path_.sensor = {film.film, film.scale};
-            const auto first = std::uint32_t(crossings_.size());
-            path_.segments.push_back({1, 1, first, side_.cross(ray, scratch_, crossings_)});
-            show(hit_light[0], false);
-            break;
-        }
-        if (k > 0) {
-            Stop& last = y_[k - 1];
-            last.onward = interact(side_, last.v, last.back, last.ahead, last.lobe);
-            path_.vertices.push_back(last.onward);
-            path_.places.push_back(&last.v);
-            path_.segments.push_back(last.segment);
-        }
-        if (max_channel(hit_light[k].Le) > 0) show(hit_light[k], false);
+    const auto go_on = [&](Stop& from, const Segment& ahead) {
+        from.onward = interact(side_, from.v, from.back, from.ahead, from.lobe);
+        path_.add(from.onward, from.v, ahead);
+    };
+    const FilmPoint film = scene.sensor.film_of(first, y_.empty() ? 1 : first_hit.depth);
+    const SensorEnd sensor{film.film, film.scale};
+    for (std::size_t k = 0; k < y_.size(); ++k) {
         Stop& here = y_[k];
-        if (here.joined) {
-            here.end = interact(side_, here.v, here.back, here.to_light, Lobe::none);
-            path_.vertices.push_back(here.end);
-            path_.places.push_back(&here.v);
-            path_.segments.push_back(segment_to_light(here.v, here.light));
-            show(here.light, true);
-            path_.vertices.pop_back();
-            path_.places.pop_back();
-            path_.segments.pop_back();
-        }
+        if (k == 0) path_.start(sensor, segment_to_sensor(here.v, film));
+        else go_on(y_[k - 1], segment_between(side_, y_[k - 1].v, here.v, crossings_));
+        show(here.met, false);
+        if (!here.joined) continue;
+        here.end = interact(side_, here.v, here.back, direction_to(here.light, here.v.at.p), Lobe::none);
+        path_.add(here.end, here.v, segment_to_light(side_, here.v, here.light, crossings_));
+        show(here.light, true);
+        path_.remove_last();
     }
+    if (escaped && y_.empty()) {
+        const auto at = std::uint32_t(crossings_.all.size());
+        path_.start(sensor, {1, 1, at, side_.cross(first, crossings_)});
+    } else if (escaped) {
+        go_on(y_.back(), segment_to_light(side_, y_.back().v, sky, crossings_));
+    }
+    if (escaped) show(sky, false);
     return true;
 }
 

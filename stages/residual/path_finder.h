@@ -2,6 +2,7 @@
 // Finds whole paths by the seven techniques of [RP] §4, in one of the two scenes of an edit.
 
 #include <functional>
+#include <optional>
 #include <vector>
 
 #include "stages/residual/dynamic_path.h"
@@ -40,36 +41,42 @@ class PathFinder {
     /// A vertex of a walk: how the walk goes on from it, and how it is joined to the sensor or a light.
     struct Stop {
         Vertex v;
-        Vector3f back;        // to the vertex before, or to what the walk starts from
-        Vector3f ahead;       // to the next
+        Vector3f back;   // to the vertex before, or to what the walk starts from
+        Vector3f ahead;  // to the next
         Lobe lobe = Lobe::none;
         Interaction onward;
-        Segment segment;      // to the next
+        Segment segment;  // to the next
         bool joined = false;
         Interaction end;
         Segment end_segment;
         SensorEnd sensor;
         LightEnd light;
-        Vector3f to_light;    // of a camera path, until it is known to be needed
+        LightEnd met;  // of a camera path: what shines at the vertex itself
     };
+    enum class Towards : std::uint8_t { sensor, light };
 
-    void to_sensor(const Sampler& numbers, int n_max);
-    void to_light(const Sampler& numbers, int n_max, bool first_too);
-    bool step(const Stop& from, Point2f u, Point2f u_lobe_roulette, Vector3f& d, Lobe& lobe, Hit& hit, Ray& ray);
+    /// Goes on from the last of the stops, and joins each on the way (the first only if told to).
+    void walk(std::vector<Stop>& stops, Towards towards, const Sampler& numbers, int n_max, bool join_first = true);
+    /// in:  u_lobe_roulette  x, y
+    bool step(Stop& from, Point2f u, Point2f u_lobe_roulette, Stop& next);
     void join_sensor(Stop& stop);
     void join_light(Stop& stop, Point2f u);
+
     bool occluded(const Ray& ray);
     Hit intersect(const Ray& ray);
+    bool hides_from_sensor(const Vertex& v, const FilmPoint& film);
     bool scatters(const Hit& hit) const;
-    Segment segment_between(const Vertex& sensor_side, const Vertex& light_side);
-    Segment segment_to_light(const Vertex& v, const LightEnd& light);
+    std::optional<FilmPoint> on_film(const Point3f& p) const;
     Segment segment_to_sensor(const Vertex& v, const FilmPoint& film);
     LightEnd light_end(const LightSample& light) const;
-    std::uint32_t crossing_of(const Segment& segment, const SitePoint& point) const;
+    /// Finds the point of a ghost among the crossings of the segment that it has led to.
+    bool relocate(const Segment& segment, const SitePoint& point, std::uint32_t& place);
 
+    void from_sensor(std::size_t a, const Segment& ahead);
+    void to_light(std::size_t b);
     void show_to_sensor(const LightEnd& light, const Segment& light_segment, const Found& found, const Visitor& visit);
     void show_from_sensor(const SensorEnd& sensor, const Segment& sensor_segment, const Found& found, std::size_t first, const Visitor& visit);
-    void show_two_ends(const Interaction* middle, const Vertex* middle_vertex, const Segment* between, int n_between, const Found& found, const Visitor& visit);
+    void show_two_ends(const Interaction* middle, const Vertex* middle_vertex, const Segment* between, const Found& found, const Visitor& visit);
 
     int longest() const { return options_.max_depth < 0 ? most_vertices : std::min(options_.max_depth - 1, most_vertices); }
 
@@ -79,8 +86,7 @@ class PathFinder {
     const DynamicScene& side_;
     PathOptions options_;
     std::vector<Stop> z_, y_;  // walks towards the sensor and the light
-    std::vector<Crossing> crossings_;
-    std::vector<Hit> scratch_;
+    Crossings crossings_;
     FullPath path_;
 };
 

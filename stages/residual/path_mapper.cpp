@@ -4,7 +4,7 @@ namespace loom::residual {
 
 PathMapper::PathMapper(const DynamicScenes& scenes, bool from_new, const MappingLimits& limits)
     : scenes_(scenes), from_(from_new ? scenes.new_scene : scenes.old_scene), to_(from_new ? scenes.old_scene : scenes.new_scene), limits_(limits) {
-    mapped_.path.crossings = &crossings_;
+    mapped_.path.crossings = &crossings_.all;
 }
 
 bool PathMapper::smooth_enough(const Vertex& v) const {
@@ -45,12 +45,11 @@ const MappedPath* PathMapper::map(const FullPath& path, const Found& found, Reje
     q.segments = path.segments;
     for (Segment& s : q.segments) s.first = s.n = 0;
     mapped_.density_ratio = 1;
-    crossings_.clear();
+    crossings_.all.clear();
     places_.clear();
     places_.reserve(m);
     const auto to_light_of = [&](const FullPath& p, std::size_t i) {
-        if (i + 1 < m) return normalize(p.places[i + 1]->at.p - p.places[i]->at.p);
-        return p.light.at_infinity ? Vector3f(p.light.y) : normalize(p.light.y - p.places[i]->at.p);
+        return i + 1 < m ? normalize(p.places[i + 1]->at.p - p.places[i]->at.p) : direction_to(p.light, p.places[i]->at.p);
     };
     const Sensor& sensor = from_.scene.sensor;
     const auto to_sensor_of = [&](const FullPath& p, std::size_t i) {
@@ -83,12 +82,9 @@ const MappedPath* PathMapper::map(const FullPath& path, const Found& found, Reje
             return std::min(before, after) >= d_min2;
         };
         const auto join = [&](const Vertex& s, const Vertex& l, Segment& segment) {
-            const Ray ray = spawn_segment(s.at.p, s.at.ng, l.at.p);
             ++n_rays;
-            if (to_.scene.occluded(ray)) return false;
-            const Vector3f d = normalize(l.at.p - s.at.p);
-            const auto first = std::uint32_t(crossings_.size());
-            segment = {std::abs(dot(s.at.ng, d)), std::abs(dot(l.at.ng, d)), first, to_.cross(ray, scratch_, crossings_)};
+            if (to_.scene.occluded(spawn_segment(s.at.p, s.at.ng, l.at.p))) return false;
+            segment = segment_between(to_, s, l, crossings_);
             return true;
         };
         // Towards the sensor.
@@ -102,12 +98,9 @@ const MappedPath* PathMapper::map(const FullPath& path, const Found& found, Reje
             if (!reconnect(next.at.p, path.segments[j + 1].cos_light, q.segments[j + 1].cos_light)) return reject(why, Rejection::near);
         } else {
             LightEnd& light = q.light;
-            const Vector3f d = to_light_of(q, j);
-            const Ray ray = light.at_infinity ? spawn_ray(moved.at.p, moved.at.ng, d) : spawn_segment(moved.at.p, moved.at.ng, light.y);
             ++n_rays;
-            if (to_.scene.occluded(ray)) return reject(why, Rejection::blocked);
-            const auto first = std::uint32_t(crossings_.size());
-            q.segments[m] = {std::abs(dot(moved.at.ng, d)), 1, first, to_.cross(ray, scratch_, crossings_)};
+            if (to_.scene.occluded(shadow_ray(moved, light))) return reject(why, Rejection::blocked);
+            q.segments[m] = segment_to_light(to_, moved, light, crossings_);
             if (light.delta) {
                 LightQuery query;
                 query.point.emitter = light.emitter;
@@ -116,7 +109,7 @@ const MappedPath* PathMapper::map(const FullPath& path, const Found& found, Reje
                 if (!(s.pdf_w > 0)) return reject(why, Rejection::light);
                 light.Le = Radiance(s.Li);
             } else if (!light.at_infinity) {
-                const double cos_before = -dot(light.n, to_light_of(path, j)), cos_after = -dot(light.n, d);
+                const double cos_before = -dot(light.n, to_light_of(path, j)), cos_after = -dot(light.n, to_light_of(q, j));
                 if (!(cos_before * cos_after > 0)) return reject(why, Rejection::light);
                 if (!reconnect(light.y, cos_before, cos_after)) return reject(why, Rejection::near);
             }

@@ -1,8 +1,6 @@
 #pragma once
 // Path mappings: from a path found in one scene of an edit to its partner in the other.            [RP] §5
 
-#include <optional>
-
 #include "stages/residual/path_finder.h"
 
 namespace loom::residual {
@@ -57,8 +55,7 @@ class PathMapper {
     const DynamicScene &from_, &to_;
     MappingLimits limits_;
     MappedPath mapped_;
-    std::vector<Crossing> crossings_;
-    std::vector<Hit> scratch_;
+    Crossings crossings_;
     std::vector<Vertex> places_;  // of the vertices that are other ones there
 };
 

@@ -124,7 +124,7 @@ TEST(DynamicPath, DensitiesAreThoseOfThePlainTwin) {
         const auto check = [&](const FullPath& p, const Found& found) {
             terms.clear();
             const Evaluation e = evaluate(scenes, *side, counts, options, p, &terms);
-            ASSERT_TRUE(e.dynamic);
+            ASSERT_TRUE(p.dynamic());
             double sum = 0;
             bool own = found.technique == Technique::path_tracing;
             for (const Term& t : terms) {
