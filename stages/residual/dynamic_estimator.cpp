@@ -42,6 +42,7 @@ struct Worker {
     PathMapper from_new, from_old;
     std::vector<Term> terms, partner_terms;
     Splats splats;
+    std::uint64_t nonfinite = 0;
     Worker(const DynamicScenes& scenes, const PathOptions& path, const MappingLimits& limits)
         : in_new(scenes, scenes.new_scene, path), in_old(scenes, scenes.old_scene, path), from_new(scenes, true, limits), from_old(scenes, false, limits) {}
 };
@@ -124,6 +125,10 @@ Image render_dynamic(const ScenePair& pair, const Edit& edit, const DynamicOptio
         const DynamicScene& other = is_new ? scenes.old_scene : scenes.new_scene;
         w.terms.clear();
         const Evaluation e = evaluate(scenes, side, is_new ? in_new : in_old, path, p, &w.terms);
+        if (!all_finite(e.F) || !std::isfinite(e.site_density + e.camera_density)) {
+            ++w.nonfinite;
+            return;
+        }
         if (!(max_channel(e.F) > 0)) return;
         const auto own_of = [&](const std::vector<Term>& terms, const Evaluation& of, std::uint32_t place) {
             if (found.technique == Technique::path_tracing) return options.only_family >= 0 ? of.camera_density : found.by_next_event ? of.nee_density : of.camera_density - of.nee_density;
@@ -219,6 +224,7 @@ Image render_dynamic(const ScenePair& pair, const Edit& edit, const DynamicOptio
     for (const Worker& w : workers) {
         counts.counts.rays += w.in_new.n_rays + w.in_old.n_rays + w.from_new.n_rays + w.from_old.n_rays;
         counts.counts.vertices += w.in_new.n_vertices + w.in_old.n_vertices;
+        counts.counts.nonfinite += w.nonfinite;
         counts.n_unrelocated += w.in_new.n_unrelocated + w.in_old.n_unrelocated;
     }
     return image;

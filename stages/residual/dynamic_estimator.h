@@ -31,7 +31,7 @@ struct DynamicOptions {
 };
 
 struct DynamicCounts {
-    Counts counts;
+    Counts counts;                    // nonfinite: paths whose contribution or density is not, which are left out
     std::uint64_t n_unrelocated = 0;  // samples of ghosts that a second look at their segment does not find
 };
 

@@ -416,6 +416,9 @@ std::string motion_words(const Matrix4d& motion, const Point3<double>& centre, b
 
 std::size_t Edit::n_dynamic() const { return std::size_t(std::count_if(new_shapes.begin(), new_shapes.end(), [](const ShapeEdit& s) { return s.dynamic(); })); }
 std::size_t Edit::n_ghosts() const { return std::size_t(std::count_if(old_shapes.begin(), old_shapes.end(), [](const ShapeEdit& s) { return s.dynamic(); })); }
+std::size_t Edit::n_repainted() const {
+    return std::size_t(std::count_if(new_shapes.begin(), new_shapes.end(), [](const ShapeEdit& s) { return (s.changes & change::repainted) && !s.dynamic(); }));
+}
 std::size_t Edit::n_dyed() const { return std::size_t(std::count_if(new_shapes.begin(), new_shapes.end(), [](const ShapeEdit& s) { return s.dyed(); })); }
 std::size_t Edit::n_emitters() const {
     const auto changed = [](const EmitterEdit& e) { return e.changed; };

@@ -53,6 +53,7 @@ struct Edit {
     std::size_t n_dynamic() const;
     std::size_t n_ghosts() const;
     std::size_t n_dyed() const;      // shapes of the new scene that look or shine otherwise, where they were
+    std::size_t n_repainted() const; // those of them that scatter otherwise
     std::size_t n_emitters() const;  // changed ones, of the scene that has more of them
 };
 

@@ -27,15 +27,22 @@ Defines both(const std::vector<std::string>& common, const std::vector<std::stri
     return parse_defines(all);
 }
 
-/// The old picture, once it is known to be of the old scene as far as it says.
-Image read_old_picture(const std::string& file, const Scene& old_scene, const std::string& scene_name, app::Report& report) {
+/// A picture on the film of a scene that says how noisy it is.
+/// in:  writers  what writes such pictures, in words
+Image read_noisy_picture(const std::string& file, const Scene& scene, const std::string& scene_name, const char* writers) {
     Image image = read_image(file);
-    if (image.width != old_scene.sensor.width || image.height != old_scene.sensor.height)
-        throw InputError(fmt::format("{}: is {} x {}, but the film of {} has {} x {} pixels", file, image.width, image.height, scene_name,
-                                     old_scene.sensor.width, old_scene.sensor.height));
+    if (image.width != scene.sensor.width || image.height != scene.sensor.height)
+        throw InputError(fmt::format("{}: is {} x {}, but the film of {} has {} x {} pixels", file, image.width, image.height, scene_name, scene.sensor.width,
+                                     scene.sensor.height));
     for (const char* c : rgb)
         if (image.find(std::string("VarMean.") + c).empty())
-            throw InputError(fmt::format("{}: does not say how noisy it is (no channel VarMean.{}); loom-trace -o x.exr and loom-merge write it", file, c));
+            throw InputError(fmt::format("{}: does not say how noisy it is (no channel VarMean.{}); {} write it", file, c, writers));
+    return image;
+}
+
+/// The old picture, once it is known to be of the old scene as far as it says.
+Image read_old_picture(const std::string& file, const Scene& old_scene, const std::string& scene_name, app::Report& report) {
+    Image image = read_noisy_picture(file, old_scene, scene_name, "loom-trace -o x.exr and loom-merge");
     if (image.samples < 2)
         throw InputError(fmt::format("{}: does not say how noisy it is (samples per pixel: {}, VarMean takes two)", file, image.samples));
     // Only a tracer names the scene among its inputs; a merged picture names its parts.
@@ -48,18 +55,6 @@ Image read_old_picture(const std::string& file, const Scene& old_scene, const st
     } else {
         report.info("{}: does not name its scene; taken for a picture of {}", file, scene_name);
     }
-    return image;
-}
-
-/// A residual that was made before: merged passes, a difference of path graphs.
-Image read_residual(const std::string& file, const Scene& new_scene, const std::string& scene_name) {
-    Image image = read_image(file);
-    if (image.width != new_scene.sensor.width || image.height != new_scene.sensor.height)
-        throw InputError(fmt::format("{}: is {} x {}, but the film of {} has {} x {} pixels", file, image.width, image.height, scene_name,
-                                     new_scene.sensor.width, new_scene.sensor.height));
-    for (const char* c : rgb)
-        if (image.find(std::string("VarMean.") + c).empty())
-            throw InputError(fmt::format("{}: does not say how noisy it is (no channel VarMean.{}); loom-residual and loom-merge of two or more passes write it", file, c));
     return image;
 }
 
@@ -87,6 +82,7 @@ Image render_by_dynamic_paths(const ScenePair& scenes, const Edit& edit, const O
     DynamicCounts counted;
     Image image = render_dynamic(scenes, edit, dynamic, path, {options.first_sample, options.spp, options.threads}, report, counted);
     counts = counted.counts;
+    if (counts.nonfinite > 0) report.warn("{} paths are not finite and left out", counts.nonfinite);
     if (counted.n_unrelocated > 0) report.info("{} samples of ghosts lie on a segment that does not reach them (surfaces in one place)", counted.n_unrelocated);
     return image;
 }
@@ -126,7 +122,7 @@ Choice choose(Method asked, const Edit& edit) {
         const bool moves = edit.n_dynamic() + edit.n_ghosts() > 0;
         plan = fmt::format("on: path tracing with paths that the edit cannot change left out; {}{}as asked",
                            moves ? "paths from moved, added and removed shapes and from their ghosts (techniques 1 to 6); " : "",
-                           edit.n_dyed() > 0 ? "paths from repainted shapes (techniques 1 to 3), " : "");
+                           edit.n_repainted() > 0 ? "paths from repainted shapes (techniques 1 to 3), " : "");
         if (!moves) plan += "; off: ghosts (nothing moves)";
     } else if (method == Method::correlated)
         plan = "on: correlated paths (same random numbers in both scenes: a path that meets nothing of the edit differs by 0" + why +
@@ -185,7 +181,7 @@ void run(const Options& options, app::Report& report) {
     path.max_depth = options.max_depth.value_or(new_scene->max_depth);
     Counts counts;
     const bool made = !options.residual.empty();
-    Image residual = made ? read_residual(options.residual, *new_scene, new_name)
+    Image residual = made ? read_noisy_picture(options.residual, *new_scene, new_name, "loom-residual and loom-merge of two or more passes")
                           : choice.method == Method::dynamic
                               ? render_by_dynamic_paths({*old_scene, *new_scene}, edit, options, path, report, counts)
                               : render_residual({*old_scene, *new_scene}, choice.method, path, {options.first_sample, options.spp, options.threads}, report, counts);
