@@ -6,6 +6,7 @@
 #include "formats/image.h"
 #include "stages/core/scene/scene.h"
 #include "stages/core/transport/path_tracer.h"
+#include "stages/core/transport/pixel_loop.h"
 
 namespace loom::app {
 class Report;
@@ -20,15 +21,8 @@ struct ScenePair {
     const Scene &old_scene, &new_scene;
 };
 
-/// Which samples of each pixel to trace, on how many threads (0: all).
-struct Work {
-    std::uint64_t first_sample = 0, spp = 1;
-    int threads = 0;
-};
-
-struct Counts {
-    std::uint64_t rays = 0, vertices = 0, nonfinite = 0;
-};
+using loom::Counts;
+using loom::Work;
 
 /// The seeds of the new and the old scene's paths. Never that of loom-trace: an old picture traced with the same
 /// --seed would share its noise with the residual, and the variance of their sum would not be the sum of variances.

@@ -3,7 +3,6 @@
 #include <fmt/format.h>
 #include <tbb/enumerable_thread_specific.h>
 
-#include <atomic>
 #include <filesystem>
 
 #include "formats/image.h"
@@ -23,9 +22,6 @@
 namespace loom::trace {
 namespace {
 
-/// Paths of one task; small enough to balance two threads, large enough to hide the task.
-constexpr std::uint64_t paths_per_chunk = 4096;
-
 PathOptions path_options(const Options& options, const Scene& scene) {
     PathOptions path;
     path.seed = options.seed;
@@ -37,48 +33,40 @@ PathOptions path_options(const Options& options, const Scene& scene) {
     return path;
 }
 
-/// Samples that are not finite are counted, never dropped; the first few are named with their replay.
-class NonfiniteLog {
-  public:
-    NonfiniteLog(app::Report& report, const Scene& scene, const PathOptions& path)
-        : report_(report), width_(scene.sensor.width), seed_(path.seed) {}
-    void check(const Spectrum& L, PathId id) {
-        if (all_finite(L)) return;
-        const std::uint64_t x = id.pixel % width_, y = id.pixel / width_;
-        if (count_.fetch_add(1) < 5)
-            report_.warn("not finite: pixel ({}, {}), sample {}; replay with --seed {} --replay {},{},{}", x, y,
-                         id.sample, seed_, x, y, id.sample);
-    }
-    std::uint64_t count() const { return count_; }
-
-  private:
-    app::Report& report_;
-    std::uint64_t width_, seed_;
-    std::atomic<std::uint64_t> count_{0};
-};
-
-/// Counts of all workers.
-struct Totals {
-    std::atomic<std::uint64_t> rays{0}, vertices{0};
-    void add(const Counts& c) {
-        rays += c.rays;
-        vertices += c.vertices;
-    }
-};
-
 /// What one thread works with, kept from chunk to chunk.
 struct Worker {
     PathBatch batch;
-    std::vector<PathId> ids;
     std::vector<PathResult> results;
-    PathRecords records;
+    Counts counts;
     Worker(const Scene& scene, const PathOptions& path) : batch(scene, path) {}
 };
 
-void count(const PathResult& r, Counts& counts) {
-    counts.rays += r.n_rays;
-    counts.vertices += r.n_vertices;
-}
+struct PictureWorker : Worker {
+    NonfiniteLog& nonfinite;
+    Film& film;
+    PixelSums sums;
+    PictureWorker(const Scene& scene, const PathOptions& path, NonfiniteLog& log, Film& onto) : Worker(scene, path), nonfinite(log), film(onto) {}
+
+    void trace(std::span<const PathId> ids) {
+        results.resize(ids.size());
+        batch.trace(ids, results);
+    }
+    void add(std::size_t k, PathId id) {
+        nonfinite.check(results[k].L, id);
+        sums.add(results[k].L, results[k].first);
+        counts.add(results[k]);
+    }
+    void finish(std::uint64_t pixel) {
+        film.set(pixel, sums);
+        sums = {};
+    }
+};
+
+struct GraphWorker : Worker {
+    using Worker::Worker;
+    std::vector<PathId> ids;
+    PathRecords records;
+};
 
 std::uint64_t pass_number(const Options& options, std::uint64_t pass) {
     return options.first_sample / options.spp + pass;
@@ -105,38 +93,13 @@ std::string command_of_pass(const Options& options, std::string command, std::ui
 
 Image render_image(const Scene& scene, const PathOptions& path, const Work& work, app::Report& report, Counts& counts) {
     Film film(scene.sensor.width, scene.sensor.height, work.spp);
-    NonfiniteLog nonfinite(report, scene, path);
+    NonfiniteLog nonfinite(report, scene.sensor.width, path.seed);
     app::Progress progress(report, "tracing", scene.sensor.n_pixels() * work.spp);
-    Totals totals;
-    tbb::enumerable_thread_specific<Worker> workers([&] { return Worker(scene, path); });
-    const std::uint64_t pixels_per_chunk = std::clamp<std::uint64_t>(paths_per_chunk / work.spp, 16, paths_per_chunk);
-    parallel_chunks(scene.sensor.n_pixels(), pixels_per_chunk, work.threads,
-                    [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
-                        Worker& worker = workers.local();
-                        Counts mine;
-                        PixelSums sums;
-                        // Pixel by pixel, sample by sample, in batches that may end inside a pixel.
-                        const std::uint64_t first = begin * work.spp, last = end * work.spp;
-                        for (std::uint64_t i = first; i < last; i += worker.ids.size()) {
-                            worker.ids.resize(std::min<std::uint64_t>(PathBatch::capacity, last - i));
-                            for (std::size_t k = 0; k < worker.ids.size(); ++k)
-                                worker.ids[k] = {(i + k) / work.spp, work.first_sample + (i + k) % work.spp};
-                            worker.results.resize(worker.ids.size());
-                            worker.batch.trace(worker.ids, worker.results);
-                            for (std::size_t k = 0; k < worker.ids.size(); ++k) {
-                                nonfinite.check(worker.results[k].L, worker.ids[k]);
-                                sums.add(worker.results[k].L, worker.results[k].first);
-                                count(worker.results[k], mine);
-                                if ((i + k + 1) % work.spp == 0) {
-                                    film.set(worker.ids[k].pixel, sums);
-                                    sums = {};
-                                }
-                            }
-                            progress.add(worker.ids.size());
-                        }
-                        totals.add(mine);
-                    });
-    counts = {totals.rays, totals.vertices, nonfinite.count()};
+    tbb::enumerable_thread_specific<PictureWorker> workers([&] { return PictureWorker(scene, path, nonfinite, film); });
+    trace_pixels(workers, scene.sensor.n_pixels(), double(work.spp), work.threads,
+                 [&](std::uint64_t) { return SampleRange{work.first_sample, work.spp}; }, progress);
+    counts = {0, 0, nonfinite.count()};
+    for (const PictureWorker& worker : workers) counts.add(worker.counts);
     return std::move(film).finish({});
 }
 
@@ -144,15 +107,14 @@ PathGraphInPieces render_graph(const Scene& scene, const PathOptions& path, cons
                                app::Report& report, Counts& counts, std::shared_ptr<Arena> memory) {
     const std::uint64_t n_pixels = scene.sensor.n_pixels(), n_paths = n_pixels * work.spp;
     GraphBuilder builder(scene, path, (n_paths + PathBatch::capacity - 1) / PathBatch::capacity, std::move(memory));
-    NonfiniteLog nonfinite(report, scene, path);
-    Totals totals;
+    NonfiniteLog nonfinite(report, scene.sensor.width, path.seed);
+    counts = {};
     {
         app::Progress progress(report, "tracing", n_paths);
-        tbb::enumerable_thread_specific<Worker> workers([&] { return Worker(scene, path); });
+        tbb::enumerable_thread_specific<GraphWorker> workers([&] { return GraphWorker(scene, path); });
         parallel_chunks(n_paths, PathBatch::capacity, work.threads,
                         [&](std::uint64_t chunk, std::uint64_t begin, std::uint64_t end) {
-                            Worker& worker = workers.local();
-                            Counts mine;
+                            GraphWorker& worker = workers.local();
                             worker.ids.resize(end - begin);
                             for (std::uint64_t i = begin; i < end; ++i)
                                 worker.ids[i - begin] = {i % n_pixels, work.first_sample + i / n_pixels};
@@ -160,14 +122,14 @@ PathGraphInPieces render_graph(const Scene& scene, const PathOptions& path, cons
                             worker.batch.trace(worker.ids, worker.results, worker.records);
                             for (std::size_t k = 0; k < worker.ids.size(); ++k) {
                                 nonfinite.check(worker.results[k].L, worker.ids[k]);
-                                count(worker.results[k], mine);
+                                worker.counts.add(worker.results[k]);
                             }
                             builder.set(chunk, worker.records);
-                            totals.add(mine);
                             progress.add(end - begin);
                         });
+        for (const GraphWorker& worker : workers) counts.add(worker.counts);
     }
-    counts = {totals.rays, totals.vertices, nonfinite.count()};
+    counts.nonfinite = nonfinite.count();
     return std::move(builder).finish(work.first_sample, work.spp);
 }
 

@@ -8,6 +8,7 @@
 #include "formats/path_graph.h"
 #include "stages/core/scene/scene.h"
 #include "stages/core/transport/path_tracer.h"
+#include "stages/core/transport/pixel_loop.h"
 
 namespace loom::app {
 class Command;
@@ -35,16 +36,8 @@ struct Options {
     std::string replay;                // x,y,sample: trace that one path and print it
 };
 
-/// Which samples of each pixel to trace, on how many threads (0: all).
-struct Work {
-    std::uint64_t first_sample = 0, spp = 1;
-    int threads = 0;
-};
-
-/// What tracing took.
-struct Counts {
-    std::uint64_t rays = 0, vertices = 0, nonfinite = 0;
-};
+using loom::Counts;
+using loom::Work;
 
 /// Path-traced image with auxiliary layers; keeps nothing but the film. Same values for any number of threads.
 Image render_image(const Scene& scene, const PathOptions& path, const Work& work, app::Report& report, Counts& counts);
