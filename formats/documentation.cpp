@@ -52,8 +52,7 @@ std::string section() {
 std::string formats_markdown() {
     return std::string(preamble) + section<PathGraph>() + section<Clusters>() + section<Radiance>() + section<TransientCube>() +
            fmt::format(
-               "\n## {} {}.{} (OpenEXR)\n\nfloat32, row 0 on top; the header says `samples` per pixel "
-               "too.\n\n{}",
+               "\n## {} {}.{} (OpenEXR)\n\nfloat32, row 0 on top.\n\n{}",
                Image::format.name, Image::format.major, Image::format.minor, image_markdown());
 }
 

@@ -63,6 +63,14 @@ std::size_t count_nonfinite(const Image& image) {
     return n;
 }
 
+double mean_var_mean(const Image& image) {
+    double sum = 0;
+    for (const char* channel : {"VarMean.R", "VarMean.G", "VarMean.B"})
+        for (const float v : image.find(channel))
+            if (std::isfinite(v)) sum += double(v);
+    return sum / (3.0 * double(image.n_pixels()));
+}
+
 std::string image_markdown() {
     return "| channels | units | what it is |\n|---|---|---|\n"
            "| `R`, `G`, `B` | W m^-2 sr^-1 | mean radiance over the samples of a pixel |\n"
@@ -71,7 +79,15 @@ std::string image_markdown() {
            "| `Albedo.R`, `Albedo.G`, `Albedo.B` ? | 1 | reflectance at the first hit |\n"
            "| `N.X`, `N.Y`, `N.Z` ? | 1 | shading normal at the first hit, world space, mean over the "
            "samples |\n"
-           "| `Depth.Z` ? | m | distance from the camera to the first hit |\n";
+           "| `Depth.Z` ? | m | distance from the camera to the first hit |\n"
+           "\n| attribute | what it is |\n|---|---|\n"
+           "| `samples` | per pixel |\n"
+           "| `scene` ? | content hash and name of the scene that the picture shows; a residual shows none |\n"
+           "| `ledger` ? | of a picture that edits were added to: JSON, a list with the picture before them and each edit, in order "
+           "(of a residual: itself alone); per link `scene` and `hash` (shown from there on), `what`, `method` (empty for the first), "
+           "`samples` per pixel (pairs for an edit), `seed` of its random numbers, `var_mean` (that it adds, (W m^-2 sr^-1)^2, mean "
+           "over pixels and R, G, B) and `var_sample` (of one path-traced sample of that scene; 0: not known). The links have no "
+           "random numbers in common, so that their `var_mean` add up |\n";
 }
 
 }  // namespace loom

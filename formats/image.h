@@ -15,7 +15,8 @@
 //
 // Only the layers that a stage has are there, R, G, B always. Channels are float32 in memory and when
 // written; row 0 is on top. The root attributes of all formats are text attributes of the header, `samples`
-// (per pixel) too.
+// (per pixel) too. Optional: `scene`, content hash and name of the scene that the picture shows (a residual shows none);
+// `ledger`, what a sum of a picture and residuals consists of (formats/ledger.h).
 
 #include <array>
 #include <cstdint>
@@ -28,6 +29,7 @@
 #include "formats/io/field.h"
 #include "formats/io/output_file.h"
 #include "formats/io/provenance.h"
+#include "formats/ledger.h"
 
 namespace loom {
 
@@ -36,7 +38,7 @@ inline constexpr std::array<const char*, 6> estimate_layers{"Emitted",      "Dir
                                                            "IndirectPath", "IndirectOwn", "IndirectCluster"};
 
 struct Image {
-    static constexpr FormatId format{"image", 1, 0};
+    static constexpr FormatId format{"image", 1, 1};
 
     struct Channel {
         std::string name;           // "R", "Albedo.R", "VarMean.B", …
@@ -47,6 +49,8 @@ struct Image {
     std::uint64_t samples = 0;  // samples per pixel; 0: the file does not say
     std::vector<Channel> channels;
     Provenance provenance;
+    InputId scene;  // that it shows; no hash: the file does not say
+    Ledger ledger;  // of a sum, and of a residual; else empty
     std::string filetype = "image";  // empty for a picture of another program
 
     std::size_t n_pixels() const { return std::size_t{width} * height; }
@@ -80,6 +84,9 @@ std::vector<std::pair<std::string, std::string>> exr_attributes(const std::files
 
 /// Number of values that are NaN or infinite.
 std::size_t count_nonfinite(const Image& image);
+
+/// Mean of VarMean over pixels and R, G, B; those that are not finite are left out. 0 without VarMean.
+double mean_var_mean(const Image& image);
 
 /// What a display shows of a linear value, clamped to [0, 1].                [IEC 61966-2-1]
 double srgb_from_linear(double linear);

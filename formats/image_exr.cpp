@@ -60,6 +60,8 @@ void write_header(Imf::Header& header, const Image& image) {
     text("inputs", joined_inputs(image.provenance));
     text("plan", image.provenance.plan);
     text("samples", std::to_string(image.samples));
+    if (!image.scene.hash.empty()) text("scene", input_text(image.scene));
+    if (!image.ledger.empty()) text("ledger", ledger_text(image.ledger));
 }
 
 void read_header(const Imf::Header& header, const std::filesystem::path& path, Image& image) {
@@ -80,6 +82,9 @@ void read_header(const Imf::Header& header, const std::filesystem::path& path, I
     for (std::size_t at = 0, end; (end = inputs.find('\n', at)) != std::string::npos; at = end + 1) {
         image.provenance.inputs.push_back(input_from_text(inputs.substr(at, end - at)));
     }
+    if (image.filetype != Image::format.name) return;  // other programs mean other things by these names
+    image.scene = input_from_text(text_of(header, "scene"));
+    image.ledger = ledger_from_text(text_of(header, "ledger"), path);
 }
 
 /// Width and height of the data window, when a file of this size may hold it.

@@ -211,6 +211,7 @@ void run(const Options& options, app::Report& report) {
     image.provenance.command = report.command();
     image.provenance.seed = graph.provenance.seed;
     image.provenance.inputs = {graph_id};
+    if (!graph.provenance.inputs.empty()) image.scene = graph.provenance.inputs[0];
     image.provenance.plan = "on: own paths only; off: neighbours (no radiance given)";
     if (!options.radiance.empty()) {
         const auto name = [&](Source source) {

@@ -7,8 +7,11 @@
 #include <map>
 #include <optional>
 
+#include "formats/chain.h"
 #include "formats/clusters.h"
+#include "formats/image.h"
 #include "formats/io/cost.h"
+#include "formats/io/error.h"
 #include "formats/io/json.h"
 #include "formats/transient_cube.h"
 #include "stages/core/app/report.h"
@@ -175,6 +178,77 @@ bool has_cost(const std::string& file) {
     return std::filesystem::exists(cost_path(file));
 }
 
+bool has_ledger(const Survey& survey) {
+    return survey.attribute("filetype") == Image::format.name && !survey.attribute("ledger").empty();
+}
+
+/// CPU time of a file and all that it was made from, while that is known.
+std::optional<double> whole_cpu_s(const std::filesystem::path& file) {
+    try {
+        double sum = 0;
+        for (const ChainFile& made : read_chain(file)) sum += made.cost.cpu_s;
+        return sum;
+    } catch (const InputError&) {
+        return {};
+    }
+}
+
+/// The links of a picture that edits were added to, and what each has cost where that is still known.
+struct LedgerFacts {
+    Ledger ledger;
+    std::vector<std::optional<double>> cpu_s;  // by link; of the first all that it was made from
+
+    explicit LedgerFacts(const Survey& survey, const std::string& file) : ledger(ledger_from_text(survey.attribute("ledger"), file)), cpu_s(ledger.size()) {
+        // The picture of a link has that of the link before as its first parent; others are residuals made before.
+        std::filesystem::path picture = file;
+        for (std::size_t i = ledger.size(); i-- > 1 && has_cost(picture);) {
+            const Cost cost = read_cost(picture);
+            if (cost.parents.empty()) return;
+            const auto parent = [&](std::size_t k) { return (picture.parent_path() / cost.parents[k]).lexically_normal(); };
+            cpu_s[i] = cost.cpu_s;
+            for (std::size_t k = 1; k < cost.parents.size() && cpu_s[i]; ++k) {
+                const auto made = whole_cpu_s(parent(k));
+                cpu_s[i] = made ? std::optional(*cpu_s[i] + *made) : std::nullopt;
+            }
+            picture = parent(0);
+            if (i == 1) cpu_s[0] = whole_cpu_s(picture);
+        }
+        if (ledger.size() == 1) cpu_s[0] = whole_cpu_s(file);
+    }
+    std::string text() const {
+        std::string text = fmt::format("\n  {:>4}  {:<12} {:>9}  {:>11}  {:>11}  {:>7}  {:>9}  {:>9}  {}\n", "link", "method", "per pixel", "var_mean", "sum", "share",
+                                       "fresh spp", "CPU", "shows; edit");
+        const double all = accumulated_var_mean(ledger, ledger.size());
+        for (std::size_t i = 0; i < ledger.size(); ++i) {
+            const LedgerLink& link = ledger[i];
+            const double worth = worth_samples(ledger, i + 1);
+            text += fmt::format("  {:>4}  {:<12} {:>9}  {:>11.4g}  {:>11.4g}  {:>5.1f} %  {:>9}  {:>9}  {}; {}\n", i, link.method, link.samples, link.var_mean,
+                                accumulated_var_mean(ledger, i + 1), all > 0 ? 100 * link.var_mean / all : 0.0, worth == 0 ? "?" : fmt::format("{:.4g}", worth),
+                                cpu_s[i] ? app::duration_text(*cpu_s[i]) : "?", link.scene.hash.empty() ? "?" : link.scene.name, link.what);
+        }
+        return text;
+    }
+    void write(JsonWriter& json) const {
+        json.begin_array("ledger");
+        for (std::size_t i = 0; i < ledger.size(); ++i) {
+            const LedgerLink& link = ledger[i];
+            json.begin_object();
+            json.text("scene", link.scene.name);
+            json.text("hash", link.scene.hash);
+            json.text("what", link.what);
+            json.text("method", link.method);
+            json.integer("samples", link.samples);
+            json.integer("seed", link.seed);
+            json.number("var_mean", link.var_mean);
+            json.number("sum", accumulated_var_mean(ledger, i + 1));
+            json.number("fresh_spp", worth_samples(ledger, i + 1));
+            if (cpu_s[i]) json.number("cpu_s", *cpu_s[i]);
+            json.end_object();
+        }
+        json.end_array();
+    }
+};
+
 std::string extents_text(const std::vector<std::size_t>& extents) {
     return extents.empty() ? "scalar" : fmt::format("{}", fmt::join(extents, " x "));
 }
@@ -267,7 +341,7 @@ std::string text_of(const Survey& survey, const std::string& file, const std::st
                                                        : "HDF5 of another program",
                     app::bytes_text(survey.file_bytes));
     for (const auto& [name, value] : survey.attributes) {
-        if (name == "filetype" || name == "version" || value.empty()) continue;
+        if (name == "filetype" || name == "version" || value.empty() || (name == "ledger" && has_ledger(survey))) continue;
         for (std::size_t at = 0; at < value.size();) {  // one line per input
             const std::size_t end = std::min(value.find('\n', at), value.size());
             text += fmt::format("  {:<18} {}\n", at == 0 ? name : "", value.substr(at, end - at));
@@ -283,6 +357,7 @@ std::string text_of(const Survey& survey, const std::string& file, const std::st
     if (is_path_graph(survey)) text += graph_text(GraphFacts(read_path_graph(file)));
     if (is_clusters(survey)) text += ClusterFacts(file, graph).text();
     if (is_transient_cube(file)) text += CubeFacts(file).text();
+    if (has_ledger(survey)) text += LedgerFacts(survey, file).text();
     std::size_t name_width = 7;
     for (const auto& d : survey.datasets) name_width = std::max(name_width, d.name.size());
     text += fmt::format("\n  {:<{}}  {:<9} {:>14}  {:<14} {:>11} {:>11} {:>11}\n", "dataset", name_width,
@@ -313,6 +388,7 @@ std::string json_of(const Survey& survey, const std::string& file, const std::st
     if (is_path_graph(survey)) graph_json(GraphFacts(read_path_graph(file)), json);
     if (is_clusters(survey)) ClusterFacts(file, graph).write(json);
     if (is_transient_cube(file)) CubeFacts(file).write(json);
+    if (has_ledger(survey)) LedgerFacts(survey, file).write(json);
     json.begin_array("datasets");
     for (const auto& d : survey.datasets) dataset_json(d, json);
     json.end_array();

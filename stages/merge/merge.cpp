@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <filesystem>
 
 #include "formats/io/cost.h"
@@ -19,6 +20,9 @@ void check_fit(const Image& first, const Image& part, const std::string& first_n
                const std::string& name) {
     if (part.samples == 0)
         throw InputError(fmt::format("{}: does not say how many samples per pixel it has", name));
+    if (part.ledger.size() > 1)
+        throw InputError(fmt::format("{}: is a picture and {} added to it, whose samples do not weigh alike; merge passes of the residual instead", name,
+                                     part.ledger.size() == 2 ? "an edit" : fmt::format("{} edits", part.ledger.size() - 1)));
     if (part.width != first.width || part.height != first.height) {
         throw InputError(fmt::format("{}: is {} x {}, but {} is {} x {}", name, part.width, part.height,
                                      first_name, first.width, first.height));
@@ -33,6 +37,33 @@ void check_fit(const Image& first, const Image& part, const std::string& first_n
         throw InputError(fmt::format("{}: has {} channels, but {} has {}", name, part.channels.size(),
                                      first_name, first.channels.size()));
     }
+}
+
+/// What a part says of itself beside its pixels.
+struct Labels {
+    InputId scene;         // that it shows; of a difference, that it leads to
+    Ledger ledger;         // of a residual, its one link
+    std::uint64_t samples;
+};
+
+/// The scene that all parts show; none where they do not agree.
+InputId common_scene(std::span<const Labels> parts) {
+    const bool agree = std::all_of(parts.begin(), parts.end(), [&](const Labels& part) { return part.scene.hash == parts[0].scene.hash; });
+    return agree ? parts[0].scene : InputId();
+}
+
+/// The link of passes of one residual as of one; none where they are no such passes.
+Ledger link_of_passes(std::span<const Labels> parts, const Image& merged) {
+    const auto is_pass = [&](const Labels& part) {
+        return part.ledger.size() == 1 && part.ledger[0].scene.hash == parts[0].ledger[0].scene.hash && part.ledger[0].method == parts[0].ledger[0].method;
+    };
+    if (parts[0].ledger.size() != 1 || !std::all_of(parts.begin(), parts.end(), is_pass)) return {};
+    LedgerLink link = parts[0].ledger[0];
+    link.samples = merged.samples;
+    link.var_mean = mean_var_mean(merged);
+    link.var_sample = 0;
+    for (const Labels& part : parts) link.var_sample += part.ledger[0].var_sample * double(part.samples) / double(merged.samples);
+    return {link};
 }
 
 /// One channel of all parts.
@@ -105,6 +136,7 @@ Image difference_of(const Image& after, const Image& before, const std::string& 
     if (after.samples != before.samples)
         throw InputError(fmt::format("{}: has {} samples per pixel, but {} has {}", before_name, before.samples, after_name, after.samples));
     Image difference = after;
+    difference.scene = {};
     std::erase_if(difference.channels, [](const Image::Channel& channel) { return channel.name.starts_with(variance_layer); });
     for (Image::Channel& channel : difference.channels) {
         const bool of_surfaces = channel.name.starts_with("Albedo.") || channel.name.starts_with("N.") || channel.name.starts_with("Depth.");
@@ -183,8 +215,10 @@ void run(const Options& options, app::Report& report) {
     provenance.inputs = identify_parts(options.parts);
     if (differences)
         for (InputId& id : identify_parts(options.minus)) provenance.inputs.push_back(std::move(id));
+    std::vector<Labels> labels(options.parts.size());
     const auto read_part = [&](std::size_t i) {
         Image image = read_image(options.parts[i]);
+        labels[i] = {image.scene, image.ledger, image.samples};
         if (!differences) return image;
         const Image before = read_image(options.minus[i]);
         if (image.provenance.seed != before.provenance.seed)
@@ -222,7 +256,7 @@ void run(const Options& options, app::Report& report) {
                             : average_images(options.parts.size(), part);
     } else {
         std::vector<Image> parts{first};
-        for (std::size_t i = 1; i < options.parts.size(); ++i) parts.push_back(read_image(options.parts[i]));
+        for (std::size_t i = 1; i < options.parts.size(); ++i) parts.push_back(read_part(i));
         merged = merge_images(parts, options.parts);
         if (differences) report.warn("{}: one difference does not know its noise, so there is no VarMean; give two or more", options.output);
     }
@@ -237,6 +271,18 @@ void run(const Options& options, app::Report& report) {
     provenance.seed = first.provenance.seed;
     provenance.plan = (why.empty() ? first.provenance.plan : why) + (differences ? "; differences of pairs, new minus old" : "");
     merged.provenance = std::move(provenance);
+    const InputId scene = common_scene(labels);
+    if (!differences) {
+        merged.scene = !options.direct.empty() && direct.scene.hash != scene.hash ? InputId() : scene;
+        merged.ledger = link_of_passes(labels, merged);
+    } else if (!merged.find("VarMean.R").empty()) {
+        LedgerLink& link = merged.ledger.emplace_back();
+        link.scene = scene;
+        link.method = differences_method;
+        link.samples = merged.samples;
+        link.seed = merged.provenance.seed;
+        link.var_mean = mean_var_mean(merged);
+    }
     write_image(merged, options.output, options.zip ? Compression::zip : Compression::none);
 
     Cost cost = report.cost();

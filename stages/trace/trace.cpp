@@ -230,6 +230,7 @@ void run(const Options& options, app::Report& report) {
         Counts counts;
         if (ending == ".exr") {
             Image image = render_image(*scene, path, work, report, counts);
+            image.scene = provenance.inputs[0];
             image.provenance = std::move(provenance);
             write_image(image, output);
         } else {

@@ -45,7 +45,78 @@ TEST(Image, EqualImagesGiveEqualBytes) {
 }
 
 TEST(Image, FixtureOfVersion_1_0_Reads) {
-    expect_equal(tiny_image(), read_image("tests/fixtures/image_1.0.exr"));
+    const Image old = read_image("tests/fixtures/image_1.0.exr");
+    expect_equal(tiny_image(), old);
+    EXPECT_EQ(old.scene, InputId());
+    EXPECT_TRUE(old.ledger.empty());
+}
+
+/// A picture that two edits were added to.
+Image tiny_sum() {
+    Image image = tiny_image();
+    image.scene = {"after \"all\".xml", "00112233445566ff"};
+    image.ledger = {{{"before.xml", "0011223344556677"}, "loom-trace", "", 64, 7, 0.25, 16},
+                    {{"", ""}, "moved: \"box\"\nremoved: ball", "dynamic", 8, ~std::uint64_t{0}, 1.0 / 3, 0},
+                    {image.scene, "light changed", differences_method, 4, 9, 1e-300, 2}};
+    return image;
+}
+
+TEST(Image, SceneAndLedgerReadBack) {
+    const ScratchFolder folder;
+    write_image(tiny_sum(), folder / "x.exr");
+    const Image back = read_image(folder / "x.exr");
+    EXPECT_EQ(back.scene, tiny_sum().scene);
+    EXPECT_EQ(back.ledger, tiny_sum().ledger);
+    expect_equal(tiny_sum(), back);
+}
+
+TEST(Image, DamagedLedgersSayWhatIsWrong) {
+    const std::string text = ledger_text(tiny_sum().ledger);
+    const auto message = [&](const std::string& from, const std::string& to) {
+        std::string damaged = text;
+        const auto at = damaged.find(from);
+        if (at == std::string::npos) return "no such text: " + from;
+        damaged.replace(at, from.size(), to);
+        return input_error_of([&] { ledger_from_text(damaged, "x.exr"); });
+    };
+    EXPECT_TRUE(message("[", "{").starts_with("x.exr: ledger:")) << message("[", "{");
+    EXPECT_EQ(message("\"var_sample\"", "\"var_simple\""), "x.exr: ledger: \"var_sample\" is missing or of another type");
+    EXPECT_EQ(message("\"samples\": 64", "\"samples\": \"64\""), "x.exr: ledger: \"samples\" is missing or of another type");
+    EXPECT_EQ(message("\"samples\": 64", "\"samples\": -64"), "x.exr: ledger: \"samples\" is -64, which is no such number");
+    EXPECT_EQ(message("\"seed\": 7", "\"seed\": 18446744073709551616"), "x.exr: ledger: \"seed\" is 18446744073709551616, which is no such number");
+    EXPECT_EQ(input_error_of([] { ledger_from_text("7", "x.exr"); }), "x.exr: ledger: is not a list");
+    // A member of a later minor version is left alone.
+    EXPECT_EQ(message("\"what\":", "\"why\": 3, \"what\":"), "nothing was thrown");
+}
+
+TEST(Image, LedgersAddUp) {
+    const Ledger ledger = tiny_sum().ledger;
+    EXPECT_DOUBLE_EQ(accumulated_var_mean(ledger, 2), 0.25 + 1.0 / 3);
+    EXPECT_DOUBLE_EQ(worth_samples(ledger, 1), 64);
+    EXPECT_DOUBLE_EQ(worth_samples(ledger, 2), 16 / (0.25 + 1.0 / 3));  // the second does not know its scene's
+    EXPECT_DOUBLE_EQ(worth_samples(ledger, 3), 2 / (0.25 + 1.0 / 3));
+    EXPECT_EQ(worth_samples({ledger[2]}, 1), 0);  // a residual alone
+    LedgerLink a = ledger[0], b = ledger[1];
+    b.seed = a.seed;
+    EXPECT_FALSE(share_numbers(a, b));  // those of loom-trace and of loom-residual
+    b.method = differences_method;
+    EXPECT_TRUE(share_numbers(a, b));
+    a.method = "correlated";
+    b.method = "dynamic";
+    EXPECT_TRUE(share_numbers(a, b));
+    b.seed = 8;
+    EXPECT_FALSE(share_numbers(a, b));
+}
+
+TEST(Image, MeanVarianceLeavesOutWhatIsNotFinite) {
+    Image image;
+    image.width = 2;
+    image.height = 1;
+    EXPECT_EQ(mean_var_mean(image), 0);
+    for (const char* c : {"VarMean.R", "VarMean.G", "VarMean.B"}) image.add(c)[0] = 3;
+    image.add("VarMean.G")[1] = std::numeric_limits<float>::quiet_NaN();
+    image.add("VarMean.B")[1] = 0.5f;
+    EXPECT_DOUBLE_EQ(mean_var_mean(image), 9.5 / 6);
 }
 
 TEST(Image, ForeignHalvesAndDataWindowsRead) {

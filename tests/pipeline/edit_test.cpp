@@ -152,6 +152,40 @@ TEST_F(MakeEdit, passes_merge) {
         for (std::size_t i = 0; i < whole.n_pixels(); ++i) EXPECT_NEAR(whole.find(channel)[i], merged.find(channel)[i], 1e-4) << channel << " " << i;
 }
 
+// A picture names the scene that it shows, whatever it was made by; a difference of pictures shows none.
+TEST_F(MakeEdit, pictures_name_their_scene) {
+    const std::string box = stage("trace") + " scenes/cornell-box.xml --quiet -D resx=8 -D resy=8 --spp 2 ";
+    const auto run = [&](const std::string& command) {
+        const Outcome outcome = sh(command);
+        ASSERT_EQ(outcome.code, 0) << command << "\n" << outcome.err;
+    };
+    const auto scene_of = [&](const char* name) { return read_image(in(name)).scene; };
+    for (const char* seed : {"0", "1"}) {
+        run(box + "--seed " + seed + " -o " + in("a" + std::string(seed) + ".exr"));
+        run(box + "-D light=3 --seed " + seed + " -o " + in("b" + std::string(seed) + ".exr"));
+    }
+    run(box + "-o " + in("a.h5") + " && " + stage("gather") + " --quiet " + in("a.h5") + " -o " + in("gathered.exr"));
+    const InputId a = scene_of("a0.exr"), b = scene_of("b0.exr");
+    EXPECT_EQ(a.name, "cornell-box.xml");
+    EXPECT_EQ(a.hash.size(), 16u);
+    EXPECT_NE(a.hash, b.hash);
+    EXPECT_EQ(scene_of("gathered.exr"), a);
+    const std::string merge = stage("merge") + " --quiet ";
+    run(merge + in("a0.exr") + " " + in("a1.exr") + " -o " + in("aa.exr"));
+    run(merge + in("a0.exr") + " " + in("b1.exr") + " -o " + in("ab.exr"));
+    run(merge + in("b0.exr") + " " + in("b1.exr") + " --minus " + in("a0.exr") + " --minus " + in("a1.exr") + " -o " + in("minus.exr"));
+    EXPECT_EQ(scene_of("aa.exr"), a);
+    EXPECT_EQ(scene_of("ab.exr"), InputId());
+    const Image minus = read_image(in("minus.exr"));
+    EXPECT_EQ(minus.scene, InputId());
+    ASSERT_EQ(minus.ledger.size(), 1u);
+    EXPECT_EQ(minus.ledger[0].scene, b);
+    EXPECT_EQ(minus.ledger[0].method, differences_method);
+    EXPECT_EQ(minus.ledger[0].samples, 4u);
+    EXPECT_EQ(minus.ledger[0].var_mean, mean_var_mean(minus));
+    EXPECT_TRUE(read_image(in("aa.exr")).ledger.empty());
+}
+
 // Breaks seen to fail: awk that only GNU's takes (mawk is Debian's).
 TEST_F(MakeEdit, table_has_a_row_per_method_and_is_made_once) {
     const std::string table = "make -s table-edit BUILD='" + fs::path(LOOM_BIN_DIR).parent_path().string() + "' OUT=" + in("t") +
