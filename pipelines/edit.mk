@@ -1,7 +1,8 @@
 # The picture of an edited scene from that of the scene before: OUT/new.exr = OLD's picture + OUT/residual.exr.
 #
 # OLD's picture depends on OLD, its values, BASE_SPP and SEED alone and lies in BASE, so that many edits of one scene
-# share it: give each its own OUT and all the same BASE.
+# share it: give each its own OUT and all the same BASE. Edits after edits: OLD_PICTURE=FIRST/new.exr, where OLD and its
+# values are the NEW of the edit in FIRST; nothing is then traced but the difference, and OUT/new.exr has a ledger of all edits.
 
 .DELETE_ON_ERROR:
 .PHONY: edit FORCE
@@ -26,6 +27,7 @@ BASE_SPP ?= 64  ## samples per pixel of OLD's picture
 # THREADS=  ## threads of a stage (all); no result depends on it
 # EXPOSURE=  ## of the PNGs, in stops
 # OUT=  ## folder of the results (out/NAME/edit, after NEW)
+# OLD_PICTURE=  ## picture of OLD: the new.exr of an edit before (old.exr in BASE, traced); not for graph, whose bias would add up unseen
 # BASE=  ## folder of OLD's picture (out/NAME/base, after OLD and its values)
 # LAUNCH=  ## put before each stage
 BUILD ?= build
@@ -43,7 +45,8 @@ endif
 ifneq ($(shell printf '%s\n' $(call quote,$(SPP)) $(call quote,$(BASE_SPP)) | grep -cxE '[1-9][0-9]{0,8}'),2)
 $(error SPP=$(SPP) BASE_SPP=$(BASE_SPP): must be whole numbers from 1)
 endif
-missing := $(foreach v,OLD NEW,$(if $(shell test -f $(call quote,$($(v))) && echo there),,$(v)=$($(v))))
+OLD_PICTURE := $(strip $(OLD_PICTURE))
+missing := $(foreach v,OLD NEW $(if $(OLD_PICTURE),OLD_PICTURE),$(if $(shell test -f $(call quote,$($(v))) && echo there),,$(v)=$($(v))))
 ifneq ($(strip $(missing)),)
 $(error $(strip $(missing)): no such file)
 endif
@@ -52,13 +55,22 @@ base_seed := $(or $(strip $(BASE_SEED)),$(strip $(SEED)))
 defines = $(foreach d,$(2), $(1) $(call quote,$(d)))
 old_parameters = $(call quote,$(OLD))$(call defines,-D,$(DEFINES) $(OLD_DEFINES)) --spp $(BASE_SPP)$(if $(base_seed), --seed $(base_seed))
 edit_parameters = $(call quote,$(OLD)) $(call quote,$(NEW))$(call defines,-D,$(DEFINES))$(call defines,--old-define,$(OLD_DEFINES))$(call defines,--new-define,$(NEW_DEFINES)) \
-	--method $(METHOD) --spp $(SPP)$(if $(SEED), --seed $(SEED))
+	--method $(METHOD) --spp $(SPP)$(if $(SEED), --seed $(SEED)) --old $(picture)
 
 # A base with other values lies in another folder.
 OUT := $(or $(strip $(OUT)),out/$(call scene_name,$(NEW))/edit)
 BASE := $(or $(strip $(BASE)),out/$(call scene_name,$(OLD))/base-$(shell printf '%s' $(call quote,$(old_parameters)) | cksum | cut -d' ' -f1))
-ifneq ($(words $(OUT) $(BASE)),2)
-$(error OUT=$(OUT) BASE=$(BASE): make cannot handle blanks in the names of what it makes)
+picture := $(or $(OLD_PICTURE),$(BASE)/old.exr)
+ifneq ($(words $(OUT) $(BASE) $(picture)),3)
+$(error OUT=$(OUT) BASE=$(BASE) OLD_PICTURE=$(OLD_PICTURE): make cannot handle blanks in the names of what it makes)
+endif
+ifneq ($(OLD_PICTURE),)
+ifeq ($(METHOD),graph)
+$(error METHOD=graph OLD_PICTURE=$(OLD_PICTURE): the bias of path graphs would add up unseen; take another METHOD, or OLD without OLD_PICTURE)
+endif
+ifeq ($(abspath $(OLD_PICTURE)),$(abspath $(OUT)/new.exr))
+$(error OLD_PICTURE=$(OLD_PICTURE): is what this edit makes; give another OUT)
+endif
 endif
 
 trace := $(BUILD)/bin/loom-trace
@@ -83,8 +95,8 @@ $(OUT)/new.exr: $(OUT)/residual.exr $(BASE)/old.exr $(OUT)/edit.parameters $(res
 		--residual-png $(OUT)/residual.png --new $(OUT)/new.exr
 else
 $(eval $(call parameter,$(OUT)/edit.parameters,$(edit_parameters)))
-$(OUT)/new.exr $(OUT)/residual.exr &: $(call scene,$(OLD)) $(call scene,$(NEW)) $(BASE)/old.exr $(OUT)/edit.parameters $(residual)
-	$(LAUNCH) $(residual) $(edit_parameters)$(threads) --old $(BASE)/old.exr --depfile $(OUT)/edit.d \
+$(OUT)/new.exr $(OUT)/residual.exr &: $(call scene,$(OLD)) $(call scene,$(NEW)) $(picture) $(OUT)/edit.parameters $(residual)
+	$(LAUNCH) $(residual) $(edit_parameters)$(threads) --depfile $(OUT)/edit.d \
 		-o $(OUT)/residual.exr --residual-png $(OUT)/residual.png --new $(OUT)/new.exr
 endif
 

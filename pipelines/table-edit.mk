@@ -68,6 +68,7 @@ endif
 compare := $(BUILD)/bin/loom-compare
 merge := $(BUILD)/bin/loom-merge
 inspect := $(BUILD)/bin/loom-inspect
+residual := $(BUILD)/bin/loom-residual
 
 # table|row|times better in the paper|OLD|NEW|values of both|values of NEW; - for none, + between values
 box := scenes/edits.xml
@@ -198,8 +199,10 @@ $(eval $(call parameter,$(OUT)/table.parameters,$(labels) $(REPLICATES) $(REFERE
 labelled = $(foreach r,$(call runs_of,$(1)),$(call part,1,$(r))-$(call part,2,$(r))=$(OUT)/$(r)/$(2).exr)
 half = $(OUT)/$(1)/$(reference_label)-$(2)/new.exr
 define row
-$(OUT)/$(1)/reference.exr: $(call half,$(1),0) $(call half,$(1),1) $(merge)
-	@$(merge) --quiet $(call half,$(1),0) $(call half,$(1),1) -o $$@
+$(OUT)/$(1)/reference.exr: $(call half,$(1),0) $(call half,$(1),1) $(merge) $(residual)
+	@$(merge) --quiet $(foreach h,0 1,$(dir $(call half,$(1),$(h)))residual.exr) -o $$(@D)/reference-residual.exr
+	@$(residual) --quiet $(call field,4,$(1)) $(call field,5,$(1)) $(addprefix -D ,$(call size,$(1),$(SIZE)) $(call values,6,$(1))) \
+		$(addprefix --new-define ,$(call values,7,$(1))) --old $(call base,$(1),$(SIZE) $(BASE_SPP))/old.exr --residual $$(@D)/reference-residual.exr --new $$@
 
 $(OUT)/$(1)/row.tsv: $(patsubst %,$(OUT)/%/new.exr,$(call runs_of,$(1))) $(OUT)/$(1)/reference.exr $(OUT)/table.parameters $(compare) pipelines/table-edit.awk
 	@$(compare) --quiet --tsv --reference $(OUT)/$(1)/reference.exr $(call labelled,$(1),new) >$$(@D)/errors.tsv
@@ -237,5 +240,5 @@ endef
 $(foreach w,$(ROWS),$(eval $(call shown,$(w))))
 
 # Run alone on a tree that is not built yet.
-$(compare) $(merge) $(inspect) &:
+$(compare) $(merge) $(inspect) $(residual) &:
 	$(MAKE) --no-print-directory -f Makefile stages

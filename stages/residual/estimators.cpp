@@ -2,6 +2,9 @@
 
 #include <tbb/enumerable_thread_specific.h>
 
+#include <cmath>
+#include <numeric>
+#include <span>
 #include <vector>
 
 #include "stages/core/transport/film.h"
@@ -21,10 +24,13 @@ struct Worker {
     NonfiniteLog &old_nonfinite, &new_nonfinite;
     Film& film;
     PixelSums sums;
+    Moments new_L[3];
+    std::span<double> new_var;  // by pixel: of one path of the new scene, sum over R, G, B
     Counts counts;
-    Worker(const ScenePair& scenes, const PathOptions& path, const Seeds& seeds, NonfiniteLog& old_log, NonfiniteLog& new_log, Film& onto)
+    Worker(const ScenePair& scenes, const PathOptions& path, const Seeds& seeds, NonfiniteLog& old_log, NonfiniteLog& new_log, Film& onto,
+           std::span<double> variances)
         : old_batch(scenes.old_scene, with_seed(path, seeds.old_scene)), new_batch(scenes.new_scene, with_seed(path, seeds.new_scene)),
-          old_nonfinite(old_log), new_nonfinite(new_log), film(onto) {}
+          old_nonfinite(old_log), new_nonfinite(new_log), film(onto), new_var(variances) {}
 
     void trace(std::span<const PathId> ids) {
         old_results.resize(ids.size());
@@ -37,16 +43,31 @@ struct Worker {
         old_nonfinite.check(before.L, id);
         new_nonfinite.check(after.L, id);
         sums.add(after.L - before.L, after.first);
+        for (int c = 0; c < 3; ++c) new_L[c].add(after.L[c]);
         counts.add(before);
         counts.add(after);
     }
     void finish(std::uint64_t pixel) {
         film.set(pixel, sums);
         sums = {};
+        for (Moments& m : new_L) {
+            if (std::isfinite(m.m2)) new_var[pixel] += m.var_sample();
+            m = {};
+        }
     }
 };
 
 }  // namespace
+
+const char* method_name(Method method) {
+    switch (method) {
+        case Method::automatic: return "auto";
+        case Method::correlated: return "correlated";
+        case Method::independent: return "independent";
+        case Method::dynamic: return "dynamic";
+    }
+    return "";
+}
 
 Seeds seeds_of(Method method, std::uint64_t seed) {
     const std::uint64_t mine = mix64(seed ^ 0x726573696475616cull);
@@ -60,12 +81,20 @@ Image render_residual(const ScenePair& scenes, Method method, const PathOptions&
     Film film(sensor.width, sensor.height, work.spp);
     NonfiniteLog old_log(report, sensor.width, seeds.old_scene, " of the old scene"), new_log(report, sensor.width, seeds.new_scene, " of the new scene");
     app::Progress progress(report, "tracing", sensor.n_pixels() * work.spp);
-    tbb::enumerable_thread_specific<Worker> workers([&] { return Worker(scenes, path, seeds, old_log, new_log, film); });
+    std::vector<double> new_var(sensor.n_pixels());
+    tbb::enumerable_thread_specific<Worker> workers([&] { return Worker(scenes, path, seeds, old_log, new_log, film, new_var); });
     trace_pixels(workers, sensor.n_pixels(), double(work.spp), work.threads,
                  [&](std::uint64_t) { return SampleRange{work.first_sample, work.spp}; }, progress);
     counts = {0, 0, old_log.count() + new_log.count()};
     for (const Worker& worker : workers) counts.add(worker.counts);
-    return std::move(film).finish({});
+    Image image = std::move(film).finish({});
+    LedgerLink& link = image.ledger.emplace_back();
+    link.method = method_name(method);
+    link.samples = work.spp;
+    link.seed = path.seed;
+    link.var_mean = mean_var_mean(image);
+    link.var_sample = std::accumulate(new_var.begin(), new_var.end(), 0.0) / (3.0 * double(new_var.size()));  // in the order of pixels: for any threads
+    return image;
 }
 
 }  // namespace loom::residual

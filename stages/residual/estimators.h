@@ -16,6 +16,8 @@ namespace loom::residual {
 
 enum class Method : std::uint8_t { automatic, correlated, independent, dynamic };
 
+const char* method_name(Method method);
+
 /// The two scenes of an edit; film and camera are the same.
 struct ScenePair {
     const Scene &old_scene, &new_scene;
@@ -42,7 +44,8 @@ Seeds seeds_of(Method method, std::uint64_t seed);
 ///   Not joint: directions and light points after the paths have parted: they are the same numbers, but at other places.
 ///   The choice among lights goes by their number: an added or removed light shifts it for all vertices. A lobe that only
 ///   one of two BSDFs has is sampled in that scene alone.
-/// out:     image  R, G, B signed, VarMean of the differences, Albedo, N, Depth of the new scene
+/// out:     image  R, G, B signed, VarMean of the differences, Albedo, N, Depth of the new scene; ledger: its link, but for
+///                 the edit's words and scene; its var_sample is from the new scene's paths
 /// needs:   the film of the two scenes to have one size; method is not automatic
 Image render_residual(const ScenePair& scenes, Method method, const PathOptions& path, const Work& work, app::Report& report,
                       Counts& counts);

@@ -12,6 +12,7 @@
 #include "stages/core/app/command.h"
 #include "stages/core/app/depfile.h"
 #include "stages/core/scene/build.h"
+#include "stages/residual/chain_of_edits.h"
 #include "stages/residual/dynamic_estimator.h"
 
 namespace loom::residual {
@@ -45,16 +46,29 @@ Image read_old_picture(const std::string& file, const Scene& old_scene, const st
     Image image = read_noisy_picture(file, old_scene, scene_name, "loom-trace -o x.exr and loom-merge");
     if (image.samples < 2)
         throw InputError(fmt::format("{}: does not say how noisy it is (samples per pixel: {}, VarMean takes two)", file, image.samples));
-    // Only a tracer names the scene among its inputs; a merged picture names its parts.
-    if (image.provenance.stage == "loom-trace" && !image.provenance.inputs.empty()) {
-        const std::string hash = content_hash_text(old_scene.content_hash);
-        const bool same = std::any_of(image.provenance.inputs.begin(), image.provenance.inputs.end(), [&](const InputId& i) { return i.hash == hash; });
-        if (!same)
-            throw InputError(fmt::format("{}: is a picture of {} with content {}, not of {} with these values, whose content is {}; trace it again", file,
-                                         image.provenance.inputs[0].name, image.provenance.inputs[0].hash, scene_name, hash));
-    } else {
+    if (image.ledger.size() == 1) throw InputError(fmt::format("{}: is a residual, not a picture of {}; --new writes one", file, scene_name));
+    // Traced before pictures named their scene.
+    if (image.scene.hash.empty() && image.provenance.stage == "loom-trace" && !image.provenance.inputs.empty()) image.scene = image.provenance.inputs[0];
+    const std::string hash = content_hash_text(old_scene.content_hash);
+    if (image.scene.hash.empty())
         report.info("{}: does not name its scene; taken for a picture of {}", file, scene_name);
-    }
+    else if (image.scene.hash != hash)
+        throw InputError(fmt::format("{}: is a picture of {} with content {}, not of {} with these values, whose content is {}; {}", file, image.scene.name,
+                                     image.scene.hash, scene_name, hash,
+                                     image.ledger.empty() ? "trace it again" : "an edit goes on from the new scene of the edit before, with its values"));
+    return image;
+}
+
+/// A residual made before, once it is known to lead to the new scene as far as it says; with its link.
+Image read_residual(const std::string& file, const Scene& new_scene, const std::string& scene_name) {
+    Image image = read_noisy_picture(file, new_scene, scene_name, "loom-residual and loom-merge of two or more passes");
+    if (!image.scene.hash.empty()) throw InputError(fmt::format("{}: is a picture of {}, not a residual", file, image.scene.name));
+    image.ledger = {link_of_residual(image)};
+    const InputId& leads_to = image.ledger[0].scene;
+    const std::string hash = content_hash_text(new_scene.content_hash);
+    if (!leads_to.hash.empty() && leads_to.hash != hash)
+        throw InputError(fmt::format("{}: leads to {} with content {}, not to {} with these values, whose content is {}", file, leads_to.name, leads_to.hash,
+                                     scene_name, hash));
     return image;
 }
 
@@ -84,6 +98,9 @@ Image render_by_dynamic_paths(const ScenePair& scenes, const Edit& edit, const O
     counts = counted.counts;
     if (counts.nonfinite > 0) report.warn("{} paths are not finite and left out", counts.nonfinite);
     if (counted.n_unrelocated > 0) report.info("{} samples of ghosts lie on a segment that does not reach them (surfaces in one place)", counted.n_unrelocated);
+    image.ledger = {link_of_residual(image)};
+    image.ledger[0].method = method_name(Method::dynamic);
+    image.ledger[0].seed = path.seed;
     return image;
 }
 
@@ -95,8 +112,8 @@ void declare(app::Command& command, Options& options) {
     command.option("-D,--define", options.defines, "NAME=VALUE of a scene parameter $NAME, in both scenes");
     command.option("--old-define", options.old_defines, "the same in the old scene only, after -D");
     command.option("--new-define", options.new_defines, "the same in the new scene only, after -D");
-    command.file("--old", options.old_picture, "picture of the old scene (EXR with VarMean)");
-    command.file("--residual", options.residual, "a residual made before, of passes or path graphs (loom-merge), to be added to --old: nothing is traced");
+    command.file("--old", options.old_picture, "picture of the old scene (EXR with VarMean), also the --new of an edit before");
+    command.file("--residual", options.residual, "a residual made before, of passes or path graphs (loom-merge), to be added to --old: nothing is traced; method and seed are its own");
     command.output("-o,--output", options.output, "the residual, new minus old: signed R, G, B with VarMean, and Albedo, N, Depth of the new scene");
     command.output("--new", options.new_picture, "picture of the new scene: --old plus the residual");
     command.output("--png", options.png, "preview of --new");
@@ -106,7 +123,7 @@ void declare(app::Command& command, Options& options) {
     command.flag("--no-mapping", options.no_mapping, "dynamic: pair paths of the two scenes by their random numbers alone");
     command.option("--spp", options.spp, "pairs of paths per pixel", app::Range<std::uint64_t>{1, 1u << 30});
     command.option("--first-sample", options.first_sample, "number of the first sample of each pixel");
-    command.option("--seed", options.seed, "seed of all random numbers; those of loom-trace with the same seed are others");
+    command.option("--seed", options.seed, "seed of all random numbers; with the same seed those of loom-trace are others, and those of each edit after an edit");
     command.option("--max-depth", options.max_depth, "longest path in edges, in both scenes; -1: no limit", app::Range<int>{-1, 1 << 20});
     command.threads(options.threads);
     command.output("--depfile", options.depfile, "also write a make rule that names all files read");
@@ -136,6 +153,9 @@ Choice choose(Method asked, const Edit& edit) {
 
 Image add_residual(const Image& old_picture, const Image& residual) {
     Image sum = residual;
+    sum.scene = residual.ledger.back().scene;
+    sum.ledger = ledger_of(old_picture);
+    sum.ledger.push_back(residual.ledger.back());
     sum.samples = old_picture.samples + residual.samples;
     for (const char* c : rgb)
         for (const std::string& channel : {std::string(c), std::string("VarMean.") + c}) {
@@ -176,21 +196,28 @@ void run(const Options& options, app::Report& report) {
     const Cost loading = report.cost();
 
     PathOptions path;
-    path.seed = options.seed;
+    const Ledger before = options.old_picture.empty() ? Ledger() : ledger_of(old_picture);
+    path.seed = seed_of_edit(options.seed, std::max<std::size_t>(before.size(), 1));
     path.rr_depth = new_scene->rr_depth;
     path.max_depth = options.max_depth.value_or(new_scene->max_depth);
     Counts counts;
     const bool made = !options.residual.empty();
-    Image residual = made ? read_noisy_picture(options.residual, *new_scene, new_name, "loom-residual and loom-merge of two or more passes")
-                          : choice.method == Method::dynamic
-                              ? render_by_dynamic_paths({*old_scene, *new_scene}, edit, options, path, report, counts)
-                              : render_residual({*old_scene, *new_scene}, choice.method, path, {options.first_sample, options.spp, options.threads}, report, counts);
+    Image residual;
+    if (made) residual = read_residual(options.residual, *new_scene, new_name);
+    check_numbers(before, made ? residual.ledger[0].method : method_name(choice.method), made ? residual.ledger[0].seed : path.seed);
+    if (!made)
+        residual = choice.method == Method::dynamic
+                       ? render_by_dynamic_paths({*old_scene, *new_scene}, edit, options, path, report, counts)
+                       : render_residual({*old_scene, *new_scene}, choice.method, path, {options.first_sample, options.spp, options.threads}, report, counts);
     const std::string how = made ? residual.provenance.plan : choice.plan;
     residual.provenance.stage = report.name();
     residual.provenance.command = report.command();
-    residual.provenance.seed = options.seed;
-    residual.provenance.plan = fmt::format("edit: {}; {}", edit.nothing() ? "nothing differs" : fmt::format("{}", fmt::join(edit.changes, "; ")), how);
+    if (!made) residual.provenance.seed = options.seed;
+    const std::string in_words = edit.nothing() ? "nothing differs" : fmt::format("{}", fmt::join(edit.changes, "; "));
+    residual.provenance.plan = how.starts_with("edit: ") ? how : fmt::format("edit: {}; {}", in_words, how);
     residual.provenance.inputs = {{old_name, content_hash_text(old_scene->content_hash)}, {new_name, content_hash_text(new_scene->content_hash)}};
+    residual.ledger.back().what = in_words;
+    residual.ledger.back().scene = residual.provenance.inputs[1];
 
     Cost cost = report.cost();
     cost.load_s = loading.cpu_s;
@@ -212,6 +239,7 @@ void run(const Options& options, app::Report& report) {
         Image sum = add_residual(old_picture, residual);
         sum.provenance.inputs.push_back(identify(options.old_picture));
         if (made) sum.provenance.inputs.push_back(identify(options.residual));
+        say_standing(sum.ledger, options, report);
         // All that this run cost is the new picture's, whether the residual is kept or not.
         cost.parents = {parent_of(options.new_picture, options.old_picture)};
         if (made) cost.parents.push_back(parent_of(options.new_picture, options.residual));

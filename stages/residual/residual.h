@@ -48,9 +48,10 @@ struct Choice {
 Choice choose(Method asked, const Edit& edit);
 
 /// old + residual.
-///   L = L_old + delta_L,  var_mean = var_mean_old + var_mean_delta: their samples are independent
-/// out:     image  R, G, B, VarMean; Albedo, N, Depth of the residual, which has those of the new scene; samples: of both
-/// needs:   both to have VarMean and one size
+///   L = L_old + delta_L,  var_mean = var_mean_old + var_mean_delta: their samples are independent (seed_of_edit)
+/// out:     image  R, G, B, VarMean; Albedo, N, Depth of the residual, which has those of the new scene; samples: of both;
+///                 ledger: the old picture's and the residual's link, whose scene it shows
+/// needs:   both to have VarMean and one size, the residual its link
 Image add_residual(const Image& old_picture, const Image& residual);
 
 }  // namespace loom::residual

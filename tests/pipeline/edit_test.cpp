@@ -104,7 +104,7 @@ TEST_F(MakeEdit, what_does_not_go_together_is_refused) {
 }
 
 TEST_F(MakeEdit, wrong_variables_are_refused) {
-    for (const char* wrong : {"METHOD=graph PASSES=1", "METHOD=graph K=0", "METHOD=graph UNBIASED=2", "METHOD=none", "SPP=0", "BASE_SPP=x", "OLD=missing.xml", "NEW=missing.xml", "OUT='two words'", "NEW_DEFINES=resx=25"}) {
+    for (const char* wrong : {"METHOD=graph PASSES=1", "METHOD=graph K=0", "METHOD=graph UNBIASED=2", "METHOD=none", "SPP=0", "BASE_SPP=x", "OLD=missing.xml", "NEW=missing.xml", "OUT='two words'", "OLD_PICTURE=missing.exr", "OLD_PICTURE=LICENSE METHOD=graph", "OLD_PICTURE=LICENSE OUT=.", "NEW_DEFINES=resx=25"}) {
         const Outcome outcome = sh(edit("x", wrong));
         EXPECT_EQ(outcome.code, 2) << wrong << "\n" << outcome.err;
         EXPECT_EQ(outcome.out, "");
@@ -184,6 +184,80 @@ TEST_F(MakeEdit, pictures_name_their_scene) {
     EXPECT_EQ(minus.ledger[0].samples, 4u);
     EXPECT_EQ(minus.ledger[0].var_mean, mean_var_mean(minus));
     EXPECT_TRUE(read_image(in("aa.exr")).ledger.empty());
+}
+
+// Edits after edits: the new picture of one is the old picture of the next, and says all of them.
+TEST_F(MakeEdit, edits_go_on_from_edits) {
+    const std::string warm = "light=20,10,5", cold = "light=5,10,20";
+    made("a", "NEW_DEFINES=" + warm);
+    const auto base_time = fs::last_write_time(folder / "base/old.exr");
+    const std::string goes_on = "OLD_DEFINES=" + warm + " NEW_DEFINES=" + cold + " METHOD=dynamic OLD_PICTURE=" + in("a/new.exr");
+    const std::string second = made("b", goes_on);
+    EXPECT_TRUE(second == made("b", goes_on + " THREADS=1"));
+    const auto made_at = fs::last_write_time(folder / "b/new.exr");
+    made("c", "OLD_DEFINES=" + cold + " OLD_PICTURE=" + in("b/new.exr"));
+    EXPECT_EQ(fs::last_write_time(folder / "b/new.exr"), made_at);
+    EXPECT_EQ(fs::last_write_time(folder / "base/old.exr"), base_time);  // nothing but differences is traced
+
+    const Image first = read_image(in("base/old.exr")), middle = read_image(in("b/new.exr")), last = read_image(in("c/new.exr"));
+    EXPECT_EQ(last.scene.hash, first.scene.hash);  // there and back again
+    ASSERT_EQ(last.ledger.size(), 4u);
+    EXPECT_TRUE(std::equal(middle.ledger.begin(), middle.ledger.end(), last.ledger.begin()));
+    const Ledger& ledger = last.ledger;
+    const char* const methods[] = {"", "correlated", "dynamic", "correlated"};
+    for (std::size_t i = 0; i < 4; ++i) {
+        EXPECT_EQ(ledger[i].method, methods[i]);
+        EXPECT_EQ(ledger[i].samples, i == 0 ? 4u : 2u);
+        EXPECT_GT(ledger[i].var_mean, 0);
+        for (std::size_t j = 0; j < i; ++j) EXPECT_FALSE(share_numbers(ledger[i], ledger[j])) << i << " " << j;
+    }
+    EXPECT_EQ(ledger[0].what, "loom-trace");
+    EXPECT_EQ(ledger[2].what, "light changed: lamp: radiance (20, 10, 5) -> (5, 10, 20)");
+    EXPECT_EQ(ledger[2].scene, middle.scene);
+    EXPECT_NEAR(accumulated_var_mean(ledger, 4), mean_var_mean(last), 1e-5 * mean_var_mean(last));
+    const Image residual = read_image(in("c/residual.exr"));
+    EXPECT_EQ(residual.scene, InputId());
+    ASSERT_EQ(residual.ledger.size(), 1u);
+    EXPECT_EQ(residual.ledger[0], ledger[3]);
+    for (std::size_t i = 0; i < last.n_pixels(); ++i) EXPECT_EQ(last.find("G")[i], middle.find("G")[i] + residual.find("G")[i]);
+
+    const std::string text = sh(stage("inspect") + " --quiet " + in("c/new.exr")).out;
+    EXPECT_NE(text.find("  link  method       per pixel     var_mean          sum    share  fresh spp        CPU  shows; edit\n     0"), std::string::npos) << text;
+    EXPECT_NE(text.find("cornell-box.xml; light changed: lamp: radiance (20, 10, 5) -> (5, 10, 20)\n"), std::string::npos) << text;
+    EXPECT_NE(sh(stage("inspect") + " --quiet --json " + in("c/new.exr")).out.find("\"fresh_spp\""), std::string::npos);
+
+    // What is refused: the picture of another scene, a residual for a picture, a sum among passes.
+    const std::string box = "scenes/cornell-box.xml -D resx=24 -D resy=16 --spp 2 ", from_warm = box + "--old-define " + warm + " ", n = " --new " + in("n.exr");
+    expect_refused(box + "--new-define light=3 --old " + in("a/new.exr") + n, "an edit goes on from the new scene of the edit before, with its values");
+    expect_refused(box + "--new-define light=3 --old " + in("a/new.exr") + n, "is a picture of cornell-box.xml with content " + ledger[1].scene.hash + ", not of cornell-box.xml with these values, whose content is " + first.scene.hash);
+    expect_refused(box + "--new-define light=3 --old " + in("a/residual.exr") + n, "is a residual, not a picture of cornell-box.xml");
+    EXPECT_NE(sh(stage("merge") + " " + in("base/old.exr") + " " + in("a/new.exr") + " -o " + in("m.exr")).err.find("is a picture and an edit added to it"), std::string::npos);
+    EXPECT_FALSE(fs::exists(folder / "m.exr"));
+
+    // A residual made before has a seed of its own, and passes of it merge.
+    const std::string pass = stage("residual") + " --quiet " + from_warm + "--new-define light=3 --seed ";
+    ASSERT_EQ(sh(pass + "0 -o " + in("r0.exr") + " && " + pass + "6 -o " + in("r6.exr") + " && " + pass + "6 --first-sample 2 -o " + in("r6b.exr") + " && " + stage("merge") +
+                 " --quiet " + in("r6.exr") + " " + in("r6b.exr") + " -o " + in("r.exr"))
+                  .code,
+              0);
+    const std::string add = from_warm + "--new-define light=3 --old " + in("a/new.exr") + n + " --residual ";
+    expect_refused(add + in("r0.exr"), "its edit 1 (correlated) has the random numbers of this residual (correlated, seed 0)");
+    expect_refused(add + in("a/residual.exr"), "leads to cornell-box.xml with content " + ledger[1].scene.hash + ", not to cornell-box.xml");
+    expect_refused(add + in("base/old.exr"), "is a picture of cornell-box.xml, not a residual");
+    const Outcome added = sh(stage("residual") + " " + add + in("r.exr"));
+    ASSERT_EQ(added.code, 0) << added.err;
+    const Image sum = read_image(in("n.exr"));
+    EXPECT_EQ(sum.provenance.seed, 6u);
+    ASSERT_EQ(sum.ledger.size(), 3u);
+    EXPECT_EQ(sum.ledger[2].method, "correlated");
+    EXPECT_EQ(sum.ledger[2].seed, 6u);
+    EXPECT_EQ(sum.ledger[2].samples, 4u);
+    EXPECT_EQ(sum.ledger[2].what, "light changed: lamp: radiance (20, 10, 5) -> (3, 3, 3)");
+    EXPECT_GT(sum.ledger[2].var_sample, 0);
+    EXPECT_NEAR(accumulated_var_mean(sum.ledger, 3), mean_var_mean(sum), 1e-5 * mean_var_mean(sum));
+    // The bright lamp's noise stays when its light goes: a new base is proposed, with the numbers and the command.
+    EXPECT_NE(added.err.find("less than half of the 4 that the chain began with"), std::string::npos) << added.err;
+    EXPECT_NE(added.err.find("re-base: loom-trace scenes/cornell-box.xml -D 'resx=24' -D 'resy=16' -D 'light=3' --spp 4 -o FRESH.exr"), std::string::npos) << added.err;
 }
 
 // Breaks seen to fail: awk that only GNU's takes (mawk is Debian's).
