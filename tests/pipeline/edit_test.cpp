@@ -189,13 +189,13 @@ TEST_F(MakeEdit, pictures_name_their_scene) {
 // Edits after edits: the new picture of one is the old picture of the next, and says all of them.
 TEST_F(MakeEdit, edits_go_on_from_edits) {
     const std::string warm = "light=20,10,5", cold = "light=5,10,20";
-    made("a", "NEW_DEFINES=" + warm);
+    made("a", "METHOD=correlated NEW_DEFINES=" + warm);
     const auto base_time = fs::last_write_time(folder / "base/old.exr");
     const std::string goes_on = "OLD_DEFINES=" + warm + " NEW_DEFINES=" + cold + " METHOD=dynamic OLD_PICTURE=" + in("a/new.exr");
     const std::string second = made("b", goes_on);
     EXPECT_TRUE(second == made("b", goes_on + " THREADS=1"));
     const auto made_at = fs::last_write_time(folder / "b/new.exr");
-    made("c", "OLD_DEFINES=" + cold + " OLD_PICTURE=" + in("b/new.exr"));
+    made("c", "METHOD=correlated OLD_DEFINES=" + cold + " OLD_PICTURE=" + in("b/new.exr"));
     EXPECT_EQ(fs::last_write_time(folder / "b/new.exr"), made_at);
     EXPECT_EQ(fs::last_write_time(folder / "base/old.exr"), base_time);  // nothing but differences is traced
 
@@ -233,9 +233,23 @@ TEST_F(MakeEdit, edits_go_on_from_edits) {
     expect_refused(box + "--new-define light=3 --old " + in("a/residual.exr") + n, "is a residual, not a picture of cornell-box.xml");
     EXPECT_NE(sh(stage("merge") + " " + in("base/old.exr") + " " + in("a/new.exr") + " -o " + in("m.exr")).err.find("is a picture and an edit added to it"), std::string::npos);
     EXPECT_FALSE(fs::exists(folder / "m.exr"));
+    // A picture from before pictures named their scene: loom-trace's is known by its input, others are taken on trust.
+    Image old = read_image(in("a/new.exr"));
+    old.ledger.clear();
+    old.scene = {};
+    old.provenance.stage = "loom-trace";
+    old.provenance.inputs = {ledger[1].scene};
+    write_image(old, in("old.exr"));
+    expect_refused(box + "--new-define light=3 --old " + in("old.exr") + n, "trace it again");
+    EXPECT_EQ(sh(stage("residual") + " " + from_warm + "--new-define light=3 --old " + in("old.exr") + n).code, 0);
+    old.provenance.stage = "loom-merge";
+    write_image(old, in("old.exr"));
+    const Outcome on_trust = sh(stage("residual") + " " + box + "--new-define light=3 --old " + in("old.exr") + n);
+    EXPECT_EQ(on_trust.code, 0);
+    EXPECT_NE(on_trust.err.find("does not name its scene; taken for a picture of cornell-box.xml"), std::string::npos) << on_trust.err;
 
     // A residual made before has a seed of its own, and passes of it merge.
-    const std::string pass = stage("residual") + " --quiet " + from_warm + "--new-define light=3 --seed ";
+    const std::string pass = stage("residual") + " --quiet " + from_warm + "--new-define light=3 --method correlated --seed ";
     ASSERT_EQ(sh(pass + "0 -o " + in("r0.exr") + " && " + pass + "6 -o " + in("r6.exr") + " && " + pass + "6 --first-sample 2 -o " + in("r6b.exr") + " && " + stage("merge") +
                  " --quiet " + in("r6.exr") + " " + in("r6b.exr") + " -o " + in("r.exr"))
                   .code,

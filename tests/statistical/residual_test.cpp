@@ -305,6 +305,7 @@ TEST(Residual, ThreadsDoNotMatter) {
         Counts counts;
         const Image one = render_residual({*base().scene, *scene}, method, options_of(*scene), {0, 4, 1}, report, counts);
         const Image two = render_residual({*base().scene, *scene}, method, options_of(*scene), {0, 4, 2}, report, counts);
+        EXPECT_EQ(one.ledger, two.ledger);
         for (const auto& channel : one.channels) {
             const auto other = two.find(channel.name);
             EXPECT_TRUE(std::equal(other.begin(), other.end(), channel.values.begin())) << channel.name;
