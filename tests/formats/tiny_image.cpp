@@ -26,11 +26,22 @@ Image tiny_image() {
     return image;
 }
 
+Image tiny_sum() {
+    Image image = tiny_image();
+    image.scene = {"after \"all\".xml", "00112233445566ff"};
+    image.ledger = {{{"before.xml", "0011223344556677"}, "loom-trace", "", 64, 7, 0.25, 16},
+                    {{"", ""}, "moved: \"box\"\nremoved: ball", "dynamic", 8, ~std::uint64_t{0}, 1.0 / 3, 0},
+                    {image.scene, "light changed", differences_method, 4, 9, 1e-300, 2}};
+    return image;
+}
+
 void expect_equal(const Image& a, const Image& b) {
     EXPECT_EQ(a.width, b.width);
     EXPECT_EQ(a.height, b.height);
     EXPECT_EQ(a.samples, b.samples);
     EXPECT_EQ(a.provenance, b.provenance);
+    EXPECT_EQ(a.scene, b.scene);
+    EXPECT_EQ(a.ledger, b.ledger);
     ASSERT_EQ(a.channels.size(), b.channels.size());
     for (const auto& channel : a.channels) {
         const auto other = b.find(channel.name);
