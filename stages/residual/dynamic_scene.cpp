@@ -102,6 +102,15 @@ Vertex DynamicScene::vertex(const SitePoint& point, std::uint32_t shape, const V
     return vertex(Ray{point.p + wo, -wo}, hit);
 }
 
+Watch DynamicScene::watch(const RayEngine* movers) const {
+    Watch watch;
+    watch.passed = movers;
+    for (const std::uint8_t site : site_of) watch.shapes.push_back(site != no_site);
+    watch.emitters.assign(changed_emitter.begin(), changed_emitter.end());
+    watch.environment = scene.environment >= 0 && changed_emitter[std::size_t(scene.environment)];
+    return watch;
+}
+
 std::uint32_t DynamicScene::cross(const Ray& ray, Crossings& crossings) const {
     if (!ghost_rays) return 0;
     ghost_rays->crossings(ray, crossings.scratch);

@@ -10,6 +10,7 @@
 #include "stages/core/sampling/distribution.h"
 #include "stages/core/scene/embree.h"
 #include "stages/core/scene/scene.h"
+#include "stages/core/transport/path_tracer.h"
 #include "stages/core/transport/shading.h"
 #include "stages/residual/edit.h"
 
@@ -105,6 +106,8 @@ struct DynamicScene {
     ShadingPoint aimed(const Vertex& vertex, const Vector3f& wo) const;
     /// A point on a site that is dynamic here, seen from wo.
     Vertex vertex(const SitePoint& point, std::uint32_t shape, const Vector3f& wo) const;
+    /// What a path of this scene meets when it may be another one in the other scene. needs: same_choice_of_lights
+    Watch watch(const RayEngine* movers) const;
     /// Appends where the ray passes through ghosts; returns how many.
     std::uint32_t cross(const Ray& ray, Crossings& crossings) const;
 };

@@ -66,11 +66,14 @@ struct PathBatch::Impl {
     std::vector<Step> steps;
     MatteBlock matte;
     bool prefetches;
+    const Watch* watch;
+    std::vector<Ray> segments;             // of the paths in `unmet`, which have met nothing of the watch so far
+    std::vector<std::uint32_t> unmet;
 
     static constexpr std::size_t cache_bytes = std::size_t(1) << 20;  // of the second level
 
-    Impl(const Scene& s, const PathOptions& o)
-        : scene(s), options(o), matte(s, o), prefetches(s.table_bytes() > cache_bytes) {
+    Impl(const Scene& s, const PathOptions& o, const Watch* w)
+        : scene(s), options(o), matte(s, o), prefetches(s.table_bytes() > cache_bytes), watch(w) {
         samplers.reserve(capacity);
         paths.reserve(capacity);
         shadows.resize(capacity);
@@ -81,6 +84,38 @@ struct PathBatch::Impl {
         for (auto* column : {&light_x, &light_y, &direction_x, &direction_y, &roulette_x, &unused})
             column->resize(capacity);
         steps.resize(capacity);
+        segments.reserve(watch ? capacity : 0);
+    }
+
+    /// What a path meets where its ray arrives; the segment up to there waits for watch_segments().
+    void watch_arrival(std::uint32_t i, const Hit& hit, const LightQuery& query) {
+        bool& touched = paths[i].result.touched;
+        if (touched) return;
+        if (hit) {
+            const int emitter = scene.shapes[hit.shape].emitter;
+            touched = watch->shapes[hit.shape] || (emitter >= 0 && watch->emitters[std::size_t(emitter)]) ||
+                      (query.ask == LightQuery::Ask::point && !scene.emitters.empty() && watch->emitters[query.point.emitter]);
+        } else {
+            touched = watch->environment;
+        }
+        if (touched || !watch->passed) return;
+        unmet.push_back(i);
+        segments.push_back(paths[i].ray);
+        if (hit) segments.back().t_max = hit.t * (1 - shadow_epsilon);
+    }
+    void watch_shadow(std::uint32_t i) {
+        if (paths[i].result.touched || !watch->passed) return;
+        unmet.push_back(i);
+        segments.push_back(shadows[i].ray);
+    }
+    /// in: rays, blocked  overwritten
+    void watch_segments() {
+        for (std::size_t k = 0; k < unmet.size(); ++k) rays[k] = &segments[k];
+        if (!unmet.empty()) watch->passed->occluded(rays.data(), unmet.size(), blocked.get());
+        for (std::size_t k = 0; k < unmet.size(); ++k)
+            if (blocked[k]) paths[unmet[k]].result.touched = true;
+        unmet.clear();
+        segments.clear();
     }
 
     template <bool recording>
@@ -101,6 +136,7 @@ struct PathBatch::Impl {
         for (std::size_t i = 0; i < ids.size(); ++i) {
             paths.emplace_back(scene, samplers[i], ids[i], Point2f{light_x[i], light_y[i]});
             active.push_back(std::uint32_t(i));
+            if (watch) paths[i].result.touched = false;
             if constexpr (recording) records->paths[i].origin = paths[i].ray.o;
         }
         for (int depth = 1; !active.empty(); ++depth) {
@@ -123,6 +159,10 @@ struct PathBatch::Impl {
             ask(&Scene::prefetch_corners);
             look_up_lights(scene, {lights.data(), n});
             ask(&Scene::prefetch_texels);
+            if (watch) {
+                for (std::size_t k = 0; k < n; ++k) watch_arrival(active[k], hits[k], lights[k]);
+                watch_segments();
+            }
             // Matte surfaces by column, a block at a time; all else vertex by vertex.
             const bool by_column = options.max_depth < 0 || depth < options.max_depth;
             const auto shade = [&] {
@@ -170,13 +210,18 @@ struct PathBatch::Impl {
                 ++paths[i].result.n_rays;
                 if (!blocked[k]) add_next_event<recording>(paths[i], shadows[i], recorder(i));
             }
+            if (watch) {
+                for (const std::uint32_t i : waiting) watch_shadow(i);
+                watch_segments();
+            }
             active.resize(going);
         }
         for (std::size_t i = 0; i < ids.size(); ++i) results[i] = paths[i].result;
     }
 };
 
-PathBatch::PathBatch(const Scene& scene, const PathOptions& options) : impl_(std::make_unique<Impl>(scene, options)) {}
+PathBatch::PathBatch(const Scene& scene, const PathOptions& options, const Watch* watch)
+    : impl_(std::make_unique<Impl>(scene, options, watch)) {}
 PathBatch::~PathBatch() = default;
 PathBatch::PathBatch(PathBatch&&) noexcept = default;
 

@@ -4,12 +4,15 @@
 #include <cstdint>
 #include <memory>
 #include <span>
+#include <vector>
 
 #include "stages/core/sampling/sampler.h"
 #include "stages/core/scene/scene.h"
 #include "stages/core/transport/path_record.h"
 
 namespace loom {
+
+class RayEngine;
 
 /// Survival probability of Russian roulette from `rr_depth` on.
 enum class Roulette : std::uint8_t {
@@ -48,6 +51,16 @@ struct PathResult {
     FirstHit first;
     std::uint32_t n_vertices = 0;
     std::uint32_t n_rays = 0;
+    bool touched = true;  // false: it was watched, and met nothing of what it was watched for
+};
+
+/// What paths are watched for: a path that meets none of it would be the same without it. Shadow rays count, whether they
+/// reach their light or not.
+struct Watch {
+    const RayEngine* passed = nullptr;  // shapes that need not be in the scene: a segment that goes through one touches it
+    std::vector<std::uint8_t> shapes;   // by shape of the scene: a vertex on it touches it
+    std::vector<std::uint8_t> emitters; // by emitter of the scene: choosing it for next-event estimation, or hitting it
+    bool environment = false;           // escaping from the scene
 };
 
 /// One camera sample; pixel = y * width + x.
@@ -61,7 +74,8 @@ struct PathId {
 /// weights over the density of next-event estimation and that of BSDF sampling with roulette folded in.
 class PathBatch {
   public:
-    PathBatch(const Scene& scene, const PathOptions& options);
+    /// in: watch  null, or what paths are watched for; not of captures around a corner, all of whose paths count as touched
+    PathBatch(const Scene& scene, const PathOptions& options, const Watch* watch = nullptr);
     ~PathBatch();
     PathBatch(PathBatch&&) noexcept;
 
