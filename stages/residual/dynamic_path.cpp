@@ -84,7 +84,7 @@ Evaluation evaluate(const DynamicScenes& scenes, const DynamicScene& side, const
     Evaluation e;
     if (!path.dynamic()) return e;
     e.F = path.light.Le;
-    double nee = counts.per_pixel, hit = counts.per_pixel;
+    double nee = 1, hit = 1;
     for (std::size_t i = 0; i < m; ++i) {
         const Interaction& x = path.vertices[i];
         e.F *= x.f_cos;
@@ -98,7 +98,7 @@ Evaluation evaluate(const DynamicScenes& scenes, const DynamicScene& side, const
     e.nee_density = nee * p_light;
     e.camera_density = e.nee_density + (path.light.delta ? 0 : hit);
     if (terms) terms->push_back({Technique::path_tracing, 0, e.camera_density});
-    if (m == 0) return e;
+    if (m == 0 || (counts.first_to_camera && path.dynamic_at_first())) return e;
 
     // Prefixes from the sensor and from the emitter, S[i] and E[i] of vertex i + 1.
     constexpr std::size_t inline_size = 32;
@@ -118,11 +118,11 @@ Evaluation evaluate(const DynamicScenes& scenes, const DynamicScene& side, const
     for (std::size_t i = m - 1; i-- > 0;) E[i] = path.vertices[i].pdf_light * path.vertices[i].q_light * E[i + 1];
 
     const auto add = [&](Technique technique, Site site, std::size_t place, double density) {
-        const double n = counts.of(technique, site);
-        if (!(n > 0)) return;
-        const double d = n / scenes.at(site).area() * density;
+        const SampleCounts::FromSite& from = counts.of(technique, site);
+        if (!(from.n > 0)) return;
+        const double d = from.n / scenes.at(site).area() * density;
         e.site_density += d;
-        if (terms) terms->push_back({technique, std::uint32_t(place), d});
+        if (terms) terms->push_back({technique, std::uint32_t(place), d, from.family});
     };
     for (std::size_t i = 0; i < m; ++i) {
         const Interaction& x = path.vertices[i];

@@ -44,11 +44,17 @@ enum class Technique : std::uint8_t {
 };
 inline constexpr int n_techniques = 7;
 
-/// How many samples each technique takes from each site, and how many camera paths.
+/// How many samples each technique takes from each site in one scene. Camera paths are counted elsewhere: their densities
+/// are those of one path per pixel.
 struct SampleCounts {
-    std::array<std::array<double, n_sites>, n_techniques> from_site{};  // of the whole picture, by technique - 1; 7: unused
-    double per_pixel = 0;                                               // camera paths
-    double of(Technique technique, Site site) const { return from_site[std::size_t(technique) - 1][std::size_t(site)]; }
+    struct FromSite {
+        double n = 0;             // of the whole picture
+        std::uint8_t family = 0;  // a name for it
+    };
+    std::array<std::array<FromSite, n_sites>, n_techniques> from_site{};  // by technique - 1; 7: unused
+    bool first_to_camera = false;  // paths that the edit meets at first are left to camera paths alone
+    FromSite& of(Technique technique, Site site) { return from_site[std::size_t(technique) - 1][std::size_t(site)]; }
+    const FromSite& of(Technique technique, Site site) const { return from_site[std::size_t(technique) - 1][std::size_t(site)]; }
 };
 
 /// Light that scatters at a vertex from one neighbour to the other; both directions are unit and lead away.
@@ -93,6 +99,8 @@ struct FullPath {
     std::size_t m() const { return vertices.size(); }
     /// Whether the edit can change it: else its difference is 0.
     bool dynamic() const;
+    /// Whether the edit is on its first segment or vertex, so that the camera sees it directly.
+    bool dynamic_at_first() const { return segments[0].n > 0 || (m() > 0 && vertices[0].site != no_site); }
 
     void start(const SensorEnd& from, const Segment& ahead) {
         sensor = from;
@@ -124,12 +132,13 @@ struct Term {
     Technique technique;
     std::uint32_t place;  // the vertex (from 1), or the crossing
     double density;       // samples of the whole picture times density; of path tracing per h_pixel
+    std::uint8_t family = 0;  // of SampleCounts; of path tracing 0
 };
 
 struct Evaluation {
     Radiance F;
     double site_density = 0;    // sum of the densities of techniques 1 to 6
-    double camera_density = 0;  // of path tracing, both ways, to be multiplied by h_pixel
+    double camera_density = 0;  // of path tracing, both ways, to be multiplied by h_pixel and camera paths per pixel
     double nee_density = 0;     // the part of next-event estimation
 };
 

@@ -102,15 +102,6 @@ Vertex DynamicScene::vertex(const SitePoint& point, std::uint32_t shape, const V
     return vertex(Ray{point.p + wo, -wo}, hit);
 }
 
-Watch DynamicScene::watch(const RayEngine* movers) const {
-    Watch watch;
-    watch.passed = movers;
-    for (const std::uint8_t site : site_of) watch.shapes.push_back(site != no_site);
-    watch.emitters.assign(changed_emitter.begin(), changed_emitter.end());
-    watch.environment = scene.environment >= 0 && changed_emitter[std::size_t(scene.environment)];
-    return watch;
-}
-
 std::uint32_t DynamicScene::cross(const Ray& ray, Crossings& crossings) const {
     if (!ghost_rays) return 0;
     ghost_rays->crossings(ray, crossings.scratch);
@@ -155,6 +146,22 @@ DynamicScenes::DynamicScenes(const Scene& old_, const Scene& new_, const Edit& e
         if (!side->ghosts.empty()) side->ghost_rays = std::make_unique<RayEngine>(side->ghosts, true);
     }
     if (!movers.empty()) mover_rays = std::make_unique<RayEngine>(movers);
+}
+
+Watch DynamicScenes::watch(const DynamicScene& side) const {
+    constexpr std::size_t most_boxes = 16;  // as many cost about as much as asking for all of them
+    Watch watch;
+    watch.passed = mover_rays.get();
+    for (const Shape& mover : movers) {
+        Box3f box = mover.bounds();
+        box.grow(1e-4f * side.scene.radius);
+        if (watch.boxes.size() < most_boxes) watch.boxes.push_back(box);
+        else watch.boxes.back().add(box);
+    }
+    for (const std::uint8_t site : side.site_of) watch.shapes.push_back(site != no_site);
+    watch.emitters.assign(side.changed_emitter.begin(), side.changed_emitter.end());
+    watch.environment = side.scene.environment >= 0 && side.changed_emitter[std::size_t(side.scene.environment)];
+    return watch;
 }
 
 }  // namespace loom::residual

@@ -106,8 +106,6 @@ struct DynamicScene {
     ShadingPoint aimed(const Vertex& vertex, const Vector3f& wo) const;
     /// A point on a site that is dynamic here, seen from wo.
     Vertex vertex(const SitePoint& point, std::uint32_t shape, const Vector3f& wo) const;
-    /// What a path of this scene meets when it may be another one in the other scene. needs: same_choice_of_lights
-    Watch watch(const RayEngine* movers) const;
     /// Appends where the ray passes through ghosts; returns how many.
     std::uint32_t cross(const Ray& ray, Crossings& crossings) const;
 };
@@ -122,6 +120,8 @@ struct DynamicScenes {
     bool lights_changed = false;
     bool same_choice_of_lights = true;      // the same random number chooses the same light in both
 
+    /// What a path of one of the scenes meets when it may be another one in the other. needs: same_choice_of_lights
+    Watch watch(const DynamicScene& side) const;
     const SiteShapes& at(Site site) const { return sites[std::size_t(site)]; }
 };
 

@@ -89,18 +89,25 @@ void check_endings(const Options& options) {
     if (!options.new_picture.empty() && options.residual.empty() && options.spp < 2) throw InputError("--spp 1: one sample has no variance, so that --new could not say its own; at least 2");
 }
 
-Image render_by_dynamic_paths(const ScenePair& scenes, const Edit& edit, const Options& options, const PathOptions& path, app::Report& report, Counts& counts) {
+/// in: plan  what was spent on what is added
+Image render_by_dynamic_paths(const ScenePair& scenes, const Edit& edit, const Options& options, const PathOptions& path, app::Report& report, Counts& counts,
+                              std::string& plan) {
+    if (scenes.old_scene.nlos || scenes.new_scene.nlos) throw InputError("captures around a corner have no dynamic paths; --method correlated compares them");
     DynamicOptions dynamic;
-    dynamic.mapping = !options.no_mapping;
-    dynamic.limits.d_min = 0.01f * scenes.new_scene.radius;
+    dynamic.pairs.mapping = !options.no_mapping;
+    dynamic.pairs.limits.d_min = 0.01f * scenes.new_scene.radius;
+    dynamic.pilot = options.method == Method::automatic;
+    dynamic.adaptive_map = !options.no_map;
     DynamicCounts counted;
     Image image = render_dynamic(scenes, edit, dynamic, path, {options.first_sample, options.spp, options.threads}, report, counted);
     counts = counted.counts;
+    if (!counted.effort.empty()) plan += "; " + counted.effort;
     if (counts.nonfinite > 0) report.warn("{} paths are not finite and left out", counts.nonfinite);
     if (counted.n_unrelocated > 0) report.info("{} samples of ghosts lie on a segment that does not reach them (surfaces in one place)", counted.n_unrelocated);
     image.ledger = {link_of_residual(image)};
-    image.ledger[0].method = method_name(Method::dynamic);
+    image.ledger[0].method = method_name(options.method);
     image.ledger[0].seed = path.seed;
+    image.ledger[0].var_sample = counted.var_sample;
     return image;
 }
 
@@ -118,10 +125,11 @@ void declare(app::Command& command, Options& options) {
     command.output("--new", options.new_picture, "picture of the new scene: --old plus the residual");
     command.output("--png", options.png, "preview of --new");
     command.output("--residual-png", options.residual_png, "the residual in false colours: blue is darker now, red is brighter");
-    command.choice("--method", options.method, "pairs of paths with the same random numbers, or with different ones",
+    command.choice("--method", options.method, "pairs of paths with the same random numbers, with different ones, or those that meet the edit; auto: by a pilot",
                    {{"auto", Method::automatic}, {"correlated", Method::correlated}, {"independent", Method::independent}, {"dynamic", Method::dynamic}});
-    command.flag("--no-mapping", options.no_mapping, "dynamic: pair paths of the two scenes by their random numbers alone");
-    command.option("--spp", options.spp, "pairs of paths per pixel", app::Range<std::uint64_t>{1, 1u << 30});
+    command.flag("--no-mapping", options.no_mapping, "auto, dynamic: pair paths of the two scenes by their random numbers alone");
+    command.flag("--no-map", options.no_map, "auto: as many camera paths in every pixel");
+    command.option("--spp", options.spp, "pairs of paths per pixel; auto spends what they would cost", app::Range<std::uint64_t>{1, 1u << 30});
     command.option("--first-sample", options.first_sample, "number of the first sample of each pixel");
     command.option("--seed", options.seed, "seed of all random numbers; with the same seed those of loom-trace are others, and those of each edit after an edit");
     command.option("--max-depth", options.max_depth, "longest path in edges, in both scenes; -1: no limit", app::Range<int>{-1, 1 << 20});
@@ -131,24 +139,32 @@ void declare(app::Command& command, Options& options) {
     command.example("loom-residual old.xml new.xml --old old.exr --spp 8 -o residual.exr --new new.exr");
 }
 
-Choice choose(Method asked, const Edit& edit) {
-    const Method method = asked == Method::automatic ? Method::correlated : asked;
-    const std::string why = asked == Method::automatic ? "" : ", as asked";
+std::string plan_of(Method method, const Edit& edit) {
+    const bool moves = edit.n_dynamic() + edit.n_ghosts() > 0;
+    std::string sites;
+    if (moves) sites += "paths from moved, added and removed shapes and from their ghosts (techniques 1 to 6), ";
+    if (edit.n_repainted() > 0) sites += "paths from repainted shapes (techniques 1 to 3), ";
     std::string plan;
-    if (method == Method::dynamic) {
-        const bool moves = edit.n_dynamic() + edit.n_ghosts() > 0;
-        plan = fmt::format("on: path tracing with paths that the edit cannot change left out; {}{}as asked",
-                           moves ? "paths from moved, added and removed shapes and from their ghosts (techniques 1 to 6); " : "",
-                           edit.n_repainted() > 0 ? "paths from repainted shapes (techniques 1 to 3), " : "");
-        if (!moves) plan += "; off: ghosts (nothing moves)";
-    } else if (method == Method::correlated)
-        plan = "on: correlated paths (same random numbers in both scenes: a path that meets nothing of the edit differs by 0" + why +
-               "); off: independent paths (more noise for all but the largest edits)";
-    else
-        plan = "on: independent paths (different random numbers in the two scenes" + why + "); off: correlated paths (the noise of both pictures is in the residual)";
-    if (method == Method::correlated && edit.old_emitters.size() != edit.new_emitters.size())
+    switch (method) {
+        case Method::automatic:
+            plan = "on: camera paths with the same random numbers in both scenes, the old ones of those that the edit touches";
+            if (!sites.empty()) plan += "; if a pilot finds that they pay: " + sites.substr(0, sites.size() - 2);
+            break;
+        case Method::dynamic:
+            plan = "on: path tracing with paths that the edit cannot change left out; " + sites + "as asked";
+            if (!moves) plan += "; off: ghosts (nothing moves)";
+            break;
+        case Method::correlated:
+            plan = "on: correlated paths (same random numbers in both scenes, as asked: a path that meets nothing of the edit differs by 0)"
+                   "; off: independent paths (more noise for all but the largest edits)";
+            break;
+        case Method::independent:
+            plan = "on: independent paths (different random numbers in the two scenes, as asked); off: correlated paths (the noise of both pictures is in the residual)";
+            break;
+    }
+    if (method != Method::independent && edit.old_emitters.size() != edit.new_emitters.size())
         plan += fmt::format("; joint choice of lights is off ({} lights, now {}: the same number picks another)", edit.old_emitters.size(), edit.new_emitters.size());
-    return {method, plan};
+    return plan;
 }
 
 Image add_residual(const Image& old_picture, const Image& residual) {
@@ -172,7 +188,7 @@ void run(const Options& options, app::Report& report) {
     SceneDescription old_description = read_scene(options.old_scene, both(options.defines, options.old_defines));
     SceneDescription new_description = read_scene(new_file, both(options.defines, options.new_defines));
     const Edit edit = find_edit(old_description, new_description);
-    const Choice choice = choose(options.method, edit);
+    std::string plan = plan_of(options.method, edit);
     const std::string found = edit.nothing() ? "nothing differs" : fmt::format("{}", fmt::join(edit.changes, "\n"));
     const std::string counted = fmt::format("shapes: {} dynamic, {} ghosts of them, {} look otherwise; lights: {} changed", edit.n_dynamic(), edit.n_ghosts(),
                                             edit.n_dyed(), edit.n_emitters());
@@ -180,13 +196,13 @@ void run(const Options& options, app::Report& report) {
         std::string text = found + "\n";
         for (const std::string& note : edit.notes) text += "note: " + note + "\n";
         if (!edit.nothing()) text += counted + "\n";
-        report.answer(text + choice.plan + "\n");
+        report.answer(text + plan + "\n");
         return;
     }
     for (const std::string& note : edit.notes) report.info("{}", note);
     if (edit.nothing()) report.info("edit: nothing differs");
     for (const std::string& line : edit.changes) report.info("edit: {}", line);
-    if (options.residual.empty()) report.info("plan: {}", choice.plan);
+    if (options.residual.empty()) report.info("plan: {}", plan);
 
     const auto old_scene = build_scene(std::move(old_description)), new_scene = build_scene(std::move(new_description));
     for (const std::string& note : new_scene->notes) report.info("{}", note);
@@ -204,12 +220,12 @@ void run(const Options& options, app::Report& report) {
     const bool made = !options.residual.empty();
     Image residual;
     if (made) residual = read_residual(options.residual, *new_scene, new_name);
-    check_numbers(before, made ? residual.ledger[0].method : method_name(choice.method), made ? residual.ledger[0].seed : path.seed);
+    check_numbers(before, made ? residual.ledger[0].method : method_name(options.method), made ? residual.ledger[0].seed : path.seed);
     if (!made)
-        residual = choice.method == Method::dynamic
-                       ? render_by_dynamic_paths({*old_scene, *new_scene}, edit, options, path, report, counts)
-                       : render_residual({*old_scene, *new_scene}, choice.method, path, {options.first_sample, options.spp, options.threads}, report, counts);
-    const std::string how = made ? residual.provenance.plan : choice.plan;
+        residual = options.method == Method::automatic || options.method == Method::dynamic
+                       ? render_by_dynamic_paths({*old_scene, *new_scene}, edit, options, path, report, counts, plan)
+                       : render_residual({*old_scene, *new_scene}, options.method, path, {options.first_sample, options.spp, options.threads}, report, counts);
+    const std::string how = made ? residual.provenance.plan : plan;
     residual.provenance.stage = report.name();
     residual.provenance.command = report.command();
     if (!made) residual.provenance.seed = options.seed;

@@ -25,8 +25,9 @@ struct Options {
     std::string output, new_picture;   // the residual, and the sum of the two
     std::string png, residual_png;     // previews of the sum, and of the residual in false colours
     Method method = Method::automatic;
-    bool no_mapping = false;           // dynamic: no path mappings
-    std::uint64_t spp = 4;             // pairs of paths per pixel
+    bool no_mapping = false;           // auto, dynamic: no path mappings
+    bool no_map = false;               // auto: as many camera paths in every pixel
+    std::uint64_t spp = 4;             // pairs of paths per pixel, or what they would cost
     std::uint64_t first_sample = 0;
     std::uint64_t seed = 0;
     std::optional<int> max_depth;      // of the scene files when unset
@@ -40,12 +41,8 @@ void declare(app::Command& command, Options& options);
 /// throws:  InputError
 void run(const Options& options, app::Report& report);
 
-/// What automatic stands for, and why.
-struct Choice {
-    Method method;
-    std::string plan;  // what is on and off, and why, in one line
-};
-Choice choose(Method asked, const Edit& edit);
+/// What a method has on and off for an edit, and why, in one line.
+std::string plan_of(Method method, const Edit& edit);
 
 /// old + residual.
 ///   L = L_old + delta_L,  var_mean = var_mean_old + var_mean_delta: their samples are independent (seed_of_edit)

@@ -3,7 +3,7 @@
 // that is perfectly specular counted for techniques that join it to the sensor (DynamicPaths of the statistical tests); neighbours of the moved vertex
 // judged smooth by one of the two scenes alone (there and back).
 
-#include "stages/residual/path_mapper.h"
+#include "stages/residual/path_pairs.h"
 
 #include <gtest/gtest.h>
 #include <unistd.h>
@@ -59,7 +59,7 @@ double twin(const DynamicScenes& scenes, const DynamicScene& side, const SampleC
         for (std::size_t i = from; i + 1 < m; ++i) density *= p.vertices[i].pdf_light * p.vertices[i].q_light * g_light(i);
         density *= p.light.pdf;
     };
-    const auto starts = [&](Technique t, Site site) { density *= counts.of(t, site) / scenes.at(site).area(); };
+    const auto starts = [&](Technique t, Site site) { density *= counts.of(t, site).n / scenes.at(site).area(); };
     const bool dynamic = term.technique <= Technique::dynamic_two_ends;
     if (dynamic) {
         const std::size_t j = term.place - 1;
@@ -116,10 +116,9 @@ TEST(DynamicPath, DensitiesAreThoseOfThePlainTwin) {
     std::vector<Term> terms;
     for (const DynamicScene* side : {&scenes.new_scene, &scenes.old_scene}) {
         SampleCounts counts;
-        counts.per_pixel = 4;
         double n = 1000;
         for (auto& by_site : counts.from_site)
-            for (double& c : by_site) c = n *= 1.3;
+            for (auto& from : by_site) from.n = n *= 1.3;
         PathFinder finder(scenes, *side, options);
         const auto check = [&](const FullPath& p, const Found& found) {
             terms.clear();

@@ -318,21 +318,11 @@ void find_features(Scene& scene) {
 }
 
 void find_bounds(Scene& scene) {
-    Point3f low{INFINITY, INFINITY, INFINITY}, high{-INFINITY, -INFINITY, -INFINITY};
-    auto extend = [&](const Point3f& p, float r) {
-        for (int k = 0; k < 3; ++k) {
-            low[k] = std::min(low[k], p[k] - r);
-            high[k] = std::max(high[k], p[k] + r);
-        }
-    };
-    for (const Shape& s : scene.shapes) {
-        for (const Point3f& p : s.mesh.positions) extend(p, 0);
-        if (s.kind == ShapeKind::sphere) extend(s.center, s.radius);
-        if (s.kind == ShapeKind::disk) extend(s.center, std::max(length(s.u_axis), length(s.v_axis)));
-    }
+    Box3f all;
+    for (const Shape& s : scene.shapes) all.add(s.bounds());
     if (scene.shapes.empty()) return;
-    scene.center = low + (high - low) * 0.5f;
-    scene.radius = 0.5f * length(high - low);
+    scene.center = all.lo + (all.hi - all.lo) * 0.5f;
+    scene.radius = 0.5f * length(all.hi - all.lo);
 }
 
 }  // namespace

@@ -92,6 +92,18 @@ std::size_t Scene::table_bytes() const {
     return n;
 }
 
+Box3f Shape::bounds() const {
+    Box3f box;
+    const auto add_ball = [&](float r) {
+        box.add(Point3f{center.x - r, center.y - r, center.z - r});
+        box.add(Point3f{center.x + r, center.y + r, center.z + r});
+    };
+    for (const Point3f& p : mesh.positions) box.add(p);
+    if (kind == ShapeKind::sphere) add_ball(radius);
+    if (kind == ShapeKind::disk) add_ball(std::max(length(u_axis), length(v_axis)));
+    return box;
+}
+
 SurfacePoint Scene::surface(const Ray& ray, const Hit& hit) const {
     const Shape& shape = shapes[hit.shape];
     SurfacePoint at;

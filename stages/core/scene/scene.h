@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "formats/io/octahedral.h"
+#include "stages/core/math/box.h"
 #include "stages/core/math/frame.h"
 #include "stages/core/math/vector.h"
 #include "stages/core/scattering/bsdf.h"
@@ -83,6 +84,8 @@ struct Shape {
     float radius = 1;
     Vector3f u_axis, v_axis, w_axis;
     bool flip_normals = false;
+
+    Box3f bounds() const;  // world space; of a disk that of a sphere around it
 };
 
 /// A point on a surface, ready for shading. Normals as in Mitsuba: ng from the geometry's own

@@ -38,7 +38,7 @@ Film::Film(std::uint32_t width, std::uint32_t height, std::uint64_t samples) {
 }
 
 void Film::set(std::uint64_t pixel, const PixelSums& sums) {
-    const double samples = double(image_.samples);
+    const double samples = double(sums.L[0].n);
     // Depth is the mean over the samples that hit something; the others are means over all samples.
     for (int c = 0; c < 3; ++c) {
         radiance_[c][pixel] = float(sums.L[c].mean);

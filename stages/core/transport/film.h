@@ -25,6 +25,7 @@ class Film {
   public:
     Film(std::uint32_t width, std::uint32_t height, std::uint64_t samples);
 
+    /// Means over as many samples as the sums have, one at least.
     void set(std::uint64_t pixel, const PixelSums& sums);
     Image finish(Provenance provenance) &&;
 

@@ -6,6 +6,7 @@
 #include "stages/core/transport/matte_block.h"
 #include "stages/core/transport/nlos_tracer.h"
 #include "stages/core/transport/path_step.h"
+#include "stages/core/transport/segment_columns.h"
 
 namespace loom {
 
@@ -67,13 +68,14 @@ struct PathBatch::Impl {
     MatteBlock matte;
     bool prefetches;
     const Watch* watch;
-    std::vector<Ray> segments;             // of the paths in `unmet`, which have met nothing of the watch so far
+    std::vector<Ray> segments;  // of the paths in `unmet`, which have met nothing of the watch so far
+    SegmentColumns columns;     // of the same
     std::vector<std::uint32_t> unmet;
 
     static constexpr std::size_t cache_bytes = std::size_t(1) << 20;  // of the second level
 
     Impl(const Scene& s, const PathOptions& o, const Watch* w)
-        : scene(s), options(o), matte(s, o), prefetches(s.table_bytes() > cache_bytes), watch(w) {
+        : scene(s), options(o), matte(s, o), prefetches(s.table_bytes() > cache_bytes), watch(w), columns(w ? capacity : 0) {
         samplers.reserve(capacity);
         paths.reserve(capacity);
         shadows.resize(capacity);
@@ -98,21 +100,27 @@ struct PathBatch::Impl {
         } else {
             touched = watch->environment;
         }
-        if (touched || !watch->passed) return;
-        unmet.push_back(i);
-        segments.push_back(paths[i].ray);
-        if (hit) segments.back().t_max = hit.t * (1 - shadow_epsilon);
+        if (touched) return;
+        Ray segment = paths[i].ray;
+        if (hit) segment.t_max = hit.t * (1 - shadow_epsilon);
+        watch_segment(i, segment);
     }
-    void watch_shadow(std::uint32_t i) {
-        if (paths[i].result.touched || !watch->passed) return;
+    void watch_segment(std::uint32_t i, const Ray& segment) {
+        columns.set(unmet.size(), segment);
         unmet.push_back(i);
-        segments.push_back(shadows[i].ray);
+        segments.push_back(segment);
     }
     /// in: rays, blocked  overwritten
     void watch_segments() {
-        for (std::size_t k = 0; k < unmet.size(); ++k) rays[k] = &segments[k];
-        if (!unmet.empty()) watch->passed->occluded(rays.data(), unmet.size(), blocked.get());
-        for (std::size_t k = 0; k < unmet.size(); ++k)
+        find_met(columns, unmet.size(), watch->boxes.data(), watch->boxes.size());
+        std::size_t n = 0;
+        for (std::size_t k = 0; k < unmet.size(); ++k) {
+            if (!columns.met[k]) continue;
+            rays[n] = &segments[k];
+            unmet[n++] = unmet[k];
+        }
+        if (n > 0) watch->passed->occluded(rays.data(), n, blocked.get());
+        for (std::size_t k = 0; k < n; ++k)
             if (blocked[k]) paths[unmet[k]].result.touched = true;
         unmet.clear();
         segments.clear();
@@ -211,7 +219,8 @@ struct PathBatch::Impl {
                 if (!blocked[k]) add_next_event<recording>(paths[i], shadows[i], recorder(i));
             }
             if (watch) {
-                for (const std::uint32_t i : waiting) watch_shadow(i);
+                for (const std::uint32_t i : waiting)
+                    if (!paths[i].result.touched) watch_segment(i, shadows[i].ray);
                 watch_segments();
             }
             active.resize(going);

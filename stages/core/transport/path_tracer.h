@@ -6,6 +6,7 @@
 #include <span>
 #include <vector>
 
+#include "stages/core/math/box.h"
 #include "stages/core/sampling/sampler.h"
 #include "stages/core/scene/scene.h"
 #include "stages/core/transport/path_record.h"
@@ -58,6 +59,7 @@ struct PathResult {
 /// reach their light or not.
 struct Watch {
     const RayEngine* passed = nullptr;  // shapes that need not be in the scene: a segment that goes through one touches it
+    std::vector<Box3f> boxes;           // around them: a segment that meets none of the boxes is not asked for
     std::vector<std::uint8_t> shapes;   // by shape of the scene: a vertex on it touches it
     std::vector<std::uint8_t> emitters; // by emitter of the scene: choosing it for next-event estimation, or hitting it
     bool environment = false;           // escaping from the scene

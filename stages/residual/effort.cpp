@@ -1,0 +1,231 @@
+#include "stages/residual/effort.h"
+
+#include <fmt/format.h>
+#include <tbb/enumerable_thread_specific.h>
+
+#include <numeric>
+
+#include "stages/core/stats/moments.h"
+#include "stages/core/transport/parallel.h"
+#include "stages/residual/camera_paths.h"
+#include "stages/residual/effort_model.h"
+
+namespace loom::residual {
+namespace {
+
+/// A ray of dynamic paths, found one by one with all that is worked out for it, over one of a batch of camera paths.
+constexpr double cost_of_site_ray = 3.5;
+/// Half of the paths go everywhere alike: a pixel whose pilot saw nothing has at most twice the variance. With a quarter, as
+/// in [001], what few samples say is trusted too much (equal or more variance in ten of twelve edits).
+constexpr double share_of_map_floor = 0.5;
+constexpr double blur_deviation = 2;  // pixels
+constexpr std::uint64_t most_recorded_pixels = 4096, recorded_one_in = 8, most_pilot_samples = 1 << 15;
+
+/// Where camera paths go.
+struct Map {
+    std::vector<double> density;  // by pixel, over that of the same cost in every pixel
+    double gain = 1;              // variance of the picture that is not spread, over that of the one that is
+};
+
+/// in: variances, costs  of one path, by pixel
+Map map_of(const Sensor& sensor, const std::vector<double>& variances, const std::vector<double>& costs) {
+    const auto width = int(sensor.width), height = int(sensor.height);
+    const int reach = int(std::ceil(2.5 * blur_deviation));
+    std::vector<double> weights, rows(variances.size()), deviations(variances.size());
+    for (int d = -reach; d <= reach; ++d) weights.push_back(std::exp(-0.5 * sqr(d / blur_deviation)));
+    // Weights are renormalised at the edges of the picture.
+    const auto blur = [&](const std::vector<double>& in, std::vector<double>& out, int step_x, int step_y) {
+        for (int y = 0; y < height; ++y)
+            for (int x = 0; x < width; ++x) {
+                double sum = 0, all = 0;
+                for (int d = -reach; d <= reach; ++d) {
+                    const int xx = x + d * step_x, yy = y + d * step_y;
+                    if (xx < 0 || yy < 0 || xx >= width || yy >= height) continue;
+                    sum += weights[std::size_t(d + reach)] * in[std::size_t(yy * width + xx)];
+                    all += weights[std::size_t(d + reach)];
+                }
+                out[std::size_t(y * width + x)] = sum / all;
+            }
+    };
+    std::transform(variances.begin(), variances.end(), deviations.begin(), [](double v) { return std::sqrt(v); });
+    blur(deviations, rows, 1, 0);
+    blur(rows, deviations, 0, 1);
+    double all_costs = 0, wanted_costs = 0, flat = 0, spread = 0;
+    for (std::size_t p = 0; p < deviations.size(); ++p) {
+        all_costs += costs[p];
+        wanted_costs += costs[p] * deviations[p];
+    }
+    Map map;
+    for (const double deviation : deviations) {
+        map.density.push_back(wanted_costs > 0 ? share_of_map_floor + (1 - share_of_map_floor) * deviation * all_costs / wanted_costs : 1);
+        flat += sqr(deviation);
+        spread += sqr(deviation) / map.density.back();
+    }
+    if (spread > 0) map.gain = flat / spread;
+    return map;
+}
+
+/// Camera paths of each pixel, n over all of them. Two at least, which VarMean takes.
+std::vector<std::uint32_t> rounded(const Map& map, double n) {
+    std::vector<std::uint32_t> out;
+    double carried = 0.5;  // what rounding left over
+    for (const double density : map.density) {
+        carried += n * density;
+        const double taken = std::max(std::floor(carried), 2.0);
+        out.push_back(std::uint32_t(taken));
+        carried = std::max(carried - taken, 0.0);
+    }
+    return out;
+}
+
+}  // namespace
+
+bool Effort::cameras_alone() const {
+    return std::all_of(samples.begin(), samples.end() - 1, [](double n) { return n == 0; });
+}
+
+Effort equal_effort(const std::vector<Family>& families, const Sensor& sensor, std::uint64_t spp) {
+    Effort effort;
+    effort.samples.assign(families.size(), double(sensor.n_pixels() * spp));
+    effort.per_pixel.assign(sensor.n_pixels(), std::uint32_t(spp));
+    return effort;
+}
+
+Effort camera_effort(const std::vector<Family>& families, const Sensor& sensor, std::uint64_t spp) {
+    Effort effort = equal_effort(families, sensor, spp);
+    std::fill(effort.samples.begin(), effort.samples.end(), 0.0);
+    return effort;
+}
+
+Effort effort_by_pilot(const DynamicScenes& scenes, const std::vector<Family>& families, const PilotOptions& options, const PathOptions& path, const Work& work,
+                       Counts& counts) {
+    const Sensor& sensor = scenes.new_scene.scene.sensor;
+    const std::uint64_t n_pixels = sensor.n_pixels();
+    const std::size_t K = families.size();
+    Pilot pilot;
+    pilot.families.resize(K);
+    pilot.cost.assign(K, 0);
+    const std::uint64_t per_family = std::clamp<std::uint64_t>(n_pixels * work.spp / 512, 256, most_pilot_samples);
+    const std::uint64_t per_pixel = std::max<std::uint64_t>(work.spp / 16, 2);  // for the map
+
+    const std::vector<double> samples(K, double(per_family));
+    struct Worker {
+        PathPairs pairs;
+        CameraPaths cameras;
+        std::vector<PilotPart> parts;
+        std::vector<std::uint32_t> pixels;
+        double n0 = 0;  // camera paths of a pixel
+        void keep(const Part& part, std::size_t K) {
+            PilotPart kept{};
+            const double camera = n0 * part.h * part.density.camera_density, density = part.density.site_density + camera;
+            for (const Term& t : part.terms)
+                if (t.technique != Technique::path_tracing) kept.w[t.family] += float(t.density / density);
+            kept.w[K - 1] = float(camera / density);
+            for (int c = 0; c < 3; ++c) kept.v[c] = float(part.value[c] / density);
+            kept.at_first = part.at_first;
+            parts.push_back(kept);
+            pixels.push_back(part.pixel);
+        }
+    };
+    tbb::enumerable_thread_specific<Worker> workers([&] {
+        return Worker{PathPairs(scenes, families, samples, false, path, options.pairs), CameraPaths(scenes, path), {}, {}, double(pilot.per_pixel)};
+    });
+    const auto rays_of_pairs = [&] {
+        std::uint64_t sum = 0;
+        for (const Worker& w : workers) sum += w.pairs.rays();
+        return double(sum);
+    };
+    const auto record = [&](std::uint64_t n, std::uint64_t chunk_size, PilotSamples& all, auto&& body) {
+        std::vector<PilotSamples> chunks((n + chunk_size - 1) / chunk_size);
+        parallel_chunks(n, chunk_size, work.threads, [&](std::uint64_t chunk, std::uint64_t begin, std::uint64_t end) { body(workers.local(), chunks[chunk], begin, end); });
+        for (const PilotSamples& r : chunks) all.append(r);
+    };
+    for (std::size_t f = 0; f + 1 < K; ++f) {
+        const std::uint64_t seed = mix64(path.seed ^ (f + 1) * 0x9e3779b97f4a7c15ull);
+        const double before = rays_of_pairs();
+        record(per_family, 128, pilot.families[f], [&](Worker& w, PilotSamples& out, std::uint64_t begin, std::uint64_t end) {
+            for (std::uint64_t i = begin; i < end; ++i) {
+                w.pairs.from_site(f, Sampler(path.sampler, seed, 0, i), [&](const Part& part) { w.keep(part, K); });
+                out.end_sample(w.parts, w.pixels);
+            }
+        });
+        pilot.cost[f] = cost_of_site_ray * (rays_of_pairs() - before);
+    }
+    // Pairs of all pixels for the map; with which densities families find them, of a few.
+    const std::uint64_t one_in = std::max(recorded_one_in, n_pixels / most_recorded_pixels);
+    std::uint64_t n_recorded = 0;
+    const auto is_recorded = [&](std::uint64_t pixel) { return K > 1 && mix64(pixel) % one_in == 0; };
+    for (std::uint64_t pixel = 0; pixel < n_pixels; ++pixel) n_recorded += is_recorded(pixel);
+    std::vector<double> variances(n_pixels), costs(n_pixels);
+    const double before = rays_of_pairs();
+    record(n_pixels, 64, pilot.families[K - 1], [&](Worker& w, PilotSamples& out, std::uint64_t begin, std::uint64_t end) {
+        std::vector<PathId> ids;
+        for (std::uint64_t pixel = begin; pixel < end; ++pixel)
+            for (std::uint64_t s = 0; s < per_pixel; ++s) ids.push_back({pixel, s});
+        std::vector<Moments> moments(3 * (end - begin));
+        for (std::size_t k = 0; k < ids.size(); k += PathBatch::capacity) {
+            const std::span<const PathId> some{&ids[k], std::min(PathBatch::capacity, ids.size() - k)};
+            w.cameras.trace(some);
+            for (std::size_t i = 0; i < some.size(); ++i) {
+                const PathId id = some[i];
+                const Spectrum difference = w.cameras.difference(i);
+                for (int c = 0; c < 3; ++c) moments[3 * (id.pixel - begin) + std::size_t(c)].add(difference[c]);
+                costs[id.pixel] += double(w.cameras.rays(i)) / double(per_pixel);
+                if (!w.cameras.touched(i) || id.sample >= pilot.per_pixel || !is_recorded(id.pixel)) continue;
+                w.pairs.from_camera(id, Sampler(path.sampler, path.seed, id.pixel, id.sample), [&](const Part& part) { w.keep(part, K); });
+                out.end_sample(w.parts, w.pixels);
+            }
+        }
+        for (std::uint64_t pixel = begin; pixel < end; ++pixel)
+            for (std::size_t c = 0; c < 3; ++c) variances[pixel] += moments[3 * (pixel - begin) + c].var_sample() / 3;
+    });
+    double new_rays = 0, pair_rays = 0, touched = 0;  // of one camera path in every pixel
+    for (const Worker& w : workers) {
+        new_rays += double(w.cameras.counts_new.rays) / double(per_pixel);
+        pair_rays += double(w.cameras.counts_new.rays + w.cameras.counts_old.rays) / double(per_pixel);
+        touched += double(w.cameras.n_touched) / double(n_pixels * per_pixel);
+        counts.add(w.cameras.counts_new);
+        counts.add(w.cameras.counts_old);
+        counts.add({w.pairs.rays(), w.pairs.vertices(), w.pairs.nonfinite});
+    }
+    const double recording = cost_of_site_ray * (rays_of_pairs() - before), n0 = double(pilot.per_pixel);
+    pilot.camera_scale = double(n_pixels) / double(std::max<std::uint64_t>(n_recorded, 1));
+    pilot.cost[K - 1] = n0 * new_rays + recording * pilot.camera_scale;
+    // Of spp plain pairs, less what the pilot has taken.
+    const double whole = 2 * new_rays * double(work.spp);
+    const double taken = double(per_pixel) * pair_rays + recording + std::accumulate(pilot.cost.begin(), pilot.cost.end() - 1, 0.0);
+    const double budget = std::max(whole - taken, 0.25 * whole);
+
+    if (!options.adaptive_map) std::fill(variances.begin(), variances.end(), 0.0);
+    const Map map = map_of(sensor, variances, costs);
+    Spending best;
+    best.x.assign(K, 0);
+    best.x[K - 1] = budget / (n0 * pair_rays);
+    double M_alone = 0;
+    if (n_recorded > 0) {
+        M_alone = variance_of(pilot, false, best.x).M / map.gain;
+        Spending with = best_spending(pilot, false, budget, map.gain);
+        if (Spending first = best_spending(pilot, true, budget, map.gain); first.M < with.M) with = std::move(first);
+        if (with.M * options.must_gain < M_alone) best = std::move(with);
+    }
+    Effort effort;
+    effort.first_to_camera = best.first_to_camera;
+    effort.samples.assign(K, 0);
+    for (std::size_t f = 0; f + 1 < K; ++f) effort.samples[f] = std::floor(best.x[f] * double(per_family));
+    effort.per_pixel = rounded(map, best.x[K - 1] * n0);
+
+    const auto [fewest, most] = std::minmax_element(effort.per_pixel.begin(), effort.per_pixel.end());
+    effort.why = fmt::format("pilot ({:.0f} % of the effort): the edit touches {:.0f} % of camera paths; {:.1f} per pixel ({} to {})", 100 * taken / whole, 100 * touched,
+                             best.x[K - 1] * n0, *fewest, *most);
+    if (options.adaptive_map) effort.why += fmt::format(", {:.1f} times less variance than evenly", map.gain);
+    if (!effort.cameras_alone()) {
+        for (std::size_t f = 0; f + 1 < K; ++f)
+            if (effort.samples[f] > 0) effort.why += fmt::format(", {} {:.0f} %", families[f].name, 100 * best.x[f] * pilot.cost[f] / budget);
+        effort.why += fmt::format("{}: {:.1f} times less variance than camera paths alone", best.first_to_camera ? ", none of what the camera sees directly" : "", M_alone / best.M);
+    } else if (K > 1) {
+        effort.why += "; paths from the edit do not pay";
+    }
+    return effort;
+}
+
+}  // namespace loom::residual
