@@ -11,7 +11,9 @@
 OLD ?= scenes/cornell-box.xml  ## scene before the edit
 # NEW=  ## scene after the edit (OLD, with NEW_DEFINES)
 METHOD ?= auto  ## of the residual: correlated, independent, dynamic, auto, or graph: the difference of two path graphs, biased a little
-SPP ?= 8  ## pairs of paths per pixel of the residual; graph: of each of its PASSES
+SPP ?= 16  ## pairs of paths per pixel of the residual, auto: or what they would cost; graph: of each of its PASSES
+# MAP=  ## of auto: 0: as many camera paths in every pixel
+# CONTROL=  ## of auto: 0: the new picture is the old one plus the residual; else the old one gets the weight that makes the sum least noisy
 # PASSES=  ## of graph: passes, whose spread is its variance (4)
 # K=  ## of graph: vertices of a cluster (as of make image)
 # ITERATIONS=  ## of graph: steps of the refinement (6)
@@ -55,7 +57,7 @@ base_seed := $(or $(strip $(BASE_SEED)),$(strip $(SEED)))
 defines = $(foreach d,$(2), $(1) $(call quote,$(d)))
 old_parameters = $(call quote,$(OLD))$(call defines,-D,$(DEFINES) $(OLD_DEFINES)) --spp $(BASE_SPP)$(if $(base_seed), --seed $(base_seed))
 edit_parameters = $(call quote,$(OLD)) $(call quote,$(NEW))$(call defines,-D,$(DEFINES))$(call defines,--old-define,$(OLD_DEFINES))$(call defines,--new-define,$(NEW_DEFINES)) \
-	--method $(METHOD) --spp $(SPP)$(if $(SEED), --seed $(SEED)) --old $(picture)
+	--method $(METHOD)$(if $(filter 0,$(MAP)), --no-map)$(if $(filter 0,$(CONTROL)), --no-control) --spp $(SPP)$(if $(SEED), --seed $(SEED)) --old $(picture)
 
 # A base with other values lies in another folder.
 OUT := $(or $(strip $(OUT)),out/$(call scene_name,$(NEW))/edit)

@@ -10,6 +10,7 @@
 #   error     MSE of the new picture, its old one being taken as converged: that of the residual against a reference.
 #             The reference is the mean (a + b) / 2 of two residuals with their own seeds; its noise is taken out by
 #             (x - a)(x - b) = (x - (a + b) / 2)^2 - (a - b)^2 / 4, whatever its samples say of themselves
+#             The old picture's weight is 1 (CONTROL=0): with another its noise would count
 #   cost      CPU seconds of the whole chain of residual.exr, reading the scenes not counted; the old picture is there
 #   ratio     error of correlated path tracing given the same time, over that of the method: correlated paths are
 #             traced with each of SPPS, and between two of them their error follows a power of their cost (beyond the
@@ -29,7 +30,7 @@
 .DEFAULT_GOAL := table-edit
 
 # ROWS=  ## edits, by name (all)
-# METHODS=  ## each a METHOD of make edit, with settings after +: graph+SPP4 (correlated independent)
+# METHODS=  ## each a METHOD of make edit, with settings after +: graph+SPP4 (correlated auto)
 # SPP=  ## pairs per pixel of each, if not set after + (32)
 # SPPS=  ## pairs per pixel of correlated path tracing, between which its error at equal time lies (8 32 128)
 # REPLICATES=  ## residuals of each, with their own seeds (3)
@@ -41,7 +42,7 @@
 # PICTURE_SPP=  ## of edit-pictures: samples of the old picture and pairs of the residual, by correlated paths (64)
 # DOCS=  ## folder whose edits.md takes the tables
 BUILD ?= build
-METHODS := $(or $(strip $(METHODS)),correlated independent)
+METHODS := $(or $(strip $(METHODS)),correlated auto)
 SPP := $(or $(strip $(SPP)),32)
 SPPS := $(or $(strip $(SPPS)),8 32 128)
 REPLICATES := $(or $(strip $(REPLICATES)),3)
@@ -170,7 +171,7 @@ values = $(subst +, ,$(call field,$(1),$(2)))
 # $(call edit,ROW,LONGER SIDE,METHOD,PAIRS,SEED,FOLDER,BASE_SPP,SETTINGS): all variables are named, none of this file's reaches it else.
 edit = $(MAKE) -s --no-print-directory -f pipelines/edit.mk -j1 BUILD=$(BUILD) OLD='$(call field,4,$(1))' NEW='$(or $(call field,5,$(1)),$(call field,4,$(1)))' \
 	DEFINES='$(call size,$(1),$(2))$(call values,6,$(1))' OLD_DEFINES= NEW_DEFINES='$(call values,7,$(1))' METHOD=$(3) SPP=$(4) SEED=$(5) \
-	BASE=$(call base,$(1),$(2) $(7)) BASE_SPP=$(7) BASE_SEED=1 OUT=$(6) EXPOSURE= $(8)
+	BASE=$(call base,$(1),$(2) $(7)) BASE_SPP=$(7) BASE_SEED=1 OUT=$(6) EXPOSURE= CONTROL=0 $(8)
 run = $(call edit,$(call row_of,$(1)),$(SIZE),$(firstword $(subst +, ,$(call method_of,$(1)))),$(call part,2,$(1)),$(call seed,$(1)),$(2),$(BASE_SPP),$(call settings_of,$(1)))
 
 table-edit: $(OUT)/table.md

@@ -9,6 +9,7 @@
 #include "stages/core/transport/film.h"
 #include "stages/core/transport/parallel.h"
 #include "stages/residual/camera_paths.h"
+#include "stages/residual/control.h"
 
 namespace loom::residual {
 namespace {
@@ -43,6 +44,12 @@ class Splats {
 /// The picture of the samples that start from sites: sums, and squares by sample.
 struct SitePicture {
     std::vector<Radiance> sum, square;
+};
+
+/// Pairs of camera paths with the old picture as control variate: moments of f_new - alpha f_old, by pixel.
+struct ControlSums {
+    std::vector<Spectrum> alpha;
+    std::vector<Spectrum> mean, var_mean;
 };
 
 class Estimator {
@@ -106,7 +113,8 @@ class Estimator {
     }
 
     /// Camera paths; alone they are plain pairs, else weighted against the other families.
-    Film from_camera(std::uint64_t first_sample, DynamicCounts& counts, app::Report& report, app::Progress& progress) const;
+    /// in: control  null, or with weights; only of camera paths alone
+    Film from_camera(std::uint64_t first_sample, ControlSums* control, DynamicCounts& counts, app::Report& report, app::Progress& progress) const;
 
   private:
     const DynamicScenes& scenes_;
@@ -130,8 +138,9 @@ struct CameraWorker {
     NonfiniteLog& log;
     Film& film;
     std::span<double> new_var;  // by pixel: sum over channels of the variance of one new path
+    ControlSums* control;
     PixelSums sums;
-    Moments new_L[3];
+    Moments new_L[3], controlled[3];
 
     void trace(std::span<const PathId> ids) {
         values.assign(ids.size(), Spectrum());
@@ -152,7 +161,11 @@ struct CameraWorker {
     void add(std::size_t k, PathId id) {
         log.check(values[k], id);
         sums.add(values[k], cameras.first(k));
-        for (int c = 0; c < 3; ++c) new_L[c].add(cameras.L_new(k)[c]);
+        const Spectrum& L = cameras.L_new(k);
+        for (int c = 0; c < 3; ++c) new_L[c].add(L[c]);
+        if (!control) return;
+        const Spectrum& alpha = control->alpha[id.pixel];
+        for (int c = 0; c < 3; ++c) controlled[c].add(L[c] - alpha[c] * (L[c] - values[k][c]));
     }
     void finish(std::uint64_t pixel) {
         film.set(pixel, sums);
@@ -161,10 +174,16 @@ struct CameraWorker {
             if (std::isfinite(m.m2)) new_var[pixel] += m.var_sample();
             m = {};
         }
+        if (!control) return;
+        for (int c = 0; c < 3; ++c) {
+            control->mean[pixel][c] = float(controlled[c].mean);
+            control->var_mean[pixel][c] = float(controlled[c].var_mean());
+            controlled[c] = {};
+        }
     }
 };
 
-Film Estimator::from_camera(std::uint64_t first_sample, DynamicCounts& counts, app::Report& report, app::Progress& progress) const {
+Film Estimator::from_camera(std::uint64_t first_sample, ControlSums* control, DynamicCounts& counts, app::Report& report, app::Progress& progress) const {
     const Sensor& sensor = scenes_.new_scene.scene.sensor;
     std::uint64_t n = 0;
     for (const std::uint32_t of_pixel : effort_.per_pixel) n += of_pixel;
@@ -173,7 +192,7 @@ Film Estimator::from_camera(std::uint64_t first_sample, DynamicCounts& counts, a
     std::vector<double> new_var(sensor.n_pixels());
     const bool alone = effort_.cameras_alone() && options_.only_family < 0;
     tbb::enumerable_thread_specific<CameraWorker> workers([&] {
-        return CameraWorker{*this, effort_, path_, alone, wanted(families_.size() - 1), CameraPaths(scenes_, path_), pairs(), {}, log, film, new_var, {}, {}};
+        return CameraWorker{*this, effort_, path_, alone, wanted(families_.size() - 1), CameraPaths(scenes_, path_), pairs(), {}, log, film, new_var, control, {}, {}, {}};
     });
     trace_pixels(workers, sensor.n_pixels(), double(n) / double(sensor.n_pixels()), threads_,
                  [&](std::uint64_t pixel) { return SampleRange{first_sample, effort_.per_pixel[pixel]}; }, progress);
@@ -185,6 +204,31 @@ Film Estimator::from_camera(std::uint64_t first_sample, DynamicCounts& counts, a
     counts.counts.nonfinite += log.count();
     counts.var_sample = std::accumulate(new_var.begin(), new_var.end(), 0.0) / (3.0 * double(new_var.size()));  // in the order of pixels: for any threads
     return film;
+}
+
+constexpr const char* rgb[] = {"R", "G", "B"};
+
+ControlledPicture controlled_picture(const Image& old_picture, const Image& residual, const ControlSums& control) {
+    ControlledPicture out{residual, 1, 0, INFINITY, 0};
+    double before = 0, after = 0;
+    for (int c = 0; c < 3; ++c) {
+        const std::string var_mean = std::string("VarMean.") + rgb[c];
+        const auto L_old = old_picture.find(rgb[c]), V = old_picture.find(var_mean);
+        const auto L = out.image.add(rgb[c]);
+        for (std::size_t p = 0; p < L.size(); ++p) L[p] = float(double(control.alpha[p][c]) * L_old[p] + control.mean[p][c]);
+        const auto var = out.image.add(var_mean);
+        for (std::size_t p = 0; p < var.size(); ++p) {
+            const double alpha = control.alpha[p][c];
+            var[p] = float(sqr(alpha) * V[p] + control.var_mean[p][c]);
+            before += V[p];
+            after += sqr(alpha) * V[p];
+            out.var_mean += double(control.var_mean[p][c]) / (3 * double(var.size()));
+            out.least = std::min(out.least, alpha);
+            out.most = std::max(out.most, alpha);
+        }
+    }
+    if (before > 0) out.old_variance = after / before;
+    return out;
 }
 
 }  // namespace
@@ -223,9 +267,16 @@ Image render_dynamic(const ScenePair& pair, const Edit& edit, const DynamicOptio
     const Estimator estimator(scenes, families, effort, options, path, work.threads);
     SitePicture sites{std::vector<Radiance>(n_pixels), std::vector<Radiance>(n_pixels)};
     estimator.add_from_sites(double(first_sample) / double(work.spp), sites, counts.counts, counts.n_unrelocated, progress);
-    Image image = estimator.from_camera(first_sample, counts, report, progress).finish({});
+    ControlSums control;
+    const bool controlled = options.old_picture && effort.cameras_alone() && !effort.covariance[0].empty();
+    if (controlled) {
+        control.alpha = control_weights(sensor, effort, *options.old_picture);
+        control.mean.resize(n_pixels);
+        control.var_mean.resize(n_pixels);
+    }
+    Image image = estimator.from_camera(first_sample, controlled ? &control : nullptr, counts, report, progress).finish({});
     image.samples = work.spp;
-    const char* const rgb[] = {"R", "G", "B"};
+    if (controlled) counts.controlled = controlled_picture(*options.old_picture, image, control);
     for (int c = 0; c < 3; ++c) {
         const auto mean = image.add(rgb[c]);
         for (std::uint64_t i = 0; i < n_pixels; ++i) mean[i] = float(mean[i] + sites.sum[i][c]);

@@ -7,6 +7,7 @@
 
 #include "stages/core/stats/moments.h"
 #include "stages/core/transport/parallel.h"
+#include "stages/residual/blur.h"
 #include "stages/residual/camera_paths.h"
 #include "stages/residual/effort_model.h"
 
@@ -18,8 +19,20 @@ constexpr double cost_of_site_ray = 3.5;
 /// Half of the paths go everywhere alike: a pixel whose pilot saw nothing has at most twice the variance. With a quarter, as
 /// in [001], what few samples say is trusted too much (equal or more variance in ten of twelve edits).
 constexpr double share_of_map_floor = 0.5;
-constexpr double blur_deviation = 2;  // pixels
 constexpr std::uint64_t most_recorded_pixels = 4096, recorded_one_in = 8, most_pilot_samples = 1 << 15;
+
+/// Of pairs of camera paths: a difference and the old path.
+struct PairMoments {
+    Moments difference, old;
+    double product = 0;  // sum of products of deviations from the means
+    void add(double d, double f) {
+        const double off = d - difference.mean;
+        difference.add(d);
+        old.add(f);
+        product += off * (f - old.mean);
+    }
+    double covariance() const { return old.n > 1 ? product / double(old.n - 1) : 0; }
+};
 
 /// Where camera paths go.
 struct Map {
@@ -29,27 +42,9 @@ struct Map {
 
 /// in: variances, costs  of one path, by pixel
 Map map_of(const Sensor& sensor, const std::vector<double>& variances, const std::vector<double>& costs) {
-    const auto width = int(sensor.width), height = int(sensor.height);
-    const int reach = int(std::ceil(2.5 * blur_deviation));
-    std::vector<double> weights, rows(variances.size()), deviations(variances.size());
-    for (int d = -reach; d <= reach; ++d) weights.push_back(std::exp(-0.5 * sqr(d / blur_deviation)));
-    // Weights are renormalised at the edges of the picture.
-    const auto blur = [&](const std::vector<double>& in, std::vector<double>& out, int step_x, int step_y) {
-        for (int y = 0; y < height; ++y)
-            for (int x = 0; x < width; ++x) {
-                double sum = 0, all = 0;
-                for (int d = -reach; d <= reach; ++d) {
-                    const int xx = x + d * step_x, yy = y + d * step_y;
-                    if (xx < 0 || yy < 0 || xx >= width || yy >= height) continue;
-                    sum += weights[std::size_t(d + reach)] * in[std::size_t(yy * width + xx)];
-                    all += weights[std::size_t(d + reach)];
-                }
-                out[std::size_t(y * width + x)] = sum / all;
-            }
-    };
+    std::vector<double> deviations(variances.size());
     std::transform(variances.begin(), variances.end(), deviations.begin(), [](double v) { return std::sqrt(v); });
-    blur(deviations, rows, 1, 0);
-    blur(rows, deviations, 0, 1);
+    deviations = blurred(sensor, deviations);
     double all_costs = 0, wanted_costs = 0, flat = 0, spread = 0;
     for (std::size_t p = 0; p < deviations.size(); ++p) {
         all_costs += costs[p];
@@ -156,20 +151,23 @@ Effort effort_by_pilot(const DynamicScenes& scenes, const std::vector<Family>& f
     std::uint64_t n_recorded = 0;
     const auto is_recorded = [&](std::uint64_t pixel) { return K > 1 && mix64(pixel) % one_in == 0; };
     for (std::uint64_t pixel = 0; pixel < n_pixels; ++pixel) n_recorded += is_recorded(pixel);
+    Effort effort;
     std::vector<double> variances(n_pixels), costs(n_pixels);
+    for (int c = 0; c < 3; ++c)
+        for (auto* values : {&effort.covariance[c], &effort.old_variance[c]}) values->resize(n_pixels);
     const double before = rays_of_pairs();
     record(n_pixels, 64, pilot.families[K - 1], [&](Worker& w, PilotSamples& out, std::uint64_t begin, std::uint64_t end) {
         std::vector<PathId> ids;
         for (std::uint64_t pixel = begin; pixel < end; ++pixel)
             for (std::uint64_t s = 0; s < per_pixel; ++s) ids.push_back({pixel, s});
-        std::vector<Moments> moments(3 * (end - begin));
+        std::vector<PairMoments> moments(3 * (end - begin));
         for (std::size_t k = 0; k < ids.size(); k += PathBatch::capacity) {
             const std::span<const PathId> some{&ids[k], std::min(PathBatch::capacity, ids.size() - k)};
             w.cameras.trace(some);
             for (std::size_t i = 0; i < some.size(); ++i) {
                 const PathId id = some[i];
-                const Spectrum difference = w.cameras.difference(i);
-                for (int c = 0; c < 3; ++c) moments[3 * (id.pixel - begin) + std::size_t(c)].add(difference[c]);
+                const Spectrum difference = w.cameras.difference(i), L_new = w.cameras.L_new(i);
+                for (int c = 0; c < 3; ++c) moments[3 * (id.pixel - begin) + std::size_t(c)].add(difference[c], L_new[c] - difference[c]);
                 costs[id.pixel] += double(w.cameras.rays(i)) / double(per_pixel);
                 if (!w.cameras.touched(i) || id.sample >= pilot.per_pixel || !is_recorded(id.pixel)) continue;
                 w.pairs.from_camera(id, Sampler(path.sampler, path.seed, id.pixel, id.sample), [&](const Part& part) { w.keep(part, K); });
@@ -177,7 +175,12 @@ Effort effort_by_pilot(const DynamicScenes& scenes, const std::vector<Family>& f
             }
         }
         for (std::uint64_t pixel = begin; pixel < end; ++pixel)
-            for (std::size_t c = 0; c < 3; ++c) variances[pixel] += moments[3 * (pixel - begin) + c].var_sample() / 3;
+            for (std::size_t c = 0; c < 3; ++c) {
+                const PairMoments& m = moments[3 * (pixel - begin) + c];
+                variances[pixel] += m.difference.var_sample() / 3;
+                effort.covariance[c][pixel] = m.covariance();
+                effort.old_variance[c][pixel] = m.old.var_sample();
+            }
     });
     double new_rays = 0, pair_rays = 0, touched = 0;  // of one camera path in every pixel
     for (const Worker& w : workers) {
@@ -208,7 +211,6 @@ Effort effort_by_pilot(const DynamicScenes& scenes, const std::vector<Family>& f
         if (Spending first = best_spending(pilot, true, budget, map.gain); first.M < with.M) with = std::move(first);
         if (with.M * options.must_gain < M_alone) best = std::move(with);
     }
-    Effort effort;
     effort.first_to_camera = best.first_to_camera;
     effort.samples.assign(K, 0);
     for (std::size_t f = 0; f + 1 < K; ++f) effort.samples[f] = std::floor(best.x[f] * double(per_family));

@@ -14,6 +14,9 @@ struct Effort {
     std::vector<std::uint32_t> per_pixel;  // camera paths of each pixel
     bool first_to_camera = false;     // as SampleCounts
     std::string why;                  // in one line; empty when not asked for
+    /// By channel and pixel, of one pair: covariance of its difference with its old path, and variance of the old path. Empty
+    /// without a pilot.
+    std::vector<double> covariance[3], old_variance[3];
 
     /// No family but path tracing: pairs of camera paths alone, not weighted against anything.
     bool cameras_alone() const;

@@ -13,7 +13,6 @@
 #include "stages/core/app/depfile.h"
 #include "stages/core/scene/build.h"
 #include "stages/residual/chain_of_edits.h"
-#include "stages/residual/dynamic_estimator.h"
 
 namespace loom::residual {
 namespace {
@@ -89,21 +88,29 @@ void check_endings(const Options& options) {
     if (!options.new_picture.empty() && options.residual.empty() && options.spp < 2) throw InputError("--spp 1: one sample has no variance, so that --new could not say its own; at least 2");
 }
 
-/// in: plan  what was spent on what is added
-Image render_by_dynamic_paths(const ScenePair& scenes, const Edit& edit, const Options& options, const PathOptions& path, app::Report& report, Counts& counts,
-                              std::string& plan) {
+/// in:  old_picture  null, or what the new picture is wanted from
+///      plan         what was spent on what is added
+Image render_by_dynamic_paths(const ScenePair& scenes, const Edit& edit, const Options& options, const PathOptions& path, const Image* old_picture,
+                              app::Report& report, Counts& counts, std::string& plan, std::optional<ControlledPicture>& controlled) {
     if (scenes.old_scene.nlos || scenes.new_scene.nlos) throw InputError("captures around a corner have no dynamic paths; --method correlated compares them");
     DynamicOptions dynamic;
     dynamic.pairs.mapping = !options.no_mapping;
     dynamic.pairs.limits.d_min = 0.01f * scenes.new_scene.radius;
     dynamic.pilot = options.method == Method::automatic;
     dynamic.adaptive_map = !options.no_map;
+    dynamic.old_picture = options.no_control ? nullptr : old_picture;
     DynamicCounts counted;
     Image image = render_dynamic(scenes, edit, dynamic, path, {options.first_sample, options.spp, options.threads}, report, counted);
     counts = counted.counts;
     if (!counted.effort.empty()) plan += "; " + counted.effort;
     if (counts.nonfinite > 0) report.warn("{} paths are not finite and left out", counts.nonfinite);
     if (counted.n_unrelocated > 0) report.info("{} samples of ghosts lie on a segment that does not reach them (surfaces in one place)", counted.n_unrelocated);
+    if (counted.controlled) {
+        const std::string weights = fmt::format("weight of the old picture {:.3g} to {:.3g}", counted.controlled->least, counted.controlled->most);
+        report.info("{}", weights);
+        plan += "; " + weights;
+        controlled = std::move(counted.controlled);
+    }
     image.ledger = {link_of_residual(image)};
     image.ledger[0].method = method_name(options.method);
     image.ledger[0].seed = path.seed;
@@ -129,6 +136,7 @@ void declare(app::Command& command, Options& options) {
                    {{"auto", Method::automatic}, {"correlated", Method::correlated}, {"independent", Method::independent}, {"dynamic", Method::dynamic}});
     command.flag("--no-mapping", options.no_mapping, "auto, dynamic: pair paths of the two scenes by their random numbers alone");
     command.flag("--no-map", options.no_map, "auto: as many camera paths in every pixel");
+    command.flag("--no-control", options.no_control, "auto: --new is --old plus the residual, without weights");
     command.option("--spp", options.spp, "pairs of paths per pixel; auto spends what they would cost", app::Range<std::uint64_t>{1, 1u << 30});
     command.option("--first-sample", options.first_sample, "number of the first sample of each pixel");
     command.option("--seed", options.seed, "seed of all random numbers; with the same seed those of loom-trace are others, and those of each edit after an edit");
@@ -182,6 +190,18 @@ Image add_residual(const Image& old_picture, const Image& residual) {
     return sum;
 }
 
+Image take_controlled(const Image& old_picture, const Image& residual, ControlledPicture controlled) {
+    Image sum = std::move(controlled.image);
+    sum.provenance = residual.provenance;
+    sum.scene = residual.ledger.back().scene;
+    sum.ledger = ledger_of(old_picture);
+    for (LedgerLink& link : sum.ledger) link.var_mean *= controlled.old_variance;
+    sum.ledger.push_back(residual.ledger.back());
+    sum.ledger.back().var_mean = controlled.var_mean;
+    sum.samples = old_picture.samples + residual.samples;
+    return sum;
+}
+
 void run(const Options& options, app::Report& report) {
     if (!options.plan) check_endings(options);
     const std::string& new_file = options.new_scene.empty() ? options.old_scene : options.new_scene;
@@ -219,11 +239,13 @@ void run(const Options& options, app::Report& report) {
     Counts counts;
     const bool made = !options.residual.empty();
     Image residual;
+    std::optional<ControlledPicture> controlled;
     if (made) residual = read_residual(options.residual, *new_scene, new_name);
     check_numbers(before, made ? residual.ledger[0].method : method_name(options.method), made ? residual.ledger[0].seed : path.seed);
     if (!made)
         residual = options.method == Method::automatic || options.method == Method::dynamic
-                       ? render_by_dynamic_paths({*old_scene, *new_scene}, edit, options, path, report, counts, plan)
+                       ? render_by_dynamic_paths({*old_scene, *new_scene}, edit, options, path, options.new_picture.empty() ? nullptr : &old_picture, report, counts, plan,
+                                                 controlled)
                        : render_residual({*old_scene, *new_scene}, options.method, path, {options.first_sample, options.spp, options.threads}, report, counts);
     const std::string how = made ? residual.provenance.plan : plan;
     residual.provenance.stage = report.name();
@@ -252,7 +274,7 @@ void run(const Options& options, app::Report& report) {
     if (!options.output.empty()) write(residual, options.output);
     if (!options.residual_png.empty()) write_png(false_colours(residual, "", 0), options.residual_png);
     if (!options.new_picture.empty()) {
-        Image sum = add_residual(old_picture, residual);
+        Image sum = controlled ? take_controlled(old_picture, residual, std::move(*controlled)) : add_residual(old_picture, residual);
         sum.provenance.inputs.push_back(identify(options.old_picture));
         if (made) sum.provenance.inputs.push_back(identify(options.residual));
         say_standing(sum.ledger, options, report);

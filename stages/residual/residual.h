@@ -8,6 +8,7 @@
 
 #include "formats/image.h"
 #include "stages/residual/edit.h"
+#include "stages/residual/dynamic_estimator.h"
 #include "stages/residual/estimators.h"
 
 namespace loom::app {
@@ -27,6 +28,7 @@ struct Options {
     Method method = Method::automatic;
     bool no_mapping = false;           // auto, dynamic: no path mappings
     bool no_map = false;               // auto: as many camera paths in every pixel
+    bool no_control = false;           // auto: --new is --old plus the residual, without weights
     std::uint64_t spp = 4;             // pairs of paths per pixel, or what they would cost
     std::uint64_t first_sample = 0;
     std::uint64_t seed = 0;
@@ -50,5 +52,8 @@ std::string plan_of(Method method, const Edit& edit);
 ///                 ledger: the old picture's and the residual's link, whose scene it shows
 /// needs:   both to have VarMean and one size, the residual its link
 Image add_residual(const Image& old_picture, const Image& residual);
+/// The same of a picture that the old one is the control variate of: its ledger, in which the links of the old picture have what is
+/// left of their variances, and the edit's that of its own samples.
+Image take_controlled(const Image& old_picture, const Image& residual, ControlledPicture controlled);
 
 }  // namespace loom::residual
