@@ -75,8 +75,9 @@ class Estimator {
         struct Worker {
             PathPairs pairs;
             Splats splats;
+            NumbersBlock numbers;
         };
-        tbb::enumerable_thread_specific<Worker> workers([&] { return Worker{pairs(), {}}; });
+        tbb::enumerable_thread_specific<Worker> workers([&] { return Worker{pairs(), {}, {}}; });
         std::vector<Radiance> family_sum(n_pixels);
         for (std::size_t f = 0; f + 1 < families_.size(); ++f) {
             const auto n_samples = std::uint64_t(effort_.samples[f]);
@@ -89,7 +90,7 @@ class Estimator {
                 parallel_chunks(n, samples_per_chunk, threads_, [&](std::uint64_t chunk, std::uint64_t begin, std::uint64_t end) {
                     Worker& w = workers.local();
                     for (std::uint64_t i = begin; i < end; ++i) {
-                        w.pairs.from_site(f, Sampler(path_.sampler, seed, 0, first_sample + round + i), [&](const Part& part) { w.splats.add(part.pixel, weighted(part)); });
+                        w.pairs.from_site(f, w.numbers.of(path_.sampler, seed, first_sample + round + i), [&](const Part& part) { w.splats.add(part.pixel, weighted(part)); });
                         w.splats.end_sample(found[chunk]);
                     }
                     progress.add(end - begin);

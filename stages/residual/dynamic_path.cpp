@@ -38,32 +38,32 @@ bool scatters_on_both_sides(const Scene& scene, const ShadingPoint& here, const 
 }
 
 Interaction interact(const DynamicScene& side, const Vertex& vertex, const Vector3f& to_sensor, const Vector3f& to_light, Lobe lobe) {
-    const ShadingPoint from_sensor = side.aimed(vertex, to_sensor), from_light = side.aimed(vertex, to_light);
     Interaction x;
     x.site = vertex.site;
-    x.q_light = survival(from_sensor);
-    x.q_sensor = survival(from_light);
+    ShadingPoint here = side.aimed(vertex, to_sensor);
+    x.q_light = survival(here);
+    // One measure for both ways: d_omega_light / d_omega_sensor of a perfectly specular lobe.
+    double projected = 1;
     if (is_delta(lobe)) {
         x.specular = true;
-        const DeltaLobe<float> forward = delta_lobe(from_sensor.bsdf, from_sensor.wo_local, lobe);
+        const DeltaLobe<float> forward = delta_lobe(here.bsdf, here.wo_local, lobe);
         x.f_cos = Radiance(forward.value);
-        if (from_sensor.perturbed && lobe != Lobe::null) x.f_cos *= bump_shadowing(from_sensor, to_light, from_sensor.frame.to_local(to_light).z);
+        if (here.perturbed && lobe != Lobe::null) x.f_cos *= bump_shadowing(here, to_light, here.frame.to_local(to_light).z);
         x.pdf_light = forward.pmf;
-        // One measure for both ways: d_omega_light / d_omega_sensor of the lobe.
-        double projected = 1;
         if (lobe == Lobe::delta_transmission && forward.eta != 1)
-            projected = std::abs(double(from_sensor.wo_local.z)) / (sqr(double(forward.eta)) * std::abs(double(from_sensor.frame.to_local(to_light).z)));
-        x.pdf_sensor = delta_pmf(from_light.bsdf, from_light.wo_local, lobe) * projected;
+            projected = std::abs(double(here.wo_local.z)) / (sqr(double(forward.eta)) * std::abs(double(here.frame.to_local(to_light).z)));
     } else {
-        const BsdfValue<float> value = f_cos_pdf(from_sensor, to_light);
+        const BsdfValue<float> value = f_cos_pdf(here, to_light);
         x.f_cos = Radiance(value.f_cos);
         x.pdf_light = value.pdf_w;
-        x.pdf_sensor = f_cos_pdf(from_light, to_sensor).pdf_w;
     }
     if (x.site != no_site) {
-        const double cos_light = from_sensor.frame.to_local(to_light).z;
-        x.pdf_cosine = scatters_on_both_sides(side.scene, from_sensor, vertex) ? 0.5 * std::abs(cos_light) / pi_double : std::max(cos_light, 0.0) / pi_double;
+        const double cos_light = here.frame.to_local(to_light).z;
+        x.pdf_cosine = scatters_on_both_sides(side.scene, here, vertex) ? 0.5 * std::abs(cos_light) / pi_double : std::max(cos_light, 0.0) / pi_double;
     }
+    side.aim(vertex, to_light, here);
+    x.q_sensor = survival(here);
+    x.pdf_sensor = is_delta(lobe) ? delta_pmf(here.bsdf, here.wo_local, lobe) * projected : f_cos_pdf(here, to_sensor).pdf_w;
     return x;
 }
 

@@ -19,6 +19,19 @@ Normal3f normal_at(const Shape& shape, const Hit& hit, const Point3f& p) {
     return Normal3f(normalize(cross(shape.u_axis, shape.v_axis)));
 }
 
+/// Boxes around shapes, one each as long as they are few: as many cost about as much as asking for the shapes.
+std::vector<Box3f> boxes_around(const std::vector<Shape>& shapes, float grown_by) {
+    constexpr std::size_t most = 16;
+    std::vector<Box3f> boxes;
+    for (const Shape& shape : shapes) {
+        Box3f box = shape.bounds();
+        box.grow(grown_by);
+        if (boxes.size() < most) boxes.push_back(box);
+        else boxes.back().add(box);
+    }
+    return boxes;
+}
+
 bool sided(const Scene& scene, const Shape& shape) {
     const Material& material = scene.materials[shape.material];
     return material.perturbed() || material.back >= 0;
@@ -83,16 +96,15 @@ Vertex DynamicScene::vertex(const Ray& ray, const Hit& hit) const {
     return v;
 }
 
-ShadingPoint DynamicScene::aimed(const Vertex& v, const Vector3f& wo) const {
+void DynamicScene::aim(const Vertex& v, const Vector3f& wo, ShadingPoint& here) const {
     if (v.sided) {
         Hit hit = v.hit;
         hit.t = 1;
-        return shading_point(scene, scene.surface({v.at.p + wo, -wo}, hit), wo);
+        here = shading_point(scene, scene.surface({v.at.p + wo, -wo}, hit), wo);
+        return;
     }
-    ShadingPoint here = v.here;
     here.wo = wo;
     here.wo_local = here.frame.to_local(wo);
-    return here;
 }
 
 Vertex DynamicScene::vertex(const SitePoint& point, std::uint32_t shape, const Vector3f& wo) const {
@@ -104,6 +116,8 @@ Vertex DynamicScene::vertex(const SitePoint& point, std::uint32_t shape, const V
 
 std::uint32_t DynamicScene::cross(const Ray& ray, Crossings& crossings) const {
     if (!ghost_rays) return 0;
+    const Vector3f inv_d{1 / ray.d.x, 1 / ray.d.y, 1 / ray.d.z};
+    if (std::none_of(ghost_boxes.begin(), ghost_boxes.end(), [&](const Box3f& box) { return box.met_by(ray.o, inv_d, ray.t_min, ray.t_max); })) return 0;
     ghost_rays->crossings(ray, crossings.scratch);
     for (const Hit& hit : crossings.scratch) {
         const Point3f p = ray.o + ray.d * hit.t;
@@ -144,20 +158,15 @@ DynamicScenes::DynamicScenes(const Scene& old_, const Scene& new_, const Edit& e
         const Scene& other = side->is_new ? old_ : new_;
         for (const SiteShapes::Member& m : at(side->ghost_site()).members()) side->ghosts.push_back(geometry_of(other.shapes[side->is_new ? m.old_shape : m.new_shape]));
         if (!side->ghosts.empty()) side->ghost_rays = std::make_unique<RayEngine>(side->ghosts, true);
+        side->ghost_boxes = boxes_around(side->ghosts, 1e-4f * side->scene.radius);
     }
     if (!movers.empty()) mover_rays = std::make_unique<RayEngine>(movers);
 }
 
 Watch DynamicScenes::watch(const DynamicScene& side) const {
-    constexpr std::size_t most_boxes = 16;  // as many cost about as much as asking for all of them
     Watch watch;
     watch.passed = mover_rays.get();
-    for (const Shape& mover : movers) {
-        Box3f box = mover.bounds();
-        box.grow(1e-4f * side.scene.radius);
-        if (watch.boxes.size() < most_boxes) watch.boxes.push_back(box);
-        else watch.boxes.back().add(box);
-    }
+    watch.boxes = boxes_around(movers, 1e-4f * side.scene.radius);
     for (const std::uint8_t site : side.site_of) watch.shapes.push_back(site != no_site);
     watch.emitters.assign(side.changed_emitter.begin(), side.changed_emitter.end());
     watch.environment = side.scene.environment >= 0 && side.changed_emitter[std::size_t(side.scene.environment)];

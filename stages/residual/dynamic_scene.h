@@ -97,13 +97,20 @@ struct DynamicScene {
     std::vector<bool> changed_emitter;      // by emitter
     std::vector<Shape> ghosts;              // by member of the ghosts' site
     std::unique_ptr<RayEngine> ghost_rays;  // null: none
+    std::vector<Box3f> ghost_boxes;         // around them, a few
 
     Site own_site() const { return is_new ? Site::new_place : Site::old_place; }
     Site ghost_site() const { return is_new ? Site::old_place : Site::new_place; }
 
     Vertex vertex(const Ray& ray, const Hit& hit) const;
     /// The vertex as light sees it that leaves along wo.
-    ShadingPoint aimed(const Vertex& vertex, const Vector3f& wo) const;
+    ShadingPoint aimed(const Vertex& vertex, const Vector3f& wo) const {
+        ShadingPoint here = vertex.here;
+        aim(vertex, wo, here);
+        return here;
+    }
+    /// in, out: here  the vertex as light sees it along some direction, then along wo
+    void aim(const Vertex& vertex, const Vector3f& wo, ShadingPoint& here) const;
     /// A point on a site that is dynamic here, seen from wo.
     Vertex vertex(const SitePoint& point, std::uint32_t shape, const Vector3f& wo) const;
     /// Appends where the ray passes through ghosts; returns how many.

@@ -15,7 +15,7 @@ namespace loom::residual {
 namespace {
 
 /// A ray of dynamic paths, found one by one with all that is worked out for it, over one of a batch of camera paths.
-constexpr double cost_of_site_ray = 3.5;
+constexpr double cost_of_site_ray = 3.2;
 /// Half of the paths go everywhere alike: a pixel whose pilot saw nothing has at most twice the variance. With a quarter, as
 /// in [001], what few samples say is trusted too much (equal or more variance in ten of twelve edits).
 constexpr double share_of_map_floor = 0.5;
@@ -100,8 +100,8 @@ Effort effort_by_pilot(const DynamicScenes& scenes, const std::vector<Family>& f
     Pilot pilot;
     pilot.families.resize(K);
     pilot.cost.assign(K, 0);
-    const std::uint64_t per_family = std::clamp<std::uint64_t>(n_pixels * work.spp / 512, 256, most_pilot_samples);
-    const std::uint64_t per_pixel = std::max<std::uint64_t>(work.spp / 16, 2);  // for the map
+    const std::uint64_t per_family = std::clamp<std::uint64_t>(n_pixels * work.spp / 1024, 256, most_pilot_samples);
+    const std::uint64_t per_pixel = std::max<std::uint64_t>(work.spp / 32, 2);  // for the map
 
     const std::vector<double> samples(K, double(per_family));
     struct Worker {
@@ -109,6 +109,7 @@ Effort effort_by_pilot(const DynamicScenes& scenes, const std::vector<Family>& f
         CameraPaths cameras;
         std::vector<PilotPart> parts;
         std::vector<std::uint32_t> pixels;
+        NumbersBlock numbers;
         double n0 = 0;  // camera paths of a pixel
         void keep(const Part& part, std::size_t K) {
             PilotPart kept{};
@@ -123,7 +124,7 @@ Effort effort_by_pilot(const DynamicScenes& scenes, const std::vector<Family>& f
         }
     };
     tbb::enumerable_thread_specific<Worker> workers([&] {
-        return Worker{PathPairs(scenes, families, samples, false, path, options.pairs), CameraPaths(scenes, path), {}, {}, double(pilot.per_pixel)};
+        return Worker{PathPairs(scenes, families, samples, false, path, options.pairs), CameraPaths(scenes, path), {}, {}, {}, double(pilot.per_pixel)};
     });
     const auto rays_of_pairs = [&] {
         std::uint64_t sum = 0;
@@ -140,7 +141,7 @@ Effort effort_by_pilot(const DynamicScenes& scenes, const std::vector<Family>& f
         const double before = rays_of_pairs();
         record(per_family, 128, pilot.families[f], [&](Worker& w, PilotSamples& out, std::uint64_t begin, std::uint64_t end) {
             for (std::uint64_t i = begin; i < end; ++i) {
-                w.pairs.from_site(f, Sampler(path.sampler, seed, 0, i), [&](const Part& part) { w.keep(part, K); });
+                w.pairs.from_site(f, w.numbers.of(path.sampler, seed, i), [&](const Part& part) { w.keep(part, K); });
                 out.end_sample(w.parts, w.pixels);
             }
         });

@@ -109,7 +109,7 @@ void PathFinder::join_light(Stop& stop, Point2f u) {
     stop.joined = true;
 }
 
-void PathFinder::walk(std::vector<Stop>& stops, Towards towards, const Sampler& numbers, int n_max, bool join_first) {
+void PathFinder::walk(std::vector<Stop>& stops, Towards towards, const Numbers& numbers, int n_max, bool join_first) {
     const bool lit = towards == Towards::light;
     for (int k = 0;; ++k) {
         ++n_vertices;
@@ -117,12 +117,15 @@ void PathFinder::walk(std::vector<Stop>& stops, Towards towards, const Sampler& 
             if (lit) join_light(stops.back(), numbers.pair(walk_pair(k, lit, 2)));
             else join_sensor(stops.back());
         }
-        Stop next;
-        if (int(stops.size()) >= n_max || !step(stops.back(), numbers.pair(walk_pair(k, lit, 0)), numbers.pair(walk_pair(k, lit, 1)), next)) return;
-        Stop& here = stops.back();
+        if (int(stops.size()) >= n_max) return;
+        stops.emplace_back();
+        Stop &here = stops[stops.size() - 2], &next = stops.back();
+        if (!step(here, numbers.pair(walk_pair(k, lit, 0)), numbers.pair(walk_pair(k, lit, 1)), next)) {
+            stops.pop_back();
+            return;
+        }
         here.onward = interact(side_, here.v, lit ? here.back : here.ahead, lit ? here.ahead : here.back, here.lobe);
         here.segment = lit ? segment_between(side_, here.v, next.v, crossings_) : segment_between(side_, next.v, here.v, crossings_);
-        stops.push_back(next);
     }
 }
 
@@ -177,7 +180,7 @@ void PathFinder::show_two_ends(const Interaction* middle, const Vertex* middle_v
     }
 }
 
-void PathFinder::find(Technique technique, Site site, const Sampler& numbers, const Visitor& visit) {
+void PathFinder::find(Technique technique, Site site, const Numbers& numbers, const Visitor& visit) {
     const SiteShapes& shapes = scenes_.at(site);
     const Scene& scene = side_.scene;
     const int most = longest();

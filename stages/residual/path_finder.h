@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "stages/residual/dynamic_path.h"
+#include "stages/residual/numbers.h"
 
 namespace loom::residual {
 
@@ -27,7 +28,7 @@ class PathFinder {
     /// shape itself where the site is its place in either, the same in space where it is dynamic in one and a ghost in
     /// the other.
     /// needs: technique is 1 to 3 and the site dynamic here, or 4 to 6 and the site a ghost
-    void find(Technique technique, Site site, const Sampler& numbers, const Visitor& visit);
+    void find(Technique technique, Site site, const Numbers& numbers, const Visitor& visit);
 
     /// Paths of one camera sample, with the random numbers that loom-trace takes; static ones are not shown.
     /// out: whether the same sample may be another path in the other scene
@@ -56,7 +57,7 @@ class PathFinder {
     enum class Towards : std::uint8_t { sensor, light };
 
     /// Goes on from the last of the stops, and joins each on the way (the first only if told to).
-    void walk(std::vector<Stop>& stops, Towards towards, const Sampler& numbers, int n_max, bool join_first = true);
+    void walk(std::vector<Stop>& stops, Towards towards, const Numbers& numbers, int n_max, bool join_first = true);
     /// in:  u_lobe_roulette  x, y
     bool step(Stop& from, Point2f u, Point2f u_lobe_roulette, Stop& next);
     void join_sensor(Stop& stop);

@@ -22,6 +22,72 @@ bool PathMapper::smooth_enough(const Vertex& v) const {
     }
 }
 
+void PathMapper::reconnect(const FullPath& path, std::size_t j) {
+    const std::size_t m = path.m();
+    const Vertex &base = *path.places[j], &before = *path.places[j - 1];
+    const Vertex* const next = j + 1 < m ? path.places[j + 1] : nullptr;
+    Reconnected& r = reconnected_;
+    if (r.base == &base && r.before == &before && r.next == next) return;
+    r.base = &base;
+    r.before = &before;
+    r.next = next;
+    crossings_.all.clear();
+    r.why = [&] {
+        const std::uint32_t shape = from_.partner_of[base.hit.shape];
+        if (shape == ShapeEdit::none) return Rejection::moved;
+        // What is smooth enough in one scene may not be in the other.
+        if (before.site != no_site || (next && next->site != no_site)) return Rejection::moved;
+        SitePoint point;
+        point.hit = base.hit;
+        point.p = from_.to_partner[base.hit.shape](base.at.p);
+        const Vector3f to_before = normalize(before.at.p - point.p);
+        r.moved = to_.vertex(point, shape, to_before);
+        if (!smooth_enough(base) || !smooth_enough(r.moved) || !smooth_enough(before) || (next && !smooth_enough(*next))) return Rejection::specular;
+        const auto distance2 = [](const Point3f& a, const Point3f& b) { return double(length2(a - b)); };
+        r.density_ratio = 1;
+        const auto far_enough = [&](const Point3f& neighbour, double cos_before, double cos_after) {
+            const double was = distance2(base.at.p, neighbour), is = distance2(r.moved.at.p, neighbour);
+            r.density_ratio *= (cos_after / is) / (cos_before / was);
+            return std::min(was, is) >= sqr(double(limits_.d_min));
+        };
+        const auto join = [&](const Vertex& s, const Vertex& l, Segment& segment) {
+            ++n_rays;
+            if (to_.scene.occluded(spawn_segment(s.at.p, s.at.ng, l.at.p))) return false;
+            segment = segment_between(to_, s, l, crossings_);
+            return true;
+        };
+        if (!join(before, r.moved, r.towards_sensor)) return Rejection::blocked;
+        if (!far_enough(before.at.p, path.segments[j].cos_light, r.towards_sensor.cos_light)) return Rejection::near;
+        Vector3f to_light;
+        if (next) {
+            if (!join(r.moved, *next, r.towards_light)) return Rejection::blocked;
+            if (!far_enough(next->at.p, path.segments[j + 1].cos_light, r.towards_light.cos_light)) return Rejection::near;
+            to_light = normalize(next->at.p - r.moved.at.p);
+        } else {
+            LightEnd& light = r.light = path.light;
+            ++n_rays;
+            if (to_.scene.occluded(shadow_ray(r.moved, light))) return Rejection::blocked;
+            r.towards_light = segment_to_light(to_, r.moved, light, crossings_);
+            to_light = direction_to(light, r.moved.at.p);
+            if (light.delta) {
+                LightQuery query;
+                query.point.emitter = light.emitter;
+                query.point.pmf = to_.scene.emitters.size() > 1 ? to_.scene.emitter_pmf.pmf(light.emitter) : 1.0f;
+                const LightSample s = sample_light(to_.scene, r.moved.at.p, query);
+                if (!(s.pdf_w > 0)) return Rejection::light;
+                light.Le = Radiance(s.Li);
+            } else if (!light.at_infinity) {
+                const double cos_before = -dot(light.n, direction_to(path.light, base.at.p)), cos_after = -dot(light.n, to_light);
+                if (!(cos_before * cos_after > 0)) return Rejection::light;
+                if (!far_enough(light.y, cos_before, cos_after)) return Rejection::near;
+            }
+            light.pdf = light_pdf(to_.scene, light, r.moved.at.p);
+        }
+        r.at_start = interact(to_, r.moved, to_before, to_light, Lobe::none);
+        return max_channel(r.at_start.f_cos) > 0 ? Rejection::none : Rejection::black;
+    }();
+}
+
 const MappedPath* PathMapper::map(const FullPath& path, const Found& found, Rejection& why) {
     why = Rejection::none;
     const std::size_t m = path.m();
@@ -36,6 +102,12 @@ const MappedPath* PathMapper::map(const FullPath& path, const Found& found, Reje
     for (std::size_t i = 0; i <= m; ++i)
         if (path.segments[i].n > 0 && (j == m || (i != j && i != j + 1))) return reject(why, Rejection::crossed);
     if (!scenes_.same_choice_of_lights) return reject(why, Rejection::light);
+    const bool has_next = j + 1 < m;
+    if (j < m) {
+        if (path.vertices[j].specular || path.vertices[j - 1].specular || (has_next && path.vertices[j + 1].specular)) return reject(why, Rejection::specular);
+        reconnect(path, j);
+        if (reconnected_.why != Rejection::none) return reject(why, reconnected_.why);
+    }
 
     FullPath& q = mapped_.path;
     q.sensor = path.sensor;
@@ -45,79 +117,26 @@ const MappedPath* PathMapper::map(const FullPath& path, const Found& found, Reje
     q.segments = path.segments;
     for (Segment& s : q.segments) s.first = s.n = 0;
     mapped_.density_ratio = 1;
-    crossings_.all.clear();
     places_.clear();
     places_.reserve(m);
-    const auto to_light_of = [&](const FullPath& p, std::size_t i) {
-        return i + 1 < m ? normalize(p.places[i + 1]->at.p - p.places[i]->at.p) : direction_to(p.light, p.places[i]->at.p);
+    const auto to_light_of = [&](std::size_t i) {
+        return i + 1 < m ? normalize(q.places[i + 1]->at.p - q.places[i]->at.p) : direction_to(q.light, q.places[i]->at.p);
     };
     const Sensor& sensor = from_.scene.sensor;
-    const auto to_sensor_of = [&](const FullPath& p, std::size_t i) {
-        if (i > 0) return normalize(p.places[i - 1]->at.p - p.places[i]->at.p);
-        const std::optional<FilmPoint> film = sensor.project(p.places[0]->at.p);
+    const auto to_sensor_of = [&](std::size_t i) {
+        if (i > 0) return normalize(q.places[i - 1]->at.p - q.places[i]->at.p);
+        const std::optional<FilmPoint> film = sensor.project(q.places[0]->at.p);
         return film ? -film->d : Vector3f{};
     };
-
     if (j < m) {
-        const Vertex& base = *path.places[j];
-        const std::uint32_t shape = from_.partner_of[base.hit.shape];
-        if (shape == ShapeEdit::none) return reject(why, Rejection::moved);
-        const bool has_next = j + 1 < m;
-        if (path.vertices[j].specular || path.vertices[j - 1].specular || (has_next && path.vertices[j + 1].specular)) return reject(why, Rejection::specular);
-        // What is smooth enough in one scene may not be in the other.
-        if (path.vertices[j - 1].site != no_site || (has_next && path.vertices[j + 1].site != no_site)) return reject(why, Rejection::moved);
-        SitePoint point;
-        point.hit = base.hit;
-        point.p = from_.to_partner[base.hit.shape](base.at.p);
-        places_.push_back(to_.vertex(point, shape, Vector3f(normalize(path.places[j - 1]->at.p - point.p))));
-        const Vertex& moved = places_.back();
-        q.places[j] = &moved;
-        if (!smooth_enough(base) || !smooth_enough(moved) || !smooth_enough(*path.places[j - 1]) || (has_next && !smooth_enough(*path.places[j + 1])))
-            return reject(why, Rejection::specular);
-        const auto distance2 = [](const Point3f& a, const Point3f& b) { return double(length2(a - b)); };
-        const double d_min2 = sqr(double(limits_.d_min));
-        const auto reconnect = [&](const Point3f& neighbour, double cos_before, double cos_after) {
-            const double before = distance2(base.at.p, neighbour), after = distance2(moved.at.p, neighbour);
-            mapped_.density_ratio *= (cos_after / after) / (cos_before / before);
-            return std::min(before, after) >= d_min2;
-        };
-        const auto join = [&](const Vertex& s, const Vertex& l, Segment& segment) {
-            ++n_rays;
-            if (to_.scene.occluded(spawn_segment(s.at.p, s.at.ng, l.at.p))) return false;
-            segment = segment_between(to_, s, l, crossings_);
-            return true;
-        };
-        // Towards the sensor.
-        const Vertex& before = *path.places[j - 1];
-        if (!join(before, moved, q.segments[j])) return reject(why, Rejection::blocked);
-        if (!reconnect(before.at.p, path.segments[j].cos_light, q.segments[j].cos_light)) return reject(why, Rejection::near);
-        // Towards the light.
-        if (has_next) {
-            const Vertex& next = *path.places[j + 1];
-            if (!join(moved, next, q.segments[j + 1])) return reject(why, Rejection::blocked);
-            if (!reconnect(next.at.p, path.segments[j + 1].cos_light, q.segments[j + 1].cos_light)) return reject(why, Rejection::near);
-        } else {
-            LightEnd& light = q.light;
-            ++n_rays;
-            if (to_.scene.occluded(shadow_ray(moved, light))) return reject(why, Rejection::blocked);
-            q.segments[m] = segment_to_light(to_, moved, light, crossings_);
-            if (light.delta) {
-                LightQuery query;
-                query.point.emitter = light.emitter;
-                query.point.pmf = to_.scene.emitters.size() > 1 ? to_.scene.emitter_pmf.pmf(light.emitter) : 1.0f;
-                const LightSample s = sample_light(to_.scene, moved.at.p, query);
-                if (!(s.pdf_w > 0)) return reject(why, Rejection::light);
-                light.Le = Radiance(s.Li);
-            } else if (!light.at_infinity) {
-                const double cos_before = -dot(light.n, to_light_of(path, j)), cos_after = -dot(light.n, to_light_of(q, j));
-                if (!(cos_before * cos_after > 0)) return reject(why, Rejection::light);
-                if (!reconnect(light.y, cos_before, cos_after)) return reject(why, Rejection::near);
-            }
-            light.pdf = light_pdf(to_.scene, light, moved.at.p);
-        }
-        q.vertices[j] = interact(to_, moved, to_sensor_of(q, j), to_light_of(q, j), Lobe::none);
-        q.vertices[j - 1] = interact(from_, before, to_sensor_of(q, j - 1), to_light_of(q, j - 1), Lobe::none);
-        if (has_next) q.vertices[j + 1] = interact(from_, *path.places[j + 1], to_sensor_of(q, j + 1), to_light_of(q, j + 1), Lobe::none);
+        q.places[j] = &reconnected_.moved;
+        q.vertices[j] = reconnected_.at_start;
+        q.segments[j] = reconnected_.towards_sensor;
+        q.segments[j + 1] = reconnected_.towards_light;
+        mapped_.density_ratio = reconnected_.density_ratio;
+        if (!has_next) q.light = reconnected_.light;
+        q.vertices[j - 1] = interact(from_, *path.places[j - 1], to_sensor_of(j - 1), to_light_of(j - 1), Lobe::none);
+        if (has_next) q.vertices[j + 1] = interact(from_, *path.places[j + 1], to_sensor_of(j + 1), to_light_of(j + 1), Lobe::none);
     }
     // Vertices that look otherwise there.
     for (std::size_t i = 0; i < m; ++i) {
@@ -127,7 +146,7 @@ const MappedPath* PathMapper::map(const FullPath& path, const Found& found, Reje
         SitePoint point;
         point.hit = base.hit;
         point.p = base.at.p;
-        const Vector3f s = to_sensor_of(q, i), l = to_light_of(q, i);
+        const Vector3f s = to_sensor_of(i), l = to_light_of(i);
         places_.push_back(to_.vertex(point, from_.partner_of[base.hit.shape], s));
         q.places[i] = &places_.back();
         q.vertices[i] = interact(to_, places_.back(), s, l, Lobe::none);

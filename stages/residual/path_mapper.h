@@ -38,6 +38,8 @@ class PathMapper {
   public:
     PathMapper(const DynamicScenes& scenes, bool from_new, const MappingLimits& limits);
 
+    /// Before the paths of another sample: what those of one have in common is worked out once.
+    void start_sample() { reconnected_.base = nullptr; }
     /// in:  the path, and how it was found in the scene that paths come from
     /// out: its partner, valid until the next call; nothing: rejected, `why` says so
     const MappedPath* map(const FullPath& path, const Found& found, Rejection& why);
@@ -51,12 +53,26 @@ class PathMapper {
     }
     bool smooth_enough(const Vertex& v) const;
 
+    /// The start of a path in its new place and the segments that join it to its neighbours. All paths of a sample that go
+    /// through the three have it in common.
+    struct Reconnected {
+        const Vertex *base = nullptr, *before = nullptr, *next = nullptr;  // of the path; next null: the light
+        Rejection why = Rejection::none;
+        Vertex moved;
+        Segment towards_sensor, towards_light;
+        LightEnd light;            // where there is no next
+        double density_ratio = 1;  // of area products
+        Interaction at_start;
+    };
+    void reconnect(const FullPath& path, std::size_t j);
+
     const DynamicScenes& scenes_;
     const DynamicScene &from_, &to_;
     MappingLimits limits_;
     MappedPath mapped_;
     Crossings crossings_;
-    std::vector<Vertex> places_;  // of the vertices that are other ones there
+    Reconnected reconnected_;
+    std::vector<Vertex> places_;  // of the vertices that look otherwise there
 };
 
 }  // namespace loom::residual

@@ -37,8 +37,10 @@ PathPairs::PathPairs(const DynamicScenes& scenes, const std::vector<Family>& fam
     }
 }
 
-void PathPairs::from_site(std::size_t f, const Sampler& numbers, const Sink& sink) {
+void PathPairs::from_site(std::size_t f, const Numbers& numbers, const Sink& sink) {
     const Family& family = families_[f];
+    from_new_.start_sample();
+    from_old_.start_sample();
     if (family.in_new != Technique::path_tracing)
         in_new_.find(family.in_new, family.site_new, numbers, [&](const FullPath& p, const Found& by) { add(true, p, by, -1, sink); });
     if (family.in_old != Technique::path_tracing)
@@ -47,6 +49,8 @@ void PathPairs::from_site(std::size_t f, const Sampler& numbers, const Sink& sin
 
 bool PathPairs::from_camera(PathId id, const Sampler& numbers, const Sink& sink) {
     const auto pixel = std::int64_t(id.pixel);
+    from_new_.start_sample();
+    from_old_.start_sample();
     const bool touched = in_new_.find_from_camera(id, numbers, [&](const FullPath& p, const Found& by) { add(true, p, by, pixel, sink); });
     if (touched) in_old_.find_from_camera(id, numbers, [&](const FullPath& p, const Found& by) { add(false, p, by, pixel, sink); });
     return touched;

@@ -51,7 +51,7 @@ class PathPairs {
     PathPairs(const DynamicScenes& scenes, const std::vector<Family>& families, const std::vector<double>& samples, bool first_to_camera, const PathOptions& path,
               const Options& options);
 
-    void from_site(std::size_t family, const Sampler& numbers, const Sink& sink);
+    void from_site(std::size_t family, const Numbers& numbers, const Sink& sink);
     /// out: whether the edit may have changed the path
     bool from_camera(PathId id, const Sampler& numbers, const Sink& sink);
 

@@ -172,6 +172,8 @@ TEST(PathMapper, ThereAndBackIsTheSamePath) {
             for (std::uint64_t i = 0; i < 20000; ++i)
                 finder.find(technique, site, Sampler(SamplerKind::independent, 9, std::uint64_t(technique), i), [&](const FullPath& p, const Found& found) {
                     Rejection why;
+                    there.start_sample();
+                    back.start_sample();
                     const MappedPath* q = there.map(p, found, why);
                     if (!q) return;
                     const MappedPath* r = back.map(q->path, found, why);

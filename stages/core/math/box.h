@@ -20,6 +20,18 @@ struct Box3f {
         add(box.lo);
         add(box.hi);
     }
+    /// Whether the points o + t d, t in [t_min, t_max], meet the box, but for rounding; a ray in the plane of a face may be taken
+    /// for one outside.
+    /// in: inv_d  1 / d by component, infinite where d is 0
+    bool met_by(const Point3f& o, const Vector3f& inv_d, float t_min, float t_max) const {
+        for (int c = 0; c < 3; ++c) {
+            const float a = (lo[c] - o[c]) * inv_d[c], b = (hi[c] - o[c]) * inv_d[c];
+            const float near = a < b ? a : b, far = a < b ? b : a;
+            t_min = near > t_min ? near : t_min;
+            t_max = far < t_max ? far : t_max;
+        }
+        return t_min <= t_max;
+    }
     void grow(float by) {
         for (int c = 0; c < 3; ++c) {
             lo[c] -= by;
