@@ -27,6 +27,8 @@ using Ledger = std::vector<LedgerLink>;
 
 /// `method` of differences of pictures, whose random numbers are those of loom-trace and not of loom-residual.
 inline constexpr const char* differences_method = "differences";
+/// The same of residuals of paths that loom-trace had traced in the old scene.
+inline constexpr const char* old_graph_method = "old graph";
 
 /// Whether two links were made from the same random numbers: their noise is then one, and their variances do not add up.
 bool share_numbers(const LedgerLink& a, const LedgerLink& b);

@@ -13,6 +13,7 @@
 #include "stages/core/app/depfile.h"
 #include "stages/core/scene/build.h"
 #include "stages/residual/chain_of_edits.h"
+#include "stages/residual/old_graph.h"
 
 namespace loom::residual {
 namespace {
@@ -85,7 +86,10 @@ void check_endings(const Options& options) {
     if (options.output.empty() && options.new_picture.empty()) throw InputError("-o: missing (an .exr file), or --new with --old");
     if (!options.png.empty() && options.new_picture.empty()) throw InputError("--png: is of the new picture; give --new and --old");
     if (!options.new_picture.empty() && options.old_picture.empty()) throw InputError("--new: is the sum of the residual and the old picture; give --old");
-    if (!options.new_picture.empty() && options.residual.empty() && options.spp < 2) throw InputError("--spp 1: one sample has no variance, so that --new could not say its own; at least 2");
+    if (!options.old_graph.empty() && !options.residual.empty()) throw InputError("--old-graph: nothing is traced with --residual");
+    if (!options.old_graph.empty() && options.method != Method::automatic && options.method != Method::correlated)
+        throw InputError("--old-graph: its paths are traced again with the same random numbers; --method must be correlated or auto");
+    if (!options.new_picture.empty() && options.residual.empty() && options.old_graph.empty() && options.spp < 2) throw InputError("--spp 1: one sample has no variance, so that --new could not say its own; at least 2");
 }
 
 /// in:  old_picture  null, or what the new picture is wanted from
@@ -127,6 +131,8 @@ void declare(app::Command& command, Options& options) {
     command.option("--old-define", options.old_defines, "the same in the old scene only, after -D");
     command.option("--new-define", options.new_defines, "the same in the new scene only, after -D");
     command.file("--old", options.old_picture, "picture of the old scene (EXR with VarMean), also the --new of an edit before");
+    command.files("--old-graph", options.old_graph, "paths that loom-trace has traced in the old scene (.h5; its passes, one after the other): only those that the edit touches are "
+                                                    "traced again. Samples, seed, sampler and roulette are theirs, not --spp, --first-sample, --seed");
     command.file("--residual", options.residual, "a residual made before, of passes or path graphs (loom-merge), to be added to --old: nothing is traced; method and seed are its own");
     command.output("-o,--output", options.output, "the residual, new minus old: signed R, G, B with VarMean, and Albedo, N, Depth of the new scene");
     command.output("--new", options.new_picture, "picture of the new scene: --old plus the residual");
@@ -208,7 +214,7 @@ void run(const Options& options, app::Report& report) {
     SceneDescription old_description = read_scene(options.old_scene, both(options.defines, options.old_defines));
     SceneDescription new_description = read_scene(new_file, both(options.defines, options.new_defines));
     const Edit edit = find_edit(old_description, new_description);
-    std::string plan = plan_of(options.method, edit);
+    std::string plan = plan_of(options.old_graph.empty() ? options.method : Method::correlated, edit);
     const std::string found = edit.nothing() ? "nothing differs" : fmt::format("{}", fmt::join(edit.changes, "\n"));
     const std::string counted = fmt::format("shapes: {} dynamic, {} ghosts of them, {} look otherwise; lights: {} changed", edit.n_dynamic(), edit.n_ghosts(),
                                             edit.n_dyed(), edit.n_emitters());
@@ -237,30 +243,49 @@ void run(const Options& options, app::Report& report) {
     path.rr_depth = new_scene->rr_depth;
     path.max_depth = options.max_depth.value_or(new_scene->max_depth);
     Counts counts;
-    const bool made = !options.residual.empty();
+    const bool made = !options.residual.empty(), stored = !options.old_graph.empty();
+    OldGraph graph;
+    bool same = false;  // the old picture is of the graph's samples
+    if (stored) {
+        graph = read_old_graph(options.old_graph, *old_scene, old_name, path.max_depth);
+        path.seed = graph.path.seed;
+        if (!options.new_picture.empty() && graph.spp < 2)
+            throw InputError(fmt::format("{}: one sample per pixel has no variance, so that --new could not say its own; at least 2", options.old_graph[0]));
+        same = !options.old_picture.empty() && old_picture.ledger.empty() && same_samples(old_picture, options.old_picture, graph);
+    }
     Image residual;
     std::optional<ControlledPicture> controlled;
+    GraphResidual of_graph;
     if (made) residual = read_residual(options.residual, *new_scene, new_name);
-    check_numbers(before, made ? residual.ledger[0].method : method_name(options.method), made ? residual.ledger[0].seed : path.seed);
-    if (!made)
+    if (!same) check_numbers(before, made ? residual.ledger[0].method : stored ? old_graph_method : method_name(options.method), made ? residual.ledger[0].seed : path.seed);
+    if (stored) {
+        of_graph = render_residual({*old_scene, *new_scene}, edit, graph, options.threads, same ? &old_picture : nullptr, report);
+        residual = of_graph.image;
+        counts = of_graph.counts;
+        plan += "; old graph: " + of_graph.summary();
+        report.info("old graph: {}", of_graph.summary());
+        if (same) report.info("{}: is of the graph's own samples, and so the sum is what these are in the new scene", options.old_picture);
+    } else if (!made) {
         residual = options.method == Method::automatic || options.method == Method::dynamic
                        ? render_by_dynamic_paths({*old_scene, *new_scene}, edit, options, path, options.new_picture.empty() ? nullptr : &old_picture, report, counts, plan,
                                                  controlled)
                        : render_residual({*old_scene, *new_scene}, options.method, path, {options.first_sample, options.spp, options.threads}, report, counts);
+    }
     const std::string how = made ? residual.provenance.plan : plan;
     residual.provenance.stage = report.name();
     residual.provenance.command = report.command();
-    if (!made) residual.provenance.seed = options.seed;
+    if (!made) residual.provenance.seed = stored ? path.seed : options.seed;
     const std::string in_words = edit.nothing() ? "nothing differs" : fmt::format("{}", fmt::join(edit.changes, "; "));
     residual.provenance.plan = how.starts_with("edit: ") ? how : fmt::format("edit: {}; {}", in_words, how);
     residual.provenance.inputs = {{old_name, content_hash_text(old_scene->content_hash)}, {new_name, content_hash_text(new_scene->content_hash)}};
+    for (const std::string& file : options.old_graph) residual.provenance.inputs.push_back(identify(file));
     residual.ledger.back().what = in_words;
     residual.ledger.back().scene = residual.provenance.inputs[1];
 
     Cost cost = report.cost();
     cost.load_s = loading.cpu_s;
     cost.rays = counts.rays;
-    cost.samples = made ? 0 : new_scene->sensor.n_pixels() * options.spp;
+    cost.samples = made ? 0 : stored ? of_graph.touched : new_scene->sensor.n_pixels() * options.spp;
     cost.plan = residual.provenance.plan;
     cost.sources = {old_name};
     if (new_name != old_name) cost.sources.push_back(new_name);
@@ -271,16 +296,22 @@ void run(const Options& options, app::Report& report) {
         write_cost(cost, file);
         outputs.push_back(file);
     };
-    if (!options.output.empty()) write(residual, options.output);
+    if (!options.output.empty()) {
+        for (const std::string& file : options.old_graph) cost.parents.push_back(parent_of(options.output, file));
+        write(residual, options.output);
+    }
     if (!options.residual_png.empty()) write_png(false_colours(residual, "", 0), options.residual_png);
     if (!options.new_picture.empty()) {
-        Image sum = controlled ? take_controlled(old_picture, residual, std::move(*controlled)) : add_residual(old_picture, residual);
+        Image sum = controlled ? take_controlled(old_picture, residual, std::move(*controlled))
+                    : same     ? add_residual_of_same_samples(old_picture, residual, of_graph)
+                               : add_residual(old_picture, residual);
         sum.provenance.inputs.push_back(identify(options.old_picture));
         if (made) sum.provenance.inputs.push_back(identify(options.residual));
-        say_standing(sum.ledger, options, report);
+        if (!sum.ledger.empty()) say_standing(sum.ledger, options, report);
         // All that this run cost is the new picture's, whether the residual is kept or not.
         cost.parents = {parent_of(options.new_picture, options.old_picture)};
         if (made) cost.parents.push_back(parent_of(options.new_picture, options.residual));
+        for (const std::string& file : options.old_graph) cost.parents.push_back(parent_of(options.new_picture, file));
         write(sum, options.new_picture);
         if (!options.png.empty()) write_png(sum, options.png);
     }

@@ -81,6 +81,28 @@ TEST_F(MakeEdit, by_path_graphs) {
         for (const float v : zero.find(channel)) ASSERT_EQ(v, 0.0f) << channel;
 }
 
+TEST_F(MakeEdit, graphs_that_do_not_fit_are_refused) {
+    const std::string box = "scenes/cornell-box.xml -D resx=24 -D resy=16 ", o = " -o " + in("r.exr"), n = " --old " + in("old.exr") + " --new " + in("n.exr");
+    const auto trace = [&](const std::string& options, const std::string& file) { ASSERT_EQ(sh(stage("trace") + " " + box + options + " -o " + in(file)).code, 0); };
+    trace("--spp 2", "old.exr");
+    trace("--spp 2", "old.h5");
+    trace("--spp 3", "more.h5");
+    trace("--spp 1 --seed 4", "one.h5");
+    trace("--spp 2 -D light=9", "light.h5");
+    trace("--spp 2 --max-depth 3", "short.h5");
+    const std::string edit = box + "--new-define light=3 --old-graph ";
+    expect_refused(edit + in("missing.h5") + o, "no such file");
+    expect_refused(edit + in("old.exr") + o, "old.exr");
+    expect_refused(edit + in("light.h5") + o, "trace it again");
+    expect_refused(edit + in("short.h5") + o, "give --max-depth 3");
+    expect_refused(edit + in("old.h5") + " " + in("more.h5") + o, "which");
+    expect_refused(edit + in("old.h5") + o + " --method dynamic", "--method must be correlated or auto");
+    expect_refused(edit + in("old.h5") + n + " --residual " + in("old.exr"), "nothing is traced with --residual");
+    expect_refused(edit + in("one.h5") + n, "one sample per pixel has no variance");
+    expect_refused(edit + in("more.h5") + n, "not just the same samples");
+    EXPECT_EQ(sh(stage("residual") + " " + edit + in("old.h5") + o + n).code, 0);
+}
+
 TEST_F(MakeEdit, what_does_not_go_together_is_refused) {
     const std::string box = " scenes/cornell-box.xml -D resx=24 -D resy=16 --spp 2 --quiet ";
     ASSERT_EQ(sh(stage("trace") + box + "-o " + in("a.exr") + " && " + stage("trace") + box + "--seed 1 -o " + in("b.exr")).code, 0);

@@ -38,6 +38,21 @@ GraphReader::GraphReader(const PathGraph& graph) : graph_(graph) {
     }
 }
 
+Bsdf<float> GraphReader::bsdf(std::size_t j) const {
+    const auto& v = graph_.vertices;
+    Bsdf<float> b(models_[v.material[j]]);
+    const std::uint8_t textured = graph_.materials.textured[v.material[j]];
+    if (textured & textured_parameter::diffuse) b.diffuse = rgb(v.diffuse, j);
+    if (textured & textured_parameter::specular) b.specular = rgb(v.specular, j);
+    if (textured & textured_parameter::transmittance) b.transmittance = rgb(v.transmittance, j);
+    if (textured & textured_parameter::alpha) {
+        b.alpha_u = float_from_half(v.alpha[2 * j]);
+        b.alpha_v = float_from_half(v.alpha[2 * j + 1]);
+    }
+    if (textured & textured_parameter::opacity) b.opacity = float_from_half(v.opacity[j]);
+    return b;
+}
+
 ShadingPoint GraphReader::vertex(std::size_t j) const {
     const auto& v = graph_.vertices;
     ShadingPoint at;
@@ -49,17 +64,7 @@ ShadingPoint GraphReader::vertex(std::size_t j) const {
     at.perturbed = !v.n_side.empty() && !(at.n_side == n);
     at.frame = v.tangent.empty() ? Framef(n) : frame_along(n, unit_vector<Vector3f>(v.tangent, j));
     at.wo_local = at.frame.to_local(at.wo);
-    Bsdf<float> b(models_[v.material[j]]);
-    const std::uint8_t textured = graph_.materials.textured[v.material[j]];
-    if (textured & textured_parameter::diffuse) b.diffuse = rgb(v.diffuse, j);
-    if (textured & textured_parameter::specular) b.specular = rgb(v.specular, j);
-    if (textured & textured_parameter::transmittance) b.transmittance = rgb(v.transmittance, j);
-    if (textured & textured_parameter::alpha) {
-        b.alpha_u = float_from_half(v.alpha[2 * j]);
-        b.alpha_v = float_from_half(v.alpha[2 * j + 1]);
-    }
-    if (textured & textured_parameter::opacity) b.opacity = float_from_half(v.opacity[j]);
-    at.bsdf = b;
+    at.bsdf = bsdf(j);
     return at;
 }
 

@@ -26,6 +26,8 @@ class GraphReader {
 
     const PathGraph& graph() const { return graph_; }
     ShadingPoint vertex(std::size_t j) const;
+    /// Its BSDF alone.
+    Bsdf<float> bsdf(std::size_t j) const;
     /// Unit direction from vertex position p to light point k.
     Vector3f light_direction(const Point3f& p, std::size_t k) const;
     const BsdfModel& model(std::size_t material) const { return models_[material]; }

@@ -1,0 +1,67 @@
+#pragma once
+// What an edit can change of paths that were traced in the old scene: where it stands, what it does to lights, and whether
+// there is anything that it leaves alone.
+
+#include <algorithm>
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "stages/core/scene/embree.h"
+#include "stages/core/scene/scene.h"
+#include "stages/residual/edit.h"
+
+namespace loom::residual {
+
+/// Shapes that a segment may meet, a little larger than they are, so that a ray that is known to its last bits but a few
+/// meets all that it met.
+class Obstacles {
+  public:
+    void add(const Shape& shape);
+    /// in:      around  how far from its surface a ray may start, m
+    void finish(float around);
+
+    bool empty() const { return shapes_.empty(); }
+    /// False: no ray that starts at a, or `around` from it, and ends at b meets one.
+    bool may_meet(const Point3f& a, const Point3f& b) const { return !apart(a, b, b) && crosses(a, b); }
+    /// The same of all rays from a along the unit vector d.
+    bool may_meet(const Point3f& a, const Vector3f& d) const;
+    /// The same of all rays from a to anywhere in a box.
+    bool may_meet(const Point3f& a, const Point3f& low, const Point3f& high) const { return !apart(a, low, high); }
+    /// out:     met  by ray: it does meet one
+    void meet(const Ray* const* rays, std::size_t n, bool* met) const { rays_->occluded(rays, n, met); }
+
+  private:
+    /// A point and a box lie on one side of all obstacles.
+    bool apart(const Point3f& a, const Point3f& low, const Point3f& high) const {
+        bool is = false;
+        for (int k = 0; k < 3; ++k) is |= (std::max(a[k], high[k]) < low_[k]) | (std::min(a[k], low[k]) > high_[k]);
+        return is;
+    }
+    bool crosses(const Point3f& a, const Point3f& b) const;
+
+    std::vector<Shape> shapes_;
+    std::unique_ptr<RayEngine> rays_;
+    Point3f low_, high_;
+};
+
+/// Which places, shapes and lights of the old scene are not to the last bit what they are in the new one. What find_edit()
+/// takes for the same may differ in bits (numbers of more than nine digits, places that are the same to 1e-7): it is changed.
+struct EditReach {
+    EditReach(const Scene& old_scene, const Scene& new_scene, const Edit& edit);
+
+    std::string everything;  // why no path is known to be the same; empty: some may be
+    std::vector<std::uint8_t> shapes;    // of the old scene, by shape: stands, scatters or shines otherwise now, or is gone
+    std::vector<std::uint8_t> emitters;  // of the old scene, by emitter: what arrives from it, or its density, is not the same
+    bool sky = false;            // the emitter at infinity all around is one of them
+    bool any_emitter = false;
+    bool dark_light = false;     // a shape that shines, reflects nothing and is changed: a path may end there untold
+    Obstacles old_places, new_places;  // of what moved, came or went
+
+    /// Bounds of all points that light is sampled on; unbounded where a light is at infinity.
+    bool bounded_lights = true;
+    Point3f lights_low, lights_high;
+};
+
+}  // namespace loom::residual
