@@ -3,6 +3,7 @@
 # OLD's picture depends on OLD, its values, BASE_SPP and SEED alone and lies in BASE, so that many edits of one scene
 # share it: give each its own OUT and all the same BASE. Edits after edits: OLD_PICTURE=FIRST/new.exr, where OLD and its
 # values are the NEW of the edit in FIRST; nothing is then traced but the difference, and OUT/new.exr has a ledger of all edits.
+# GRAPH stores OLD's paths in BASE, too, 300 to 500 bytes per sample, and each edit traces only those that it touches.
 
 .DELETE_ON_ERROR:
 .PHONY: edit FORCE
@@ -17,6 +18,8 @@ SPP ?= 16  ## pairs of paths per pixel of the residual, auto: or what they would
 # PASSES=  ## of graph: passes, whose spread is its variance (4)
 # K=  ## of graph: vertices of a cluster (as of make image)
 # ITERATIONS=  ## of graph: steps of the refinement (6)
+# GRAPH=  ## of correlated paths: 1: those of a graph of OLD, SPP samples of their own; same: the very samples of OLD's picture, so that new.exr is what these are in NEW
+# GRAPH_SEED=  ## of GRAPH=1, other than that of OLD's picture and of edits before (one more than the picture's)
 # UNBIASED=  ## of graph: 1: what the paths of some passes say beyond it is added, which leaves no bias and most of their noise
 # CLUSTER=  ## of graph: further options of loom-cluster; REFINE, GATHER, MERGE likewise
 # KEEP=  ## of graph: 1: keep the graphs
@@ -48,6 +51,16 @@ ifneq ($(shell printf '%s\n' $(call quote,$(SPP)) $(call quote,$(BASE_SPP)) | gr
 $(error SPP=$(SPP) BASE_SPP=$(BASE_SPP): must be whole numbers from 1)
 endif
 OLD_PICTURE := $(strip $(OLD_PICTURE))
+GRAPH := $(strip $(GRAPH))
+ifneq ($(filter-out 1 same,$(GRAPH))$(word 2,$(GRAPH)),)
+$(error GRAPH=$(GRAPH): must be 1 or same)
+endif
+ifneq ($(and $(GRAPH),$(filter-out auto correlated,$(METHOD))),)
+$(error GRAPH=$(GRAPH): is for METHOD=correlated, not $(METHOD))
+endif
+ifneq ($(and $(filter same,$(GRAPH)),$(OLD_PICTURE)),)
+$(error GRAPH=same OLD_PICTURE=$(OLD_PICTURE): that picture is a sum, of more samples than a graph's; take GRAPH=1)
+endif
 missing := $(foreach v,OLD NEW $(if $(OLD_PICTURE),OLD_PICTURE),$(if $(shell test -f $(call quote,$($(v))) && echo there),,$(v)=$($(v))))
 ifneq ($(strip $(missing)),)
 $(error $(strip $(missing)): no such file)
@@ -55,9 +68,13 @@ endif
 
 base_seed := $(or $(strip $(BASE_SEED)),$(strip $(SEED)))
 defines = $(foreach d,$(2), $(1) $(call quote,$(d)))
-old_parameters = $(call quote,$(OLD))$(call defines,-D,$(DEFINES) $(OLD_DEFINES)) --spp $(BASE_SPP)$(if $(base_seed), --seed $(base_seed))
+of_old = $(call quote,$(OLD))$(call defines,-D,$(DEFINES) $(OLD_DEFINES))
+old_parameters = $(of_old) --spp $(BASE_SPP)$(if $(base_seed), --seed $(base_seed))
+graph_seed = $(or $(strip $(GRAPH_SEED)),$(shell echo $$(($(or $(base_seed),0) + 1))))
+graph_parameters = $(if $(filter same,$(GRAPH)),$(old_parameters),$(of_old) --spp $(SPP) --seed $(graph_seed))
 edit_parameters = $(call quote,$(OLD)) $(call quote,$(NEW))$(call defines,-D,$(DEFINES))$(call defines,--old-define,$(OLD_DEFINES))$(call defines,--new-define,$(NEW_DEFINES)) \
-	--method $(METHOD)$(if $(filter 0,$(MAP)), --no-map)$(if $(filter 0,$(CONTROL)), --no-control) --spp $(SPP)$(if $(SEED), --seed $(SEED)) --old $(picture)
+	--method $(METHOD)$(if $(filter 0,$(MAP)), --no-map)$(if $(filter 0,$(CONTROL)), --no-control) \
+	$(if $(GRAPH),--old-graph $(BASE)/graph.h5,--spp $(SPP)$(if $(SEED), --seed $(SEED))) --old $(picture)
 
 # A base with other values lies in another folder.
 OUT := $(or $(strip $(OUT)),out/$(call scene_name,$(NEW))/edit)
@@ -88,6 +105,12 @@ $(eval $(call parameter,$(BASE)/old.parameters,$(old_parameters)))
 $(BASE)/old.exr: $(call scene,$(OLD)) $(BASE)/old.parameters $(trace)
 	$(LAUNCH) $(trace) $(old_parameters)$(threads) --depfile $(BASE)/old.d -o $@
 
+ifneq ($(GRAPH),)
+$(eval $(call parameter,$(BASE)/graph.parameters,$(graph_parameters)))
+$(BASE)/graph.h5: $(call scene,$(OLD)) $(BASE)/graph.parameters $(trace)
+	$(LAUNCH) $(trace) $(graph_parameters)$(threads) --depfile $(BASE)/graph.d -o $@
+endif
+
 ifeq ($(METHOD),graph)
 include pipelines/edit-graph.mk
 edit_parameters = $(call quote,$(OLD)) $(call quote,$(NEW))$(call defines,-D,$(DEFINES))$(call defines,--old-define,$(OLD_DEFINES))$(call defines,--new-define,$(NEW_DEFINES))
@@ -97,7 +120,7 @@ $(OUT)/new.exr: $(OUT)/residual.exr $(BASE)/old.exr $(OUT)/edit.parameters $(res
 		--residual-png $(OUT)/residual.png --new $(OUT)/new.exr
 else
 $(eval $(call parameter,$(OUT)/edit.parameters,$(edit_parameters)))
-$(OUT)/new.exr $(OUT)/residual.exr &: $(call scene,$(OLD)) $(call scene,$(NEW)) $(picture) $(OUT)/edit.parameters $(residual)
+$(OUT)/new.exr $(OUT)/residual.exr &: $(call scene,$(OLD)) $(call scene,$(NEW)) $(picture) $(GRAPH:%=$(BASE)/graph.h5) $(OUT)/edit.parameters $(residual)
 	$(LAUNCH) $(residual) $(edit_parameters)$(threads) --depfile $(OUT)/edit.d \
 		-o $(OUT)/residual.exr --residual-png $(OUT)/residual.png --new $(OUT)/new.exr
 endif
@@ -111,4 +134,4 @@ $(trace) $(residual) $(inspect) &:
 	$(MAKE) --no-print-directory -f Makefile stages
 
 # Files that the scenes include: meshes, textures, other scene files.
--include $(wildcard $(BASE)/old.d $(OUT)/edit.d)
+-include $(wildcard $(BASE)/old.d $(BASE)/graph.d $(OUT)/edit.d)

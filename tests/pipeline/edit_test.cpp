@@ -81,6 +81,41 @@ TEST_F(MakeEdit, by_path_graphs) {
         for (const float v : zero.find(channel)) ASSERT_EQ(v, 0.0f) << channel;
 }
 
+// Edits share the graph too; with the old picture's own samples the sum is the picture that these have in the new scene.
+TEST_F(MakeEdit, from_a_graph_of_the_scene_before) {
+    const std::string light = "NEW_DEFINES=light=20,10,5 GRAPH=1";
+    const std::string first = made("a", light);
+    const auto graph_time = fs::last_write_time(folder / "base/graph.h5");
+    EXPECT_TRUE(first == made("a", light + " THREADS=1"));
+    made("b", "NEW_DEFINES=light=3 GRAPH=1");
+    EXPECT_EQ(fs::last_write_time(folder / "base/graph.h5"), graph_time);
+    const Image before = read_image(folder / "base/old.exr"), residual = read_image(folder / "a/residual.exr"), sum = read_image(folder / "a/new.exr");
+    EXPECT_EQ(residual.samples, 2u);
+    EXPECT_NE(residual.provenance.seed, before.provenance.seed);
+    EXPECT_NE(residual.provenance.plan.find("; old graph: "), std::string::npos) << residual.provenance.plan;
+    for (const char* channel : {"R", "G", "B", "VarMean.R"})
+        for (std::size_t i = 0; i < sum.n_pixels(); ++i) EXPECT_EQ(sum.find(channel)[i], before.find(channel)[i] + residual.find(channel)[i]) << channel;
+    EXPECT_FALSE(first == made("a", light + " GRAPH_SEED=9"));
+    // The chain of costs goes through the graph.
+    const Outcome cost = sh(stage("compare") + " --quiet --cost " + in("a/new.exr"));
+    EXPECT_EQ(cost.code, 0) << cost.err;
+
+    made("same", "NEW_DEFINES=light=20,10,5 GRAPH=same");
+    ASSERT_EQ(sh(stage("trace") + " scenes/cornell-box.xml -D resx=24 -D resy=16 -D light=20,10,5 --spp 4 -o " + in("fresh.exr")).code, 0);
+    const Image same = read_image(folder / "same/new.exr"), fresh = read_image(in("fresh.exr"));
+    EXPECT_EQ(same.samples, 4u);
+    EXPECT_TRUE(same.ledger.empty());
+    EXPECT_EQ(same.scene.hash, fresh.scene.hash);
+    EXPECT_EQ(sum.ledger.back().method, "old graph");
+    // An edit after that, with a graph whose random numbers no link has.
+    const std::string later = "OLD_DEFINES=light=20,10,5 NEW_DEFINES=light=3 GRAPH=1 OLD_PICTURE=" + in("a/new.exr") + " BASE=" + in("base-2");
+    EXPECT_NE(sh(edit("later", later + " GRAPH_SEED=9")).err.find("has the random numbers of this residual"), std::string::npos);
+    made("later", later + " GRAPH_SEED=10");
+    EXPECT_EQ(read_image(folder / "later/new.exr").ledger.size(), 3u);
+    for (const char* channel : {"R", "G", "B", "VarMean.R", "VarMean.G", "VarMean.B"})
+        for (std::size_t i = 0; i < same.n_pixels(); ++i) EXPECT_NEAR(same.find(channel)[i], fresh.find(channel)[i], 1e-5 * (1 + fresh.find(channel)[i])) << channel;
+}
+
 TEST_F(MakeEdit, graphs_that_do_not_fit_are_refused) {
     const std::string box = "scenes/cornell-box.xml -D resx=24 -D resy=16 ", o = " -o " + in("r.exr"), n = " --old " + in("old.exr") + " --new " + in("n.exr");
     const auto trace = [&](const std::string& options, const std::string& file) { ASSERT_EQ(sh(stage("trace") + " " + box + options + " -o " + in(file)).code, 0); };
@@ -126,7 +161,7 @@ TEST_F(MakeEdit, what_does_not_go_together_is_refused) {
 }
 
 TEST_F(MakeEdit, wrong_variables_are_refused) {
-    for (const char* wrong : {"METHOD=graph PASSES=1", "METHOD=graph K=0", "METHOD=graph UNBIASED=2", "METHOD=none", "SPP=0", "BASE_SPP=x", "OLD=missing.xml", "NEW=missing.xml", "OUT='two words'", "OLD_PICTURE=missing.exr", "OLD_PICTURE=LICENSE METHOD=graph", "OLD_PICTURE=LICENSE OUT=.", "NEW_DEFINES=resx=25"}) {
+    for (const char* wrong : {"METHOD=graph PASSES=1", "METHOD=graph K=0", "METHOD=graph UNBIASED=2", "METHOD=none", "GRAPH=2", "GRAPH=1 METHOD=independent", "SPP=0", "BASE_SPP=x", "OLD=missing.xml", "NEW=missing.xml", "OUT='two words'", "OLD_PICTURE=missing.exr", "OLD_PICTURE=LICENSE GRAPH=same", "OLD_PICTURE=LICENSE METHOD=graph", "OLD_PICTURE=LICENSE OUT=.", "NEW_DEFINES=resx=25"}) {
         const Outcome outcome = sh(edit("x", wrong));
         EXPECT_EQ(outcome.code, 2) << wrong << "\n" << outcome.err;
         EXPECT_EQ(outcome.out, "");
