@@ -2,7 +2,7 @@
 
 .DEFAULT_GOAL := demo
 .DELETE_ON_ERROR:
-.PHONY: demo image edit transient chart chart-transient chart-edit-graph chart-all report table table-edit edit-pictures choices test test-full stability asan bench peers peers-transient oidn tools build stages clean help
+.PHONY: demo image edit transient chart chart-transient chart-edit-graph chart-edit-cost chart-all report table table-edit edit-pictures choices test test-full stability asan bench peers peers-transient oidn tools build stages clean help
 SHELL := /bin/sh
 
 BUILD ?= build
@@ -73,6 +73,9 @@ chart-transient: stages ## error of the cubes of SCENE against paths and cost; t
 
 chart-edit-graph: stages ## error, bias and variance of the residual of OLD to NEW by path graphs and by paths; the last lines are the paths of the charts
 	@$(MAKE) --no-print-directory -f pipelines/chart-edit-graph.mk chart-edit-graph
+
+chart-edit-cost: stages ## CPU time of residuals from a graph of the old scene against how many paths the edit touches; takes ROWS= OUT= DOCS=
+	@$(MAKE) --no-print-directory -f pipelines/chart-edit-cost.mk chart-edit-cost
 
 chart-all: stages ## charts of pt, west and pathgraph on many scenes at small size, OUT=out/chart-all; DOCS= copies them
 	@$(MAKE) --no-print-directory -f pipelines/chart-all.mk chart-all
@@ -154,6 +157,8 @@ help: ## list targets and variables
 		pipelines/edit.mk | awk -F'\t' '{printf "  %-28s %s\n", $$1, $$2}'
 	@echo 'Variables of table-edit and edit-pictures, beside SEED and OUT (out/table-edit):'
 	@sed -n 's/^# *\([A-Z_]*\)=  *## \(.*\)/\1=\t\2/p' pipelines/table-edit.mk | awk -F'\t' '{printf "  %-28s %s\n", $$1, $$2}'
+	@echo 'Variables of chart-edit-cost, beside OUT (out/chart-edit-cost):'
+	@sed -n 's/^# *\([A-Z_]*\)=  *## \(.*\)/\1=\t\2/p' pipelines/chart-edit-cost.mk | awk -F'\t' '{printf "  %-28s %s\n", $$1, $$2}'
 	@echo 'Variables of the build:'
 	@printf '  %-28s %s\n' 'BUILD=$(BUILD)' 'build folder' 'JOBS=$(JOBS)' 'compilations at a time' \
 		'PEERS_PYTHON=$(PEERS_PYTHON)' 'an interpreter that has mitsuba, for peers'

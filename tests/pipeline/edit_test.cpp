@@ -331,6 +331,15 @@ TEST_F(MakeEdit, edits_go_on_from_edits) {
     EXPECT_NE(added.err.find("re-base: loom-trace scenes/cornell-box.xml -D 'resx=24' -D 'resy=16' -D 'light=3' --spp 4 -o FRESH.exr"), std::string::npos) << added.err;
 }
 
+TEST_F(MakeEdit, cost_of_graphs_has_a_row_per_edit) {
+    const std::string chart = "make -s chart-edit-cost BUILD='" + fs::path(LOOM_BIN_DIR).parent_path().string() + "' OUT=" + in("c") + " SIZE=24 SPP=2 REPLICATES=1 ROWS=";
+    const Outcome made = sh(chart + "'speck half'");
+    ASSERT_EQ(made.code, 0) << made.err;
+    for (const char* text : {"| box | speck | ", "| box | half | ", "c/cost.png"}) EXPECT_NE(made.out.find(text), std::string::npos) << text << "\n" << made.out;
+    EXPECT_TRUE(fs::exists(folder / "c/cost.svg"));
+    EXPECT_NE(sh(chart + "nothing").code, 0);
+}
+
 // Breaks seen to fail: awk that only GNU's takes (mawk is Debian's).
 TEST_F(MakeEdit, table_has_a_row_per_method_and_is_made_once) {
     const std::string table = "make -s table-edit BUILD='" + fs::path(LOOM_BIN_DIR).parent_path().string() + "' OUT=" + in("t") +
