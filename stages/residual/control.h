@@ -15,7 +15,8 @@ namespace loom::residual {
 ///   alpha = 1 - beta,  beta = (V - C / n) / (V + W / n).
 /// 1 is old plus residual, 0 a fresh picture: where paths of the two scenes have little in common the fresh one is better. A light
 /// that grows brighter gives more than 1. Where nothing differs alpha is n_old / (n_old + n): the new paths are more samples.
-/// C and W are those of the pilot, V that of the pixels around, so that no sample steers itself; all are blurred.
+/// C and W are those of the pilot, V that of the pixels around, so that no sample steers itself; all are blurred. Of an old picture
+/// whose pixels share samples (path graphs, denoised) that is so only nearly.
 /// in:  effort  by a pilot
 ///      old_picture  with VarMean
 std::vector<Spectrum> control_weights(const Sensor& sensor, const Effort& effort, const Image& old_picture);
