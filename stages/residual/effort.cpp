@@ -73,6 +73,139 @@ std::vector<std::uint32_t> rounded(const Map& map, double n) {
     return out;
 }
 
+/// What one thread works with.
+struct PilotWorker {
+    PathPairs pairs;
+    CameraPaths cameras;
+    NumbersBlock numbers;
+    std::vector<PilotPart> parts;  // of the sample under way, and the pixels that they go to
+    std::vector<std::uint32_t> pixels;
+
+    /// in: K  families
+    ///     n0  camera paths of a recorded pixel
+    void keep(const Part& part, std::size_t K, double n0) {
+        PilotPart kept{};
+        const double camera = n0 * part.h * part.density.camera_density, density = part.density.site_density + camera;
+        for (const Term& t : part.terms)
+            if (t.technique != Technique::path_tracing) kept.w[t.family] += float(t.density / density);
+        kept.w[K - 1] = float(camera / density);
+        for (int c = 0; c < 3; ++c) kept.v[c] = float(part.value[c] / density);
+        kept.at_first = part.at_first;
+        parts.push_back(kept);
+        pixels.push_back(part.pixel);
+    }
+};
+
+/// Takes the samples of a pilot.
+class PilotRun {
+  public:
+    Pilot pilot;
+    const std::uint64_t per_family, per_pixel;      // samples of each family; camera paths of each pixel, for the map
+    std::vector<double> variances, costs;           // by pixel, of one pair: of its difference, and rays
+    std::vector<double> covariance[3], old_variance[3];  // as Effort
+    double new_rays = 0, pair_rays = 0, touched = 0;  // of one camera path in every pixel: rays of the new one and of both, how many are touched
+    double recording = 0;                           // cost of finding the densities of camera paths
+    std::uint64_t n_recorded = 0;                   // pixels whose camera paths are recorded
+
+    PilotRun(const DynamicScenes& scenes, const std::vector<Family>& families, const PathPairs::Options& pairs, const PathOptions& path, const Work& work)
+        : per_family(std::clamp<std::uint64_t>(scenes.new_scene.scene.sensor.n_pixels() * work.spp / 1024, 256, most_pilot_samples)),
+          per_pixel(std::max<std::uint64_t>(work.spp / 32, 2)), n_pixels_(scenes.new_scene.scene.sensor.n_pixels()), K_(families.size()), threads_(work.threads),
+          path_(path), samples_(K_, double(per_family)),
+          workers_([&scenes, &families, &pairs, this] { return PilotWorker{PathPairs(scenes, families, samples_, false, path_, pairs), CameraPaths(scenes, path_), {}, {}, {}}; }) {
+        pilot.families.resize(K_);
+        pilot.cost.assign(K_, 0);
+        for (std::size_t f = 0; f + 1 < K_; ++f) sample_site(f);
+        sample_pixels();
+    }
+
+    void count(Counts& counts) const {
+        for (const PilotWorker& w : workers_) {
+            counts.add(w.cameras.counts_new);
+            counts.add(w.cameras.counts_old);
+            counts.add({w.pairs.rays(), w.pairs.vertices(), w.pairs.nonfinite});
+        }
+    }
+
+  private:
+    double rays_of_pairs() const {
+        std::uint64_t sum = 0;
+        for (const PilotWorker& w : workers_) sum += w.pairs.rays();
+        return double(sum);
+    }
+    /// Calls body(worker, samples of the chunk, begin, end).
+    template <class Body>
+    void record(std::uint64_t n, std::uint64_t chunk_size, PilotSamples& all, Body&& body) {
+        std::vector<PilotSamples> chunks((n + chunk_size - 1) / chunk_size);
+        parallel_chunks(n, chunk_size, threads_, [&](std::uint64_t chunk, std::uint64_t begin, std::uint64_t end) { body(workers_.local(), chunks[chunk], begin, end); });
+        for (const PilotSamples& r : chunks) all.append(r);
+    }
+
+    void sample_site(std::size_t f) {
+        const std::uint64_t seed = mix64(path_.seed ^ (f + 1) * 0x9e3779b97f4a7c15ull);
+        const double before = rays_of_pairs();
+        record(per_family, 128, pilot.families[f], [&](PilotWorker& w, PilotSamples& out, std::uint64_t begin, std::uint64_t end) {
+            for (std::uint64_t i = begin; i < end; ++i) {
+                w.pairs.from_site(f, w.numbers.of(path_.sampler, seed, i), [&](const Part& part) { w.keep(part, K_, double(pilot.per_pixel)); });
+                out.end_sample(w.parts, w.pixels);
+            }
+        });
+        pilot.cost[f] = cost_of_site_ray * (rays_of_pairs() - before);
+    }
+
+    /// Pairs of all pixels for the map; with which densities families find them, of a few.
+    void sample_pixels() {
+        const std::uint64_t one_in = std::max(recorded_one_in, n_pixels_ / most_recorded_pixels);
+        const auto is_recorded = [&](std::uint64_t pixel) { return K_ > 1 && mix64(pixel) % one_in == 0; };
+        for (std::uint64_t pixel = 0; pixel < n_pixels_; ++pixel) n_recorded += is_recorded(pixel);
+        for (auto* by_pixel : {&variances, &costs}) by_pixel->resize(n_pixels_);
+        for (int c = 0; c < 3; ++c)
+            for (auto* by_pixel : {&covariance[c], &old_variance[c]}) by_pixel->resize(n_pixels_);
+        const double before = rays_of_pairs();
+        record(n_pixels_, 64, pilot.families[K_ - 1], [&](PilotWorker& w, PilotSamples& out, std::uint64_t begin, std::uint64_t end) {
+            std::vector<PathId> ids;
+            for (std::uint64_t pixel = begin; pixel < end; ++pixel)
+                for (std::uint64_t s = 0; s < per_pixel; ++s) ids.push_back({pixel, s});
+            std::vector<PairMoments> moments(3 * (end - begin));
+            for (std::size_t k = 0; k < ids.size(); k += PathBatch::capacity) {
+                const std::span<const PathId> some{&ids[k], std::min(PathBatch::capacity, ids.size() - k)};
+                w.cameras.trace(some);
+                for (std::size_t i = 0; i < some.size(); ++i) {
+                    const PathId id = some[i];
+                    const Spectrum difference = w.cameras.difference(i), L_new = w.cameras.L_new(i);
+                    costs[id.pixel] += double(w.cameras.rays(i)) / double(per_pixel);
+                    if (!all_finite(difference) || !all_finite(L_new)) continue;
+                    for (int c = 0; c < 3; ++c) moments[3 * (id.pixel - begin) + std::size_t(c)].add(difference[c], L_new[c] - difference[c]);
+                    if (!w.cameras.touched(i) || id.sample >= pilot.per_pixel || !is_recorded(id.pixel)) continue;
+                    w.pairs.from_camera(id, Sampler(path_.sampler, path_.seed, id.pixel, id.sample), [&](const Part& part) { w.keep(part, K_, double(pilot.per_pixel)); });
+                    out.end_sample(w.parts, w.pixels);
+                }
+            }
+            for (std::uint64_t pixel = begin; pixel < end; ++pixel)
+                for (std::size_t c = 0; c < 3; ++c) {
+                    const PairMoments& m = moments[3 * (pixel - begin) + c];
+                    variances[pixel] += m.difference.var_sample() / 3;
+                    covariance[c][pixel] = m.covariance();
+                    old_variance[c][pixel] = m.old.var_sample();
+                }
+        });
+        recording = cost_of_site_ray * (rays_of_pairs() - before);
+        for (const PilotWorker& w : workers_) {
+            new_rays += double(w.cameras.counts_new.rays) / double(per_pixel);
+            pair_rays += double(w.cameras.counts_new.rays + w.cameras.counts_old.rays) / double(per_pixel);
+            touched += double(w.cameras.n_touched) / double(n_pixels_ * per_pixel);
+        }
+        pilot.camera_scale = double(n_pixels_) / double(std::max<std::uint64_t>(n_recorded, 1));
+        pilot.cost[K_ - 1] = double(pilot.per_pixel) * new_rays + recording * pilot.camera_scale;
+    }
+
+    const std::uint64_t n_pixels_;
+    const std::size_t K_;
+    const int threads_;
+    const PathOptions path_;
+    const std::vector<double> samples_;
+    tbb::enumerable_thread_specific<PilotWorker> workers_;
+};
+
 }  // namespace
 
 bool Effort::cameras_alone() const {
@@ -95,130 +228,40 @@ Effort camera_effort(const std::vector<Family>& families, const Sensor& sensor, 
 Effort effort_by_pilot(const DynamicScenes& scenes, const std::vector<Family>& families, const PilotOptions& options, const PathOptions& path, const Work& work,
                        Counts& counts) {
     const Sensor& sensor = scenes.new_scene.scene.sensor;
-    const std::uint64_t n_pixels = sensor.n_pixels();
     const std::size_t K = families.size();
-    Pilot pilot;
-    pilot.families.resize(K);
-    pilot.cost.assign(K, 0);
-    const std::uint64_t per_family = std::clamp<std::uint64_t>(n_pixels * work.spp / 1024, 256, most_pilot_samples);
-    const std::uint64_t per_pixel = std::max<std::uint64_t>(work.spp / 32, 2);  // for the map
-
-    const std::vector<double> samples(K, double(per_family));
-    struct Worker {
-        PathPairs pairs;
-        CameraPaths cameras;
-        std::vector<PilotPart> parts;
-        std::vector<std::uint32_t> pixels;
-        NumbersBlock numbers;
-        double n0 = 0;  // camera paths of a pixel
-        void keep(const Part& part, std::size_t K) {
-            PilotPart kept{};
-            const double camera = n0 * part.h * part.density.camera_density, density = part.density.site_density + camera;
-            for (const Term& t : part.terms)
-                if (t.technique != Technique::path_tracing) kept.w[t.family] += float(t.density / density);
-            kept.w[K - 1] = float(camera / density);
-            for (int c = 0; c < 3; ++c) kept.v[c] = float(part.value[c] / density);
-            kept.at_first = part.at_first;
-            parts.push_back(kept);
-            pixels.push_back(part.pixel);
-        }
-    };
-    tbb::enumerable_thread_specific<Worker> workers([&] {
-        return Worker{PathPairs(scenes, families, samples, false, path, options.pairs), CameraPaths(scenes, path), {}, {}, {}, double(pilot.per_pixel)};
-    });
-    const auto rays_of_pairs = [&] {
-        std::uint64_t sum = 0;
-        for (const Worker& w : workers) sum += w.pairs.rays();
-        return double(sum);
-    };
-    const auto record = [&](std::uint64_t n, std::uint64_t chunk_size, PilotSamples& all, auto&& body) {
-        std::vector<PilotSamples> chunks((n + chunk_size - 1) / chunk_size);
-        parallel_chunks(n, chunk_size, work.threads, [&](std::uint64_t chunk, std::uint64_t begin, std::uint64_t end) { body(workers.local(), chunks[chunk], begin, end); });
-        for (const PilotSamples& r : chunks) all.append(r);
-    };
-    for (std::size_t f = 0; f + 1 < K; ++f) {
-        const std::uint64_t seed = mix64(path.seed ^ (f + 1) * 0x9e3779b97f4a7c15ull);
-        const double before = rays_of_pairs();
-        record(per_family, 128, pilot.families[f], [&](Worker& w, PilotSamples& out, std::uint64_t begin, std::uint64_t end) {
-            for (std::uint64_t i = begin; i < end; ++i) {
-                w.pairs.from_site(f, w.numbers.of(path.sampler, seed, i), [&](const Part& part) { w.keep(part, K); });
-                out.end_sample(w.parts, w.pixels);
-            }
-        });
-        pilot.cost[f] = cost_of_site_ray * (rays_of_pairs() - before);
-    }
-    // Pairs of all pixels for the map; with which densities families find them, of a few.
-    const std::uint64_t one_in = std::max(recorded_one_in, n_pixels / most_recorded_pixels);
-    std::uint64_t n_recorded = 0;
-    const auto is_recorded = [&](std::uint64_t pixel) { return K > 1 && mix64(pixel) % one_in == 0; };
-    for (std::uint64_t pixel = 0; pixel < n_pixels; ++pixel) n_recorded += is_recorded(pixel);
-    Effort effort;
-    std::vector<double> variances(n_pixels), costs(n_pixels);
-    for (int c = 0; c < 3; ++c)
-        for (auto* values : {&effort.covariance[c], &effort.old_variance[c]}) values->resize(n_pixels);
-    const double before = rays_of_pairs();
-    record(n_pixels, 64, pilot.families[K - 1], [&](Worker& w, PilotSamples& out, std::uint64_t begin, std::uint64_t end) {
-        std::vector<PathId> ids;
-        for (std::uint64_t pixel = begin; pixel < end; ++pixel)
-            for (std::uint64_t s = 0; s < per_pixel; ++s) ids.push_back({pixel, s});
-        std::vector<PairMoments> moments(3 * (end - begin));
-        for (std::size_t k = 0; k < ids.size(); k += PathBatch::capacity) {
-            const std::span<const PathId> some{&ids[k], std::min(PathBatch::capacity, ids.size() - k)};
-            w.cameras.trace(some);
-            for (std::size_t i = 0; i < some.size(); ++i) {
-                const PathId id = some[i];
-                const Spectrum difference = w.cameras.difference(i), L_new = w.cameras.L_new(i);
-                for (int c = 0; c < 3; ++c) moments[3 * (id.pixel - begin) + std::size_t(c)].add(difference[c], L_new[c] - difference[c]);
-                costs[id.pixel] += double(w.cameras.rays(i)) / double(per_pixel);
-                if (!w.cameras.touched(i) || id.sample >= pilot.per_pixel || !is_recorded(id.pixel)) continue;
-                w.pairs.from_camera(id, Sampler(path.sampler, path.seed, id.pixel, id.sample), [&](const Part& part) { w.keep(part, K); });
-                out.end_sample(w.parts, w.pixels);
-            }
-        }
-        for (std::uint64_t pixel = begin; pixel < end; ++pixel)
-            for (std::size_t c = 0; c < 3; ++c) {
-                const PairMoments& m = moments[3 * (pixel - begin) + c];
-                variances[pixel] += m.difference.var_sample() / 3;
-                effort.covariance[c][pixel] = m.covariance();
-                effort.old_variance[c][pixel] = m.old.var_sample();
-            }
-    });
-    double new_rays = 0, pair_rays = 0, touched = 0;  // of one camera path in every pixel
-    for (const Worker& w : workers) {
-        new_rays += double(w.cameras.counts_new.rays) / double(per_pixel);
-        pair_rays += double(w.cameras.counts_new.rays + w.cameras.counts_old.rays) / double(per_pixel);
-        touched += double(w.cameras.n_touched) / double(n_pixels * per_pixel);
-        counts.add(w.cameras.counts_new);
-        counts.add(w.cameras.counts_old);
-        counts.add({w.pairs.rays(), w.pairs.vertices(), w.pairs.nonfinite});
-    }
-    const double recording = cost_of_site_ray * (rays_of_pairs() - before), n0 = double(pilot.per_pixel);
-    pilot.camera_scale = double(n_pixels) / double(std::max<std::uint64_t>(n_recorded, 1));
-    pilot.cost[K - 1] = n0 * new_rays + recording * pilot.camera_scale;
-    // Of spp plain pairs, less what the pilot has taken.
-    const double whole = 2 * new_rays * double(work.spp);
-    const double taken = double(per_pixel) * pair_rays + recording + std::accumulate(pilot.cost.begin(), pilot.cost.end() - 1, 0.0);
+    PilotRun run(scenes, families, options.pairs, path, work);
+    run.count(counts);
+    const Pilot& pilot = run.pilot;
+    const double n0 = double(pilot.per_pixel);
+    // What spp plain pairs cost, less what the pilot has taken.
+    const double whole = 2 * run.new_rays * double(work.spp);
+    const double taken = double(run.per_pixel) * run.pair_rays + run.recording + std::accumulate(pilot.cost.begin(), pilot.cost.end() - 1, 0.0);
     const double budget = std::max(whole - taken, 0.25 * whole);
 
-    if (!options.adaptive_map) std::fill(variances.begin(), variances.end(), 0.0);
-    const Map map = map_of(sensor, variances, costs);
+    if (!options.adaptive_map) std::fill(run.variances.begin(), run.variances.end(), 0.0);
+    const Map map = map_of(sensor, run.variances, run.costs);
     Spending best;
     best.x.assign(K, 0);
-    best.x[K - 1] = budget / (n0 * pair_rays);
+    best.x[K - 1] = budget / (n0 * run.pair_rays);
     double M_alone = 0;
-    if (n_recorded > 0) {
+    if (run.n_recorded > 0) {
         M_alone = variance_of(pilot, false, best.x).M / map.gain;
         Spending with = best_spending(pilot, false, budget, map.gain);
         if (Spending first = best_spending(pilot, true, budget, map.gain); first.M < with.M) with = std::move(first);
         if (with.M * options.must_gain < M_alone) best = std::move(with);
     }
+    Effort effort;
     effort.first_to_camera = best.first_to_camera;
     effort.samples.assign(K, 0);
-    for (std::size_t f = 0; f + 1 < K; ++f) effort.samples[f] = std::floor(best.x[f] * double(per_family));
+    for (std::size_t f = 0; f + 1 < K; ++f) effort.samples[f] = std::floor(best.x[f] * double(run.per_family));
     effort.per_pixel = rounded(map, best.x[K - 1] * n0);
+    for (int c = 0; c < 3; ++c) {
+        effort.covariance[c] = std::move(run.covariance[c]);
+        effort.old_variance[c] = std::move(run.old_variance[c]);
+    }
 
     const auto [fewest, most] = std::minmax_element(effort.per_pixel.begin(), effort.per_pixel.end());
-    effort.why = fmt::format("pilot ({:.0f} % of the effort): the edit touches {:.0f} % of camera paths; {:.1f} per pixel ({} to {})", 100 * taken / whole, 100 * touched,
+    effort.why = fmt::format("pilot ({:.0f} % of the effort): the edit touches {:.0f} % of camera paths; {:.1f} per pixel ({} to {})", 100 * taken / whole, 100 * run.touched,
                              best.x[K - 1] * n0, *fewest, *most);
     if (options.adaptive_map) effort.why += fmt::format(", {:.1f} times less variance than evenly", map.gain);
     if (!effort.cameras_alone()) {
