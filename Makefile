@@ -2,7 +2,7 @@
 
 .DEFAULT_GOAL := demo
 .DELETE_ON_ERROR:
-.PHONY: demo image edit transient chart chart-transient chart-edit-graph chart-edit-cost chart-all report table table-edit edit-pictures choices test test-full stability asan bench peers peers-transient oidn tools build stages clean help
+.PHONY: demo image edit edit-techniques transient chart chart-transient chart-edit-graph chart-edit-cost chart-all report table table-edit edit-pictures choices test test-full stability asan bench peers peers-transient oidn tools build stages clean help
 SHELL := /bin/sh
 
 BUILD ?= build
@@ -58,6 +58,9 @@ transient: stages ## light in flight of SCENE, binned over time; with -s the onl
 
 edit: stages ## picture of NEW from that of OLD and the difference that the edit makes; with -s prints only its path
 	@$(MAKE) --no-print-directory -f pipelines/edit.mk edit
+
+edit-techniques: stages ## what each technique of dynamic paths finds of the edit of OLD to NEW, weighted and raw, as PNG
+	@$(MAKE) --no-print-directory -f pipelines/edit.mk edit-techniques
 
 table-edit: stages ## residuals beside correlated path tracing at equal time, a row per edit ([RP] Tables 2 and 3); takes ROWS= METHODS= OUT= DOCS=
 	@$(MAKE) --no-print-directory -f pipelines/table-edit.mk table-edit
@@ -152,7 +155,7 @@ help: ## list targets and variables
 	@sed -n 's/^# *\([A-Z_]*\)=  *## \(.*\)/\1=\t\2/p' pipelines/chart-transient.mk | awk -F'\t' '{printf "  %-28s %s\n", $$1, $$2}'
 	@echo 'Variables of chart-all, beside METHODS, SPPS, REPLICATES, COST, ERROR and OUT (out/chart-all):'
 	@sed -n 's/^# *\([A-Z_]*\)=  *## \(.*\)/\1=\t\2/p' pipelines/chart-all.mk | awk -F'\t' '{printf "  %-28s %s\n", $$1, $$2}'
-	@echo 'Variables of edit:'
+	@echo 'Variables of edit and edit-techniques:'
 	@sed -n 's/^\([A-Z_]*\) ?= *\(.*[^ ]\)  *## \(.*\)/\1=\2\t\3/p; s/^# *\([A-Z_]*\)=  *## \(.*\)/\1=\t\2/p' \
 		pipelines/edit.mk | awk -F'\t' '{printf "  %-28s %s\n", $$1, $$2}'
 	@echo 'Variables of table-edit and edit-pictures, beside SEED and OUT (out/table-edit):'

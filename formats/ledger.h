@@ -30,6 +30,9 @@ inline constexpr const char* differences_method = "differences";
 /// The same of residuals of paths that loom-trace had traced in the old scene.
 inline constexpr const char* old_graph_method = "old graph";
 
+/// `method` of a picture of the paths of one technique: a part of the difference that an edit makes.
+inline constexpr const char* part_method = "part";
+
 /// Whether two links were made from the same random numbers: their noise is then one, and their variances do not add up.
 bool share_numbers(const LedgerLink& a, const LedgerLink& b);
 

@@ -6,7 +6,7 @@
 # GRAPH stores OLD's paths in BASE, too, 300 to 500 bytes per sample, and each edit traces only those that it touches.
 
 .DELETE_ON_ERROR:
-.PHONY: edit FORCE
+.PHONY: edit edit-techniques FORCE
 .DEFAULT_GOAL := edit
 
 OLD ?= scenes/cornell-box.xml  ## scene before the edit
@@ -128,6 +128,16 @@ endif
 $(eval $(call parameter,$(OUT)/preview.parameters,$(EXPOSURE)))
 $(OUT)/new.png: $(OUT)/new.exr $(OUT)/preview.parameters $(inspect)
 	$(LAUNCH) $(inspect) $< --png $@$(if $(EXPOSURE), --exposure $(EXPOSURE))
+
+# What each technique of dynamic paths finds by itself, weighted against the others and raw, in false colours.   [RP] Fig. 3
+technique_parameters = $(call quote,$(OLD)) $(call quote,$(NEW))$(call defines,-D,$(DEFINES))$(call defines,--old-define,$(OLD_DEFINES))$(call defines,--new-define,$(NEW_DEFINES)) \
+	--method dynamic --spp $(SPP)$(if $(SEED), --seed $(SEED))$(threads)
+edit-techniques: $(call scene,$(OLD)) $(call scene,$(NEW)) $(residual)
+	@mkdir -p $(OUT)/techniques
+	@names=$$($(residual) --quiet $(technique_parameters) --technique list) && for name in $$names; do for how in weighted raw; do \
+		picture=$(OUT)/techniques/$$name-$$how; raw=; [ $$how = weighted ] || raw=--raw; \
+		$(LAUNCH) $(residual) $(technique_parameters) --technique $$name $$raw -o $$picture.exr --residual-png $$picture.png || exit; \
+		echo $$picture.png; done; done
 
 # Run alone on a tree that is not built yet.
 $(trace) $(residual) $(inspect) &:

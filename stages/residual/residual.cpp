@@ -59,11 +59,21 @@ Image read_old_picture(const std::string& file, const Scene& old_scene, const st
     return image;
 }
 
+/// Which of the families that an edit calls for has a name.
+std::size_t family_of(const std::string& name, const std::vector<Family>& families) {
+    const auto found = std::find_if(families.begin(), families.end(), [&](const Family& family) { return family.name == name; });
+    if (found != families.end()) return std::size_t(found - families.begin());
+    std::vector<const char*> names;
+    for (const Family& family : families) names.push_back(family.name);
+    throw InputError(fmt::format("--technique {}: this edit has {}", name, fmt::join(names, ", ")));
+}
+
 /// A residual made before, once it is known to lead to the new scene as far as it says; with its link.
 Image read_residual(const std::string& file, const Scene& new_scene, const std::string& scene_name) {
     Image image = read_noisy_picture(file, new_scene, scene_name, "loom-residual and loom-merge of two or more passes");
     if (!image.scene.hash.empty()) throw InputError(fmt::format("{}: is a picture of {}, not a residual", file, image.scene.name));
     image.ledger = {link_of_residual(image)};
+    if (image.ledger[0].method == part_method) throw InputError(fmt::format("{}: has the paths of one technique, which are a part of a residual", file));
     const InputId& leads_to = image.ledger[0].scene;
     const std::string hash = content_hash_text(new_scene.content_hash);
     if (!leads_to.hash.empty() && leads_to.hash != hash)
@@ -82,6 +92,10 @@ void check_endings(const Options& options) {
     check("--new", options.new_picture, ".exr");
     check("--png", options.png, ".png");
     check("--residual-png", options.residual_png, ".png");
+    if (!options.technique.empty() && options.method != Method::dynamic) throw InputError("--technique: is of --method dynamic");
+    if (!options.technique.empty() && !options.new_picture.empty())
+        throw InputError("--technique: its paths are a part of the residual, which makes no picture of the new scene; leave out --new");
+    if (options.raw && options.technique.empty()) throw InputError("--raw: is of the paths of one --technique");
     if (!options.residual.empty() && !options.output.empty()) throw InputError(fmt::format("-o: the residual is there, {}; give --new", options.residual));
     if (options.output.empty() && options.new_picture.empty()) throw InputError("-o: missing (an .exr file), or --new with --old");
     if (!options.png.empty() && options.new_picture.empty()) throw InputError("--png: is of the new picture; give --new and --old");
@@ -103,6 +117,11 @@ Image render_by_dynamic_paths(const ScenePair& scenes, const Edit& edit, const O
     dynamic.pilot = options.method == Method::automatic;
     dynamic.adaptive_map = !options.no_map;
     dynamic.old_picture = options.no_control ? nullptr : old_picture;
+    if (!options.technique.empty()) {
+        dynamic.only_family = int(family_of(options.technique, families_of(DynamicScenes(scenes.old_scene, scenes.new_scene, edit))));
+        dynamic.weighted = !options.raw;
+        plan += fmt::format("; a part of it: only paths found by {}, {}", options.technique, options.raw ? "raw: over the density of that technique alone" : "weighted against all techniques");
+    }
     DynamicCounts counted;
     Image image = render_dynamic(scenes, edit, dynamic, path, {options.first_sample, options.spp, options.threads}, report, counted);
     counts = counted.counts;
@@ -116,7 +135,7 @@ Image render_by_dynamic_paths(const ScenePair& scenes, const Edit& edit, const O
         controlled = std::move(counted.controlled);
     }
     image.ledger = {link_of_residual(image)};
-    image.ledger[0].method = method_name(options.method);
+    image.ledger[0].method = options.technique.empty() ? method_name(options.method) : part_method;
     image.ledger[0].seed = path.seed;
     image.ledger[0].var_sample = counted.var_sample;
     return image;
@@ -141,6 +160,8 @@ void declare(app::Command& command, Options& options) {
     command.choice("--method", options.method, "pairs of paths with the same random numbers, with different ones, or those that meet the edit; auto: by a pilot",
                    {{"auto", Method::automatic}, {"correlated", Method::correlated}, {"independent", Method::independent}, {"dynamic", Method::dynamic}});
     command.flag("--no-mapping", options.no_mapping, "auto, dynamic: pair paths of the two scenes by their random numbers alone");
+    command.option("--technique", options.technique, "dynamic: only the paths that this technique finds, as a picture to look at; list: those of this edit");
+    command.flag("--raw", options.raw, "with --technique: not weighted against the other techniques");
     command.flag("--no-map", options.no_map, "auto: as many camera paths in every pixel");
     command.flag("--no-control", options.no_control, "auto: --new is --old plus the residual, without weights");
     command.option("--spp", options.spp, "pairs of paths per pixel; auto spends what they would cost", app::Range<std::uint64_t>{1, 1u << 30});
@@ -209,7 +230,8 @@ Image take_controlled(const Image& old_picture, const Image& residual, Controlle
 }
 
 void run(const Options& options, app::Report& report) {
-    if (!options.plan) check_endings(options);
+    const bool names_techniques = options.technique == "list";
+    if (!options.plan && !names_techniques) check_endings(options);
     const std::string& new_file = options.new_scene.empty() ? options.old_scene : options.new_scene;
     SceneDescription old_description = read_scene(options.old_scene, both(options.defines, options.old_defines));
     SceneDescription new_description = read_scene(new_file, both(options.defines, options.new_defines));
@@ -232,6 +254,12 @@ void run(const Options& options, app::Report& report) {
 
     const auto old_scene = build_scene(std::move(old_description)), new_scene = build_scene(std::move(new_description));
     for (const std::string& note : new_scene->notes) report.info("{}", note);
+    if (names_techniques) {
+        std::string names;
+        for (const Family& family : families_of(DynamicScenes(*old_scene, *new_scene, edit))) names += std::string(family.name) + "\n";
+        report.answer(names);
+        return;
+    }
     const std::string old_name = file_name(options.old_scene), new_name = file_name(new_file);
     Image old_picture;
     if (!options.old_picture.empty()) old_picture = read_old_picture(options.old_picture, *old_scene, old_name, report);

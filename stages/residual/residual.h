@@ -30,6 +30,8 @@ struct Options {
     bool no_mapping = false;           // auto, dynamic: no path mappings
     bool no_map = false;               // auto: as many camera paths in every pixel
     bool no_control = false;           // auto: --new is --old plus the residual, without weights
+    std::string technique;             // dynamic: a picture of the paths of this family alone; list: its names
+    bool raw = false;                  // of a technique: each path divided by the density of its own technique alone
     std::uint64_t spp = 4;             // pairs of paths per pixel, or what they would cost
     std::uint64_t first_sample = 0;
     std::uint64_t seed = 0;

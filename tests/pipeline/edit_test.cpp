@@ -198,6 +198,27 @@ TEST_F(MakeEdit, wrong_command_lines_are_2) {
     EXPECT_EQ(sh(stage("residual") + " " + box + o + old("old.exr") + n + " --spp 2").code, 0);
 }
 
+// The picture of one technique is a part, and is never taken for the whole.
+TEST_F(MakeEdit, techniques_by_themselves) {
+    const std::string box = "scenes/cornell-box.xml -D resx=24 -D resy=16 --spp 2 ";
+    const Outcome list = sh(stage("residual") + " --quiet scenes/movers.xml --new-define m1=1 --method dynamic --technique list");
+    EXPECT_EQ(list.out, "dynamic-from-emitter\ndynamic-two-ends\nghost-from-emitter\nghost-two-ends\nnew-place-from-sensor\nold-place-from-sensor\npath-tracing\n") << list.err;
+    const std::string light = box + "--method dynamic --new-define light=3 ", part = light + "--technique path-tracing";
+    ASSERT_EQ(sh(stage("trace") + " scenes/cornell-box.xml -D resx=24 -D resy=16 --spp 2 -o " + in("old.exr")).code, 0);
+    ASSERT_EQ(sh(stage("residual") + " " + part + " -o " + in("part.exr")).code, 0);
+    ASSERT_EQ(sh(stage("residual") + " " + part + " --raw -o " + in("raw.exr")).code, 0);
+    EXPECT_NE(read_image(in("part.exr")).provenance.plan.find("a part of it: only paths found by path-tracing, weighted"), std::string::npos);
+    EXPECT_NE(read_image(in("raw.exr")).provenance.plan.find("only paths found by path-tracing, raw"), std::string::npos);
+    const std::string o = " -o " + in("x.exr"), n = " --old " + in("old.exr") + " --new " + in("n.exr");
+    expect_refused(light + "--technique ghost-two-ends" + o, "--technique ghost-two-ends: this edit has path-tracing");
+    expect_refused(part + n, "makes no picture of the new scene");
+    expect_refused(box + "--new-define light=3 --technique path-tracing" + o, "is of --method dynamic");
+    expect_refused(light + "--raw" + o, "is of the paths of one --technique");
+    expect_refused(light + n + " --residual " + in("part.exr"), "has the paths of one technique");
+    const Outcome pictures = sh("make -s edit-techniques BUILD='" + fs::path(LOOM_BIN_DIR).parent_path().string() + "' DEFINES='resx=24 resy=16' SPP=2 NEW_DEFINES=light=3 OUT=" + in("t"));
+    EXPECT_EQ(pictures.out, in("t/techniques/path-tracing-weighted.png") + "\n" + in("t/techniques/path-tracing-raw.png") + "\n") << pictures.err;
+}
+
 // Passes of a residual merge into what one run gives.
 TEST_F(MakeEdit, passes_merge) {
     const std::string box = stage("residual") + " scenes/cornell-box.xml -D resx=24 -D resy=16 --new-define light=3 --spp ";
