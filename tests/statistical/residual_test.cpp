@@ -6,30 +6,22 @@
 #include <fmt/format.h>
 #include <gtest/gtest.h>
 #include <tbb/parallel_for.h>
-#include <unistd.h>
 
 #include <cmath>
-#include <fstream>
-#include <iterator>
 
 #include "stages/core/stats/chi_square.h"
 #include "stages/core/stats/moments.h"
 #include "stages/residual/dynamic_estimator.h"
+#include "tests/statistical/edit_cases.h"
 #include "tests/statistical/support.h"
 
 namespace loom::residual {
 namespace {
 
-constexpr int replicates = 32, size = 32;
+constexpr int replicates = 32, size = edit_size;
 const char* const rgb[] = {"R", "G", "B"};
 
-struct EditCase {
-    const char* name;
-    std::vector<std::pair<const char*, const char*>> changes;  // of the text of the base scene
-};
-
 constexpr const char* short_place = "<translate x=\"0.36\" y=\"-0.72\" z=\"0.3\"/>";
-constexpr const char* sky = "<emitter type=\"constant\"><rgb name=\"radiance\" value=\"0.2\"/></emitter></scene>";
 constexpr const char* end_of_tall = "<translate x=\"-0.33\" y=\"-0.42\" z=\"-0.35\"/>\n        </transform>\n        <ref id=\"white\"/>";
 
 const std::vector<EditCase>& edits() {
@@ -52,35 +44,7 @@ const std::vector<EditCase>& edits() {
     return all;
 }
 
-std::string base_text() {
-    std::ifstream in(source_dir() / "scenes/cornell-box.xml");
-    std::string text{std::istreambuf_iterator<char>(in), {}};
-    return text.replace(text.rfind("</scene>"), 8, sky);
-}
-
-/// The scene file of an edit, for as long as it is needed: what is built from a description reads it again.
-class SceneFile {
-  public:
-    explicit SceneFile(const EditCase& edit) : file_(std::filesystem::temp_directory_path() / fmt::format("loom-edit-{}-{}.xml", getpid(), edit.name)) {
-        std::string text = base_text();
-        for (const auto& [from, to] : edit.changes) {
-            const auto at = text.rfind(from);
-            if (at == std::string::npos) throw std::logic_error(std::string("no such text: ") + from);
-            text.replace(at, std::string(from).size(), to);
-        }
-        std::ofstream(file_) << text;
-    }
-    ~SceneFile() { std::filesystem::remove(file_); }
-    SceneFile(const SceneFile&) = delete;
-    SceneFile& operator=(const SceneFile&) = delete;
-
-    SceneDescription read() const { return read_scene(file_.string(), {{"resx", std::to_string(size)}, {"resy", std::to_string(size)}}); }
-
-  private:
-    std::filesystem::path file_;
-};
-
-std::unique_ptr<Scene> scene_of(const EditCase& edit) { return build_scene(SceneFile(edit).read()); }
+std::unique_ptr<Scene> scene_of(const EditCase& edit) { return build_scene(SceneFile(edit, true).read()); }
 
 struct Base {
     std::unique_ptr<Scene> scene;
@@ -121,29 +85,6 @@ Residuals residuals_of(const Scene& before, const Scene& after, Method method, s
         images[std::size_t(i)] = render_residual({before, after}, method, path, {0, spp, 1}, report, counts);
     });
     return summed_up(images);
-}
-
-/// Two scenes and the edit between them.
-struct EditedScenes {
-    std::unique_ptr<Scene> old_scene, new_scene;
-    Edit edit;
-    EditedScenes(SceneDescription before, SceneDescription after) : edit(find_edit(before, after)) {
-        old_scene = build_scene(std::move(before));
-        new_scene = build_scene(std::move(after));
-    }
-    Image dynamic(const DynamicOptions& options, std::uint64_t seed, std::uint64_t spp, int threads = 1) const {
-        app::Report report;
-        report.set_quiet(true);
-        PathOptions path = options_of(*new_scene);
-        path.seed = seed;
-        DynamicCounts counts;
-        return render_dynamic({*old_scene, *new_scene}, edit, options, path, {0, spp, threads}, report, counts);
-    }
-};
-
-EditedScenes edited(const EditCase& edit) {
-    const SceneFile before({"base", {}}), after(edit);
-    return {before.read(), after.read()};
 }
 
 /// The same from dynamic paths; the edit is found in the two files that the scenes come from.
@@ -384,7 +325,7 @@ TEST(Residual, CorrelatedPathsHaveLessVariance) {
     small_moved.name = "small_moved";
     small_moved.changes.emplace_back(short_place, "<translate x=\"0.31\" y=\"-0.72\" z=\"0.3\"/>");
     const auto before = scene_of(small), after = scene_of(small_moved);
-    const auto ratio = [](const char* what, const Scene& a, const Scene& b) {
+    const auto ratio = [](const std::string& what, const Scene& a, const Scene& b) {
         const double r = residuals_of(a, b, Method::independent, 16).var_mean / residuals_of(a, b, Method::correlated, 16).var_mean;
         fmt::print("{}: {:.3g} times less variance\n", what, r);
         return r;
