@@ -57,8 +57,8 @@ class Estimator {
     Estimator(const DynamicScenes& scenes, const std::vector<Family>& families, const Effort& effort, const DynamicOptions& options, const PathOptions& path,
               int threads)
         : scenes_(scenes), families_(families), effort_(effort), options_(options), path_(path), threads_(threads) {
+        pairs_ = options.pairs;
         pairs_.mapping = options.pairs.mapping && options.only_family < 0;
-        pairs_.limits = options.pairs.limits;
     }
 
     PathPairs pairs() const { return {scenes_, families_, effort_.samples, effort_.first_to_camera, path_, pairs_}; }

@@ -78,12 +78,20 @@ void PathPairs::add(bool is_new, const FullPath& p, const Found& found, std::int
     const double sign = is_new ? 1 : -1;
     if (options_.mapping) {
         Rejection why;
-        if (const MappedPath* q = (is_new ? from_new_ : from_old_).map(p, found, why)) {
+        const MappedPath* q = (is_new ? from_new_ : from_old_).map(p, found, why);
+        if (options_.as_printed && q && q->density_ratio > 10) q = nullptr;
+        if (q) {
             partner_terms_.clear();
             const Evaluation partner = evaluate(scenes_, other, is_new ? counts_old_ : counts_new_, path_, q->path, &partner_terms_);
             const double rho = own_density(partner_terms_, partner, found, found.place) / own * q->density_ratio;
             if (max_channel(partner.F) > 0 && rho > 0) {
                 show(p, e, terms_, sign / (1 + rho), own, camera, only_pixel, sink);
+                if (options_.as_printed) {
+                    Evaluation with_weight_of_base = e;
+                    with_weight_of_base.F = partner.F;
+                    show(q->path, with_weight_of_base, terms_, -sign * q->density_ratio / (1 + rho), own, camera, only_pixel, sink);
+                    return;
+                }
                 show(q->path, partner, partner_terms_, -sign * rho / (1 + rho), own, camera, only_pixel, sink);
                 return;
             }

@@ -37,13 +37,16 @@ struct Part {
 ///   omega (F(p) - rho F(q)),  rho = p_q |T'| / p_p,  omega = 1 / (1 + rho)
 /// and the samples of the other scene do the same, so that together they cover both; where the mapping is rejected,
 /// omega is 1 and the partner is left to the other scene's samples.
-/// differs: each term has the weight of its own scene, and pairs have weights of their own: as printed, both are biased
+/// differs: each term has the weight of its own scene, and limits are the same both ways: as printed, both are biased
 class PathPairs {
   public:
     using Sink = std::function<void(const Part&)>;
     struct Options {
         bool mapping = true;
         MappingLimits limits;
+        /// The letter of [RP], to see its bias: both paths of a pair have the weight of the one that was found, Eq. (16); a mapping
+        /// whose Jacobian is above 10 is rejected, §5, and its inverse, below 1/10, is not.
+        bool as_printed = false;
     };
 
     /// in:  samples  of each family, of the whole picture; of path tracing not asked for

@@ -95,6 +95,8 @@ void check_endings(const Options& options) {
     if (!options.technique.empty() && options.method != Method::dynamic) throw InputError("--technique: is of --method dynamic");
     if (!options.technique.empty() && !options.new_picture.empty())
         throw InputError("--technique: its paths are a part of the residual, which makes no picture of the new scene; leave out --new");
+    if (options.as_printed && (options.method != Method::dynamic || options.no_mapping || !options.technique.empty()))
+        throw InputError("--as-printed: is of the pairs that --method dynamic maps, all techniques together");
     if (options.raw && options.technique.empty()) throw InputError("--raw: is of the paths of one --technique");
     if (!options.residual.empty() && !options.output.empty()) throw InputError(fmt::format("-o: the residual is there, {}; give --new", options.residual));
     if (options.output.empty() && options.new_picture.empty()) throw InputError("-o: missing (an .exr file), or --new with --old");
@@ -117,6 +119,8 @@ Image render_by_dynamic_paths(const ScenePair& scenes, const Edit& edit, const O
     dynamic.pilot = options.method == Method::automatic;
     dynamic.adaptive_map = !options.no_map;
     dynamic.old_picture = options.no_control ? nullptr : old_picture;
+    dynamic.pairs.as_printed = options.as_printed;
+    if (options.as_printed) plan += "; as printed in [RP]: both paths of a pair with the weight of the one found, mappings limited one way: biased";
     if (!options.technique.empty()) {
         dynamic.only_family = int(family_of(options.technique, families_of(DynamicScenes(scenes.old_scene, scenes.new_scene, edit))));
         dynamic.weighted = !options.raw;
@@ -161,6 +165,7 @@ void declare(app::Command& command, Options& options) {
                    {{"auto", Method::automatic}, {"correlated", Method::correlated}, {"independent", Method::independent}, {"dynamic", Method::dynamic}});
     command.flag("--no-mapping", options.no_mapping, "auto, dynamic: pair paths of the two scenes by their random numbers alone");
     command.option("--technique", options.technique, "dynamic: only the paths that this technique finds, as a picture to look at; list: those of this edit");
+    command.flag("--as-printed", options.as_printed, "dynamic: weights and limits of mappings by the letter of the paper, to see their bias");
     command.flag("--raw", options.raw, "with --technique: not weighted against the other techniques");
     command.flag("--no-map", options.no_map, "auto: as many camera paths in every pixel");
     command.flag("--no-control", options.no_control, "auto: --new is --old plus the residual, without weights");

@@ -31,6 +31,7 @@ struct Options {
     bool no_map = false;               // auto: as many camera paths in every pixel
     bool no_control = false;           // auto: --new is --old plus the residual, without weights
     std::string technique;             // dynamic: a picture of the paths of this family alone; list: its names
+    bool as_printed = false;           // dynamic: weights and Jacobian limit by the letter of [RP], biased
     bool raw = false;                  // of a technique: each path divided by the density of its own technique alone
     std::uint64_t spp = 4;             // pairs of paths per pixel, or what they would cost
     std::uint64_t first_sample = 0;

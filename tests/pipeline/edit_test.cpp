@@ -213,6 +213,7 @@ TEST_F(MakeEdit, techniques_by_themselves) {
     expect_refused(light + "--technique ghost-two-ends" + o, "--technique ghost-two-ends: this edit has path-tracing");
     expect_refused(part + n, "makes no picture of the new scene");
     expect_refused(box + "--new-define light=3 --technique path-tracing" + o, "is of --method dynamic");
+    expect_refused(part + o + " --as-printed", "all techniques together");
     expect_refused(light + "--raw" + o, "is of the paths of one --technique");
     expect_refused(light + n + " --residual " + in("part.exr"), "has the paths of one technique");
     const Outcome pictures = sh("make -s edit-techniques BUILD='" + fs::path(LOOM_BIN_DIR).parent_path().string() + "' DEFINES='resx=24 resy=16' SPP=2 NEW_DEFINES=light=3 OUT=" + in("t"));
