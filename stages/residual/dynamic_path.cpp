@@ -120,7 +120,7 @@ Evaluation evaluate(const DynamicScenes& scenes, const DynamicScene& side, const
     const auto add = [&](Technique technique, Site site, std::size_t place, double density) {
         const SampleCounts::FromSite& from = counts.of(technique, site);
         if (!(from.n > 0)) return;
-        const double d = from.n / scenes.at(site).area() * density;
+        const double d = from.n / scenes.at(site).area(start_of(technique)) * density;
         e.site_density += d;
         if (terms) terms->push_back({technique, std::uint32_t(place), d, from.family});
     };

@@ -43,6 +43,7 @@ enum class Technique : std::uint8_t {
     path_tracing = 7
 };
 inline constexpr int n_techniques = 7;
+inline Start start_of(Technique technique) { return technique <= Technique::dynamic_two_ends ? Start::scattering : Start::passing; }
 
 /// How many samples each technique takes from each site in one scene. Camera paths are counted elsewhere: their densities
 /// are those of one path per pixel.

@@ -32,6 +32,8 @@ std::vector<Box3f> boxes_around(const std::vector<Shape>& shapes, float grown_by
     return boxes;
 }
 
+bool black(const Scene& scene, std::uint32_t shape) { return scene.materials[scene.shapes[shape].material].black(); }
+
 bool sided(const Scene& scene, const Shape& shape) {
     const Material& material = scene.materials[shape.material];
     return material.perturbed() || material.back >= 0;
@@ -39,7 +41,7 @@ bool sided(const Scene& scene, const Shape& shape) {
 
 }  // namespace
 
-void SiteShapes::add(const Scene& scene, std::uint32_t index, Member member) {
+void SiteShapes::add(const Scene& scene, std::uint32_t index, Member member, bool scatters) {
     const Shape& shape = scene.shapes[index];
     std::vector<double> areas;
     double area = 0;
@@ -56,15 +58,18 @@ void SiteShapes::add(const Scene& scene, std::uint32_t index, Member member) {
     members_.push_back(member);
     shapes_.push_back(&shape);
     areas_.push_back(area);
+    scattering_areas_.push_back(scatters ? area : 0);
 }
 
 void SiteShapes::finish() {
-    if (!areas_.empty()) by_area_ = Distribution1(areas_);
+    if (areas_.empty()) return;
+    by_area_ = Distribution1(areas_);
+    if (std::any_of(scattering_areas_.begin(), scattering_areas_.end(), [](double a) { return a > 0; })) by_scattering_area_ = Distribution1(scattering_areas_);
 }
 
-SitePoint SiteShapes::sample(float u_choice, Point2f u) const {
+SitePoint SiteShapes::sample(Start start, float u_choice, Point2f u) const {
     SitePoint point;
-    point.member = std::uint32_t(by_area_.sample(u_choice));
+    point.member = std::uint32_t(by_area(start).sample(u_choice));
     const Shape& shape = *shapes_[point.member];
     point.hit.shape = point.member;
     if (shape.kind == ShapeKind::mesh) {
@@ -142,8 +147,9 @@ DynamicScenes::DynamicScenes(const Scene& old_, const Scene& new_, const Edit& e
             const Site site = moves ? side->own_site() : Site::repainted;
             side->site_of[i] = std::uint8_t(site);
             if (moves) movers.push_back(geometry_of(side->scene.shapes[i]));
-            if (moves || side->is_new)
-                sites[std::size_t(site)].add(side->scene, i, side->is_new ? SiteShapes::Member{i, shape.partner} : SiteShapes::Member{shape.partner, i});
+            if (!moves && !side->is_new) continue;
+            const bool scatters = !black(side->scene, i) || (!moves && !black(old_, shape.partner));
+            sites[std::size_t(site)].add(side->scene, i, side->is_new ? SiteShapes::Member{i, shape.partner} : SiteShapes::Member{shape.partner, i}, scatters);
         }
         for (const EmitterEdit& emitter : emitters) {
             side->changed_emitter.push_back(emitter.changed);

@@ -31,27 +31,35 @@ struct SitePoint {
     Normal3f ng;
 };
 
+/// What a path starts from: where it scatters, or where it only passes through. Nothing scatters at black shapes, such as
+/// most lamps; they are ghosts, for they hide what lies behind them.
+enum class Start : std::uint8_t { scattering, passing };
+
 /// The shapes of a site, in the order of the scene that they are in (for repainted ones, the new scene).
 class SiteShapes {
   public:
     struct Member {
         std::uint32_t new_shape = ShapeEdit::none, old_shape = ShapeEdit::none;
     };
-    void add(const Scene& scene, std::uint32_t shape, Member member);
+    void add(const Scene& scene, std::uint32_t shape, Member member, bool scatters);
     void finish();
 
     bool empty() const { return members_.empty(); }
-    double area() const { return by_area_.sum(); }  // m^2
+    bool scatters() const { return area(Start::scattering) > 0; }  // somewhere
+    double area(Start start) const { return by_area(start).sum(); }  // m^2
     const std::vector<Member>& members() const { return members_; }
+    /// The same point for both starts where no shape is black.
     /// in: u_choice, u  [0, 1)
-    SitePoint sample(float u_choice, Point2f u) const;
+    SitePoint sample(Start start, float u_choice, Point2f u) const;
 
   private:
+    const Distribution1& by_area(Start start) const { return start == Start::scattering ? by_scattering_area_ : by_area_; }
+
     std::vector<Member> members_;
     std::vector<const Shape*> shapes_;
     std::vector<Distribution1> triangles_;
-    std::vector<double> areas_;
-    Distribution1 by_area_;
+    std::vector<double> areas_, scattering_areas_;
+    Distribution1 by_area_, by_scattering_area_;
 };
 
 /// Where a segment passes through a ghost.

@@ -189,7 +189,9 @@ void PathFinder::find(Technique technique, Site site, const Numbers& numbers, co
     z_.clear();
     y_.clear();
     const Point2f u_choice = numbers.pair(choice_pair), u_light = numbers.pair(light_pair);
-    const SitePoint point = shapes.sample(u_choice.x, numbers.pair(point_pair));
+    const Start start = start_of(technique);
+    if (!(shapes.area(start) > 0)) return;
+    const SitePoint point = shapes.sample(start, u_choice.x, numbers.pair(point_pair));
     const SiteShapes::Member& member = shapes.members()[point.member];
     const std::uint32_t shape = side_.is_new ? member.new_shape : member.old_shape;
     Found found{technique, 0};

@@ -6,16 +6,19 @@ std::vector<Family> families_of(const DynamicScenes& scenes) {
     using enum Technique;
     std::vector<Family> all;
     const auto at = [&](Site site) { return !scenes.at(site).empty(); };
-    const bool n = at(Site::new_place), o = at(Site::old_place), r = at(Site::repainted);
+    const bool n = at(Site::new_place), o = at(Site::old_place), r = scenes.at(Site::repainted).scatters();
+    const bool n_scatters = scenes.at(Site::new_place).scatters(), o_scatters = scenes.at(Site::old_place).scatters();
     constexpr Technique none = path_tracing;
+    if (n_scatters || o_scatters) {
+        all.push_back({"dynamic-from-emitter", n_scatters ? dynamic_from_emitter : none, o_scatters ? dynamic_from_emitter : none, Site::new_place, Site::old_place});
+        all.push_back({"dynamic-two-ends", n_scatters ? dynamic_two_ends : none, o_scatters ? dynamic_two_ends : none, Site::new_place, Site::old_place});
+    }
     if (n || o) {
-        all.push_back({"dynamic-from-emitter", n ? dynamic_from_emitter : none, o ? dynamic_from_emitter : none, Site::new_place, Site::old_place});
-        all.push_back({"dynamic-two-ends", n ? dynamic_two_ends : none, o ? dynamic_two_ends : none, Site::new_place, Site::old_place});
         all.push_back({"ghost-from-emitter", o ? ghost_from_emitter : none, n ? ghost_from_emitter : none, Site::old_place, Site::new_place});
         all.push_back({"ghost-two-ends", o ? ghost_two_ends : none, n ? ghost_two_ends : none, Site::old_place, Site::new_place});
     }
-    if (n) all.push_back({"new-place-from-sensor", dynamic_from_sensor, ghost_from_sensor, Site::new_place, Site::new_place});
-    if (o) all.push_back({"old-place-from-sensor", ghost_from_sensor, dynamic_from_sensor, Site::old_place, Site::old_place});
+    if (n) all.push_back({"new-place-from-sensor", n_scatters ? dynamic_from_sensor : none, ghost_from_sensor, Site::new_place, Site::new_place});
+    if (o) all.push_back({"old-place-from-sensor", ghost_from_sensor, o_scatters ? dynamic_from_sensor : none, Site::old_place, Site::old_place});
     if (r) {
         all.push_back({"repainted-from-emitter", dynamic_from_emitter, dynamic_from_emitter, Site::repainted, Site::repainted});
         all.push_back({"repainted-from-sensor", dynamic_from_sensor, dynamic_from_sensor, Site::repainted, Site::repainted});

@@ -59,7 +59,7 @@ double twin(const DynamicScenes& scenes, const DynamicScene& side, const SampleC
         for (std::size_t i = from; i + 1 < m; ++i) density *= p.vertices[i].pdf_light * p.vertices[i].q_light * g_light(i);
         density *= p.light.pdf;
     };
-    const auto starts = [&](Technique t, Site site) { density *= counts.of(t, site).n / scenes.at(site).area(); };
+    const auto starts = [&](Technique t, Site site) { density *= counts.of(t, site).n / scenes.at(site).area(start_of(t)); };
     const bool dynamic = term.technique <= Technique::dynamic_two_ends;
     if (dynamic) {
         const std::size_t j = term.place - 1;
