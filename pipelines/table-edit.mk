@@ -109,8 +109,8 @@ rewrite.living-room-2-new := $(call move,Mesh(167|091|145|160)[.]obj,x="0.35" z=
 # Cubes that are not in the shared file, for nothing in sponza could be moved.
 guest = <shape type="cube"><transform name="to_world"><scale value="$(1)"/><rotate y="1" angle="$(2)"/><translate $(3)/></transform><bsdf type="diffuse"><rgb name="reflectance" value="$(4)"/></bsdf></shape>
 guests = s,</scene>,$(call guest,0.8,20,$(1),0.6 0.15 0.1)$(call guest,0.6,50,$(2),0.1 0.3 0.6)$(call guest,0.5,70,$(3),0.6 0.5 0.1)&,
-rewrite.sponza-old := $(call guests,x="-2" y="1" z="0.5",x="2" y="2.5" z="-1",x="-5" y="4" z="-1.5")
-rewrite.sponza-new := $(call guests,x="-1.4" y="1" z="1.1",x="2.8" y="3.1" z="-1",x="-4.2" y="3.4" z="-1")
+rewrite.sponza-old := $(call guests,x="9" y="1" z="1.5",x="11" y="2.5" z="-1",x="8.5" y="4" z="-2.5")
+rewrite.sponza-new := $(call guests,x="9.6" y="1" z="0.9",x="11.8" y="3.1" z="-1",x="9.3" y="3.4" z="-2")
 folder.glossy-cornell := cornell-box
 
 # $(call field,N,ROW), empty where it is -.
