@@ -99,7 +99,7 @@ test-full: build ## the tests with the longer statistical runs, and the report i
 	@$(call install,$(BROWSER_PACKAGES))
 	cd $(BUILD) && LOOM_TEST_FULL=1 ctest --output-on-failure --no-tests=error
 
-stability: build ## scenes that are hard on path graphs, and fifty edits in a row, at full length
+stability: build ## scenes that are hard on path graphs, edits that are hard on residuals, and fifty edits in a row, at full length
 	LOOM_TEST_FULL=1 $(BUILD)/test_statistical --gtest_filter='Stability*:Blend*'
 
 asan: tools ## unit and formats tests under AddressSanitizer and UndefinedBehaviorSanitizer
