@@ -9,6 +9,7 @@
 #include <filesystem>
 #include <fstream>
 #include <memory>
+#include <mutex>
 #include <string>
 
 #include "stages/cluster/cluster.h"
@@ -67,7 +68,10 @@ inline PathGraph trace_graph(const Scene& scene, const PathOptions& path, std::u
     report.set_quiet(true);
     trace::Counts counts;
     const auto file = scratch_file(".h5");
-    write_path_graph(trace::render_graph(scene, path, {first_sample, spp, 0}, report, counts), file, Sync::no);
+    const auto traced = trace::render_graph(scene, path, {first_sample, spp, 0}, report, counts);
+    static std::mutex hdf5_one_at_a_time;  // tests call this from many threads
+    const std::lock_guard lock(hdf5_one_at_a_time);
+    write_path_graph(traced, file, Sync::no);
     PathGraph graph = read_path_graph(file);
     std::filesystem::remove(file);  // the mapping keeps its bytes
     return graph;
