@@ -1,4 +1,5 @@
-# One row of table-edit: noise.tsv, costs.tsv, errors.tsv of loom-compare -> what each method costs and brings.
+# One row of table-edit: noise.tsv, costs.tsv, errors.tsv of loom-compare -> what each method costs and brings; own.tsv has what
+# residuals cost whose parents do not count.
 # Needs table, row, paper and curve: labels of correlated path tracing, by samples.
 
 function mean(sum, n) { return n > 0 ? sum / n : nan }
@@ -23,6 +24,7 @@ BEGIN { FS = OFS = "\t"; nan = "nan"; n_curve = split(curve, at, " ") }
 FNR == 1 { ++file; split("", column); for (i = 1; i <= NF; ++i) column[$i] = i; next }
 file == 1 { noise_mse = $column["mse"] / 4; noise_relmse = $column["relmse"] / 4; next }
 file == 2 { split($column["file"], path, "/residual.exr"); seconds[path[1]] += $column["render_s"]; next }
+file == 3 { split($column["file"], path, "/residual.exr"); seconds[path[1]] = $column["cpu_s"] - $column["load_s"]; next }
 {
     l = $column["method"]
     if (!(l in runs)) order[++labels] = l

@@ -11,7 +11,8 @@
 #             The reference is the mean (a + b) / 2 of two residuals with their own seeds; its noise is taken out by
 #             (x - a)(x - b) = (x - (a + b) / 2)^2 - (a - b)^2 / 4, whatever its samples say of themselves
 #             The old picture's weight is 1 (CONTROL=0): with another its noise would count
-#   cost      CPU seconds of the whole chain of residual.exr, reading the scenes not counted; the old picture is there
+#   cost      CPU seconds of the whole chain of residual.exr, reading the scenes not counted; the old picture is there, and with
+#             GRAPH1 the old graph
 #   ratio     error of correlated path tracing given the same time, over that of the method: correlated paths are
 #             traced with each of SPPS, and between two of them their error follows a power of their cost (beyond the
 #             first and last 1 / cost)
@@ -171,7 +172,7 @@ values = $(subst +, ,$(call field,$(1),$(2)))
 # $(call edit,ROW,LONGER SIDE,METHOD,PAIRS,SEED,FOLDER,BASE_SPP,SETTINGS): all variables are named, none of this file's reaches it else.
 edit = $(MAKE) -s --no-print-directory -f pipelines/edit.mk -j1 BUILD=$(BUILD) OLD='$(call field,4,$(1))' NEW='$(or $(call field,5,$(1)),$(call field,4,$(1)))' \
 	DEFINES='$(call size,$(1),$(2))$(call values,6,$(1))' OLD_DEFINES= NEW_DEFINES='$(call values,7,$(1))' METHOD=$(3) SPP=$(4) SEED=$(5) \
-	BASE=$(call base,$(1),$(2) $(7)) BASE_SPP=$(7) BASE_SEED=1 OUT=$(6) EXPOSURE= CONTROL=0 $(8)
+	BASE=$(call base,$(1),$(2) $(7)) BASE_SPP=$(7) BASE_SEED=1 GRAPH_SEED=$(5) OUT=$(6) EXPOSURE= CONTROL=0 $(8)
 run = $(call edit,$(call row_of,$(1)),$(SIZE),$(firstword $(subst +, ,$(call method_of,$(1)))),$(call part,2,$(1)),$(call seed,$(1)),$(2),$(BASE_SPP),$(call settings_of,$(1)))
 
 table-edit: $(OUT)/table.md
@@ -209,8 +210,11 @@ $(OUT)/$(1)/row.tsv: $(patsubst %,$(OUT)/%/new.exr,$(call runs_of,$(1))) $(OUT)/
 	@$(compare) --quiet --tsv --reference $(OUT)/$(1)/reference.exr $(call labelled,$(1),new) >$$(@D)/errors.tsv
 	@$(compare) --quiet --tsv reference=$(call half,$(1),0) --reference $(call half,$(1),1) >$$(@D)/noise.tsv
 	@$(compare) --quiet --tsv --cost $(call labelled,$(1),residual) >$$(@D)/costs.tsv
+	@printf 'file\tcpu_s\tload_s\n' >$$(@D)/own.tsv
+	@$(foreach r,$(filter %,$(foreach r,$(call runs_of,$(1)),$(if $(findstring GRAPH,$(r)),$(r)))), \
+		printf '%s\t%s\t%s\n' $(OUT)/$(r)/residual.exr $$$$(sed -n 's/.*"cpu_s": *\([^,]*\),.*/\1/p; s/.*"load_s": *\([^,]*\),.*/\1/p' $(OUT)/$(r)/residual.exr.cost.json) >>$$(@D)/own.tsv;) :
 	@awk -v table='$(call field,1,$(1))' -v row='$(1)' -v paper='$(or $(call field,3,$(1)),nan)' -v curve='$(curve)' \
-		-f pipelines/table-edit.awk $$(@D)/noise.tsv $$(@D)/costs.tsv $$(@D)/errors.tsv >$$@
+		-f pipelines/table-edit.awk $$(@D)/noise.tsv $$(@D)/costs.tsv $$(@D)/own.tsv $$(@D)/errors.tsv >$$@
 endef
 $(foreach w,$(ROWS),$(eval $(call row,$(w))))
 
