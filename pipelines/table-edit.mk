@@ -3,7 +3,7 @@
 #   Table 3a  1, 2, 4, 8, 16 movers                     scenes/movers.xml                                   [RP] Table 3
 #   Table 3b  one mover, 40, 100, 160, 220 far          scenes/edits.xml
 #   Table 2   white to blue, roughness, matte to metal  scenes/edits.xml, glossy                            [RP] Table 2
-#   stress    mover fills 60 % of the view; mover unseen, its shadow seen
+#   stress    mover fills 60 % of the view; mover of a hundredth of the room; mover unseen, its shadow seen
 #   scenes    an edit each of the shared scenes, where ../shared is; only what the edit changes is written, into
 #             OUT/scenes; meshes and textures stay where they are
 #
@@ -77,6 +77,7 @@ box := scenes/edits.xml
 glossy := floor=tile+tall=metal
 slide := x=-0.78+y=-0.8+z=0.45+size=0.2+turn=0
 near := eye=0.32,0.42,0.92+target=0.32,0.1,-0.4+x=0.32+y=0.1+z=-0.35+size=0.25+turn=10
+tiny := x=-0.3+y=-0.3+z=0.45+size=0.03+turn=0
 unseen := eye=0,0.1,1.9+target=0,-0.7,-0.3+x=0.05+y=0.6+z=0.15+size=0.12
 edits := \
 	3a|movers-1|5.1|scenes/movers.xml|-|-|m1=1 \
@@ -92,6 +93,7 @@ edits := \
 	2|rougher|7.6|$(box)|-|$(glossy)+short=brushed|alpha=0.5 \
 	2|metal|16.2|$(box)|-|$(glossy)|short=metal \
 	stress|near|-|$(box)|-|$(near)|across=10 \
+	stress|tiny|-|$(box)|-|$(tiny)|across=10 \
 	stress|unseen|-|$(box)|-|$(unseen)|across=20 \
 	scenes|cornell-box|-|$(shared)/cornell-box/scene_v3.xml|$(OUT)/scenes/cornell-box-new.xml|-|- \
 	scenes|glossy-cornell|-|$(shared)/cornell-box/scene_glossy_v3.xml|$(OUT)/scenes/glossy-cornell-new.xml|-|- \

@@ -20,6 +20,10 @@ constexpr double cost_of_site_ray = 3.2;
 /// in [001], what few samples say is trusted too much (equal or more variance in ten of twelve edits).
 constexpr double share_of_map_floor = 0.5;
 constexpr std::uint64_t most_recorded_pixels = 4096, recorded_one_in = 8, most_pilot_samples = 1 << 15;
+/// Recorded camera paths that an edit has touched: with fewer they do not say how noisy they are.
+constexpr std::uint64_t few_recorded = 64;
+/// What camera paths keep of the effort: they find what no other sample of the pilot has found.
+constexpr double least_share_of_cameras = 0.5;
 
 /// Of pairs of camera paths: a difference and the old path.
 struct PairMoments {
@@ -238,16 +242,22 @@ Effort effort_by_pilot(const DynamicScenes& scenes, const std::vector<Family>& f
     const double taken = double(run.per_pixel) * run.pair_rays + run.recording + std::accumulate(pilot.cost.begin(), pilot.cost.end() - 1, 0.0);
     const double budget = std::max(whole - taken, 0.25 * whole);
 
-    if (!options.adaptive_map) std::fill(run.variances.begin(), run.variances.end(), 0.0);
-    const Map map = map_of(sensor, run.variances, run.costs);
+    const Map map = options.adaptive_map ? map_of(sensor, run.variances, run.costs) : Map{std::vector<double>(sensor.n_pixels(), 1.0), 1};
     Spending best;
     best.x.assign(K, 0);
     best.x[K - 1] = budget / (n0 * run.pair_rays);
     double M_alone = 0;
     if (run.n_recorded > 0) {
-        M_alone = variance_of(pilot, false, best.x).M / map.gain;
-        Spending with = best_spending(pilot, false, budget, map.gain);
-        if (Spending first = best_spending(pilot, true, budget, map.gain); first.M < with.M) with = std::move(first);
+        const bool hardly_met = pilot.families[K - 1].groups().size() < few_recorded;
+        M_alone = (hardly_met ? camera_variance_by_all(pilot, best.x[K - 1]) : variance_of(pilot, false, best.x).M) / map.gain;
+        const double least_cameras = hardly_met ? least_share_of_cameras / 2 : least_share_of_cameras;
+        Spending with = best_spending(pilot, false, budget, map.gain, least_cameras);
+        if (Spending first = best_spending(pilot, true, budget, map.gain, least_cameras); !hardly_met && first.M < with.M) with = std::move(first);
+        // What pairs of all pixels have beyond those of the recorded ones is taken for what camera paths alone can find.
+        const double of_all = std::accumulate(run.variances.begin(), run.variances.end(), 0.0) / (n0 * best.x[K - 1] * map.gain);
+        const double unseen = hardly_met ? 0 : std::max(of_all - M_alone, 0.0);
+        M_alone += unseen;
+        with.M += unseen * best.x[K - 1] / with.x[K - 1];
         if (with.M * options.must_gain < M_alone) best = std::move(with);
     }
     Effort effort;

@@ -95,7 +95,20 @@ Objective variance_of(const Pilot& pilot, bool first_to_camera, const Factors& x
     return o;
 }
 
-Spending best_spending(const Pilot& pilot, bool first_to_camera, double budget, double map_gain) {
+double camera_variance_by_all(const Pilot& pilot, double x_camera) {
+    constexpr float least_share_of_camera = 1e-6f;  // of a part's density: what is rounding must not decide
+    double sum = 0;
+    for (const PilotSamples& family : pilot.families)
+        for (const PilotSamples::Group& group : family.groups())
+            for (std::uint32_t p = group.begin; p < group.end; ++p) {
+                const PilotPart& part = family.part(p);
+                const double share = std::max(part.w[pilot.n() - 1], least_share_of_camera), scale = &family == &pilot.families.back() ? pilot.camera_scale : 1;
+                for (const float v : part.v) sum += scale * double(v) * v / (3 * x_camera * share);
+            }
+    return sum;
+}
+
+Spending best_spending(const Pilot& pilot, bool first_to_camera, double budget, double map_gain, double least_cameras) {
     const std::size_t K = pilot.n();
     Spending best;
     best.first_to_camera = first_to_camera;
@@ -106,7 +119,7 @@ Spending best_spending(const Pilot& pilot, bool first_to_camera, double budget, 
         for (std::size_t k = 0; k < K; ++k) cost += x[k] * pilot.cost[k];
         for (double& v : x) v *= budget / cost;
         // VarMean takes two camera paths in every pixel.
-        const double least = 2.0 / double(pilot.per_pixel);
+        const double least = std::max(2.0 / double(pilot.per_pixel), least_cameras * budget / pilot.cost[K - 1]);
         if (x[K - 1] >= least) return;
         const double others = std::max(budget - x[K - 1] * pilot.cost[K - 1], 1e-30), left = std::max(budget - least * pilot.cost[K - 1], 0.05 * budget);
         for (std::size_t k = 0; k + 1 < K; ++k) x[k] *= left / others;

@@ -59,6 +59,11 @@ struct Objective {
 /// in: first_to_camera  as SampleCounts
 Objective variance_of(const Pilot& pilot, bool first_to_camera, const Factors& x);
 
+/// What camera paths alone would have, told by the samples of all families, without what cancels in pairs:
+///     sum of v^2 / (x w_camera).
+/// For an edit that hardly any camera path of a pilot meets: what it has missed is not without variance.
+double camera_variance_by_all(const Pilot& pilot, double x_camera);
+
 /// A way to spend the effort, and the variance that it leaves.
 struct Spending {
     Factors x;
@@ -71,6 +76,7 @@ struct Spending {
 /// leads. Families that come to less than a two hundredth of the effort are left out.
 /// in: budget    B
 ///     map_gain  how many times less variance camera paths have when they are spread by a map
-Spending best_spending(const Pilot& pilot, bool first_to_camera, double budget, double map_gain);
+///     least_cameras  share of the budget that camera paths keep, against what no sample of the pilot has seen
+Spending best_spending(const Pilot& pilot, bool first_to_camera, double budget, double map_gain, double least_cameras = 0);
 
 }  // namespace loom::residual

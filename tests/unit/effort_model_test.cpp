@@ -121,5 +121,19 @@ TEST(EffortModel, AFamilyThatDoesNotPayIsLeftOut) {
     EXPECT_NEAR(best.x[1], 1000, 1e-6);
 }
 
+// Families that find all that camera paths find, and as often, say what camera paths have, whoever has sampled it.
+TEST(EffortModel, SiteSamplesSayWhatCameraPathsWouldHave) {
+    Pilot pilot;
+    pilot.families.resize(2);
+    pilot.cost = {1, 1};
+    PilotPart shared = own_part(0, 1);
+    shared.w[0] = shared.w[1] = 0.5f;  // F = 2 x 0.5 / n0: found twice in the pilot, once by either
+    add_sample(pilot.families[0], {shared}, {0});
+    add_sample(pilot.families[1], {shared}, {0});
+    // Alone each camera path has F / p = v / w = 2, one of them is found: 2^2.
+    EXPECT_DOUBLE_EQ(camera_variance_by_all(pilot, 1), 4);
+    EXPECT_DOUBLE_EQ(camera_variance_by_all(pilot, 8), 0.5);
+}
+
 }  // namespace
 }  // namespace loom::residual
