@@ -141,7 +141,8 @@ struct CameraWorker {
     std::span<double> new_var;  // by pixel: sum over channels of the variance of one new path
     ControlSums* control;
     PixelSums sums;
-    Moments new_L[3], controlled[3];
+    PathVariance new_L;
+    Moments controlled[3];
 
     void trace(std::span<const PathId> ids) {
         values.assign(ids.size(), Spectrum());
@@ -163,7 +164,7 @@ struct CameraWorker {
         log.check(values[k], id);
         sums.add(values[k], cameras.first(k));
         const Spectrum& L = cameras.L_new(k);
-        for (int c = 0; c < 3; ++c) new_L[c].add(L[c]);
+        new_L.add(L);
         if (!control) return;
         const Spectrum& alpha = control->alpha[id.pixel];
         for (int c = 0; c < 3; ++c) controlled[c].add(L[c] - alpha[c] * (L[c] - values[k][c]));
@@ -171,10 +172,7 @@ struct CameraWorker {
     void finish(std::uint64_t pixel) {
         film.set(pixel, sums);
         sums = {};
-        for (Moments& m : new_L) {
-            if (std::isfinite(m.m2)) new_var[pixel] += m.var_sample();
-            m = {};
-        }
+        new_var[pixel] = new_L.take();
         if (!control) return;
         for (int c = 0; c < 3; ++c) {
             control->mean[pixel][c] = float(controlled[c].mean);

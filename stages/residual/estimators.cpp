@@ -24,7 +24,7 @@ struct Worker {
     NonfiniteLog &old_nonfinite, &new_nonfinite;
     Film& film;
     PixelSums sums;
-    Moments new_L[3];
+    PathVariance new_L;
     std::span<double> new_var;  // by pixel: of one path of the new scene, sum over R, G, B
     Counts counts;
     Worker(const ScenePair& scenes, const PathOptions& path, const Seeds& seeds, NonfiniteLog& old_log, NonfiniteLog& new_log, Film& onto,
@@ -43,17 +43,14 @@ struct Worker {
         old_nonfinite.check(before.L, id);
         new_nonfinite.check(after.L, id);
         sums.add(after.L - before.L, after.first);
-        for (int c = 0; c < 3; ++c) new_L[c].add(after.L[c]);
+        new_L.add(after.L);
         counts.add(before);
         counts.add(after);
     }
     void finish(std::uint64_t pixel) {
         film.set(pixel, sums);
         sums = {};
-        for (Moments& m : new_L) {
-            if (std::isfinite(m.m2)) new_var[pixel] += m.var_sample();
-            m = {};
-        }
+        new_var[pixel] = new_L.take();
     }
 };
 

@@ -1,10 +1,12 @@
 #pragma once
 // Estimators of the difference of two pictures from pairs of paths, one in each scene.
 
+#include <cmath>
 #include <cstdint>
 
 #include "formats/image.h"
 #include "stages/core/scene/scene.h"
+#include "stages/core/stats/moments.h"
 #include "stages/core/transport/path_tracer.h"
 #include "stages/core/transport/pixel_loop.h"
 
@@ -25,6 +27,26 @@ struct ScenePair {
 
 using loom::Counts;
 using loom::Work;
+
+/// Variance of one path of a pixel, summed over channels; a channel with values that are not finite is left out.
+class PathVariance {
+  public:
+    void add(const Spectrum& L) {
+        for (int c = 0; c < 3; ++c) L_[c].add(L[c]);
+    }
+    /// And begins the next pixel.
+    double take() {
+        double sum = 0;
+        for (Moments& m : L_) {
+            if (std::isfinite(m.m2)) sum += m.var_sample();
+            m = {};
+        }
+        return sum;
+    }
+
+  private:
+    Moments L_[3];
+};
 
 /// The seeds of the new and the old scene's paths. Never that of loom-trace: an old picture traced with the same
 /// --seed would share its noise with the residual, and the variance of their sum would not be the sum of variances.
