@@ -1,12 +1,8 @@
 #include "formats/ledger.h"
 
-#include <fmt/format.h>
-
-#include <charconv>
 #include <limits>
 
-#include "formats/io/error.h"
-#include "formats/io/json.h"
+#include "formats/io/json_members.h"
 
 namespace loom {
 namespace {
@@ -23,34 +19,6 @@ void members(Link& link, Visitor&& visit) {
     visit("var_mean", link.var_mean);
     visit("var_sample", link.var_sample);
 }
-
-struct Writer {
-    JsonWriter& json;
-    void operator()(const char* key, const std::string& value) const { json.text(key, value); }
-    void operator()(const char* key, double value) const { json.number(key, value); }
-    void operator()(const char* key, std::uint64_t value) const { json.integer(key, value); }
-};
-
-struct Reader {
-    const JsonValue& json;
-    const std::string& file;
-
-    template <class T>
-    const T& get(const char* key) const {
-        const JsonValue* member = json.find(key);
-        const T* value = member == nullptr ? nullptr : std::get_if<T>(&member->value);
-        if (value == nullptr) throw InputError(fmt::format("{}: \"{}\" is missing or of another type", file, key));
-        return *value;
-    }
-    void operator()(const char* key, std::string& value) const { value = get<std::string>(key); }
-    template <class T>
-    void operator()(const char* key, T& value) const {
-        const std::string& text = get<JsonValue::Number>(key).text;
-        const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
-        if (error != std::errc{} || end != text.data() + text.size())
-            throw InputError(fmt::format("{}: \"{}\" is {}, which is no such number", file, key, text));
-    }
-};
 
 }  // namespace
 
@@ -79,7 +47,7 @@ std::string ledger_text(const Ledger& ledger) {
     json.begin_array();
     for (const LedgerLink& link : ledger) {
         json.begin_object();
-        members(link, Writer{json});
+        members(link, MemberWriter{json});
         json.end_object();
     }
     json.end_array();
@@ -93,7 +61,7 @@ Ledger ledger_from_text(const std::string& text, const std::filesystem::path& fi
     const JsonValue json = parse_json(text, where);
     const auto* links = std::get_if<JsonValue::Array>(&json.value);
     if (links == nullptr) throw InputError(where + ": is not a list");
-    for (const JsonValue& link : *links) members(ledger.emplace_back(), Reader{link, where});
+    for (const JsonValue& link : *links) members(ledger.emplace_back(), MemberReader{link, where});
     return ledger;
 }
 

@@ -1,11 +1,6 @@
 #include "formats/io/cost.h"
 
-#include <fmt/format.h>
-
-#include <charconv>
-
-#include "formats/io/error.h"
-#include "formats/io/json.h"
+#include "formats/io/json_members.h"
 #include "formats/io/mapped_file.h"
 #include "formats/io/output_file.h"
 
@@ -29,11 +24,8 @@ void members(Self& cost, Visitor&& visit) {
     visit.optional("plan", cost.plan);
 }
 
-struct Writer {
-    JsonWriter& json;
-    void operator()(const char* key, const std::string& value) const { json.text(key, value); }
-    void operator()(const char* key, double value) const { json.number(key, value); }
-    void operator()(const char* key, std::uint64_t value) const { json.integer(key, value); }
+struct Writer : MemberWriter {
+    using MemberWriter::operator();
     void operator()(const char* key, const std::vector<std::string>& values) const {
         json.begin_array(key);
         for (const auto& value : values) json.text({}, value);
@@ -42,29 +34,8 @@ struct Writer {
     void optional(const char* key, const auto& value) const { (*this)(key, value); }
 };
 
-struct Reader {
-    const JsonValue& json;
-    const std::string& file;
-
-    template <class T>
-    const T& get(const char* key) const {
-        const JsonValue* member = json.find(key);
-        const T* value = member == nullptr ? nullptr : std::get_if<T>(&member->value);
-        if (value == nullptr)
-            throw InputError(fmt::format("{}: \"{}\" is missing or of another type", file, key));
-        return *value;
-    }
-    template <class T>
-    void number(const char* key, T& value) const {
-        const std::string& text = get<JsonValue::Number>(key).text;
-        const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
-        if (error != std::errc{} || end != text.data() + text.size()) {
-            throw InputError(fmt::format("{}: \"{}\" is {}, which is no such number", file, key, text));
-        }
-    }
-    void operator()(const char* key, std::string& value) const { value = get<std::string>(key); }
-    void operator()(const char* key, double& value) const { number(key, value); }
-    void operator()(const char* key, std::uint64_t& value) const { number(key, value); }
+struct Reader : MemberReader {
+    using MemberReader::operator();
     void operator()(const char* key, std::vector<std::string>& values) const {
         for (const JsonValue& element : get<JsonValue::Array>(key)) {
             const auto* text = std::get_if<std::string>(&element.value);
