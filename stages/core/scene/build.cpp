@@ -319,7 +319,15 @@ void find_features(Scene& scene) {
 
 void find_bounds(Scene& scene) {
     Box3f all;
-    for (const Shape& s : scene.shapes) all.add(s.bounds());
+    for (const Shape& s : scene.shapes) {
+        Box3f box = s.bounds();
+        // The size of a scene does not depend on how its disks are turned.
+        if (s.kind == ShapeKind::disk) {
+            box = {s.center, s.center};
+            box.grow(std::max(length(s.u_axis), length(s.v_axis)));
+        }
+        all.add(box);
+    }
     if (scene.shapes.empty()) return;
     scene.center = all.lo + (all.hi - all.lo) * 0.5f;
     scene.radius = 0.5f * length(all.hi - all.lo);

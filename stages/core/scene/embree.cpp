@@ -71,12 +71,8 @@ bool intersect_analytic(const Shape& s, const Ray& r, AnalyticHit& hit) {
 }
 
 void analytic_bounds(const RTCBoundsFunctionArguments* args) {
-    const Shape& s = *static_cast<const Shape*>(args->geometryUserPtr);
-    Vector3f half{s.radius, s.radius, s.radius};
-    if (s.kind == ShapeKind::disk)
-        for (int k = 0; k < 3; ++k) half[k] = std::sqrt(sqr(s.u_axis[k]) + sqr(s.v_axis[k]));
-    *args->bounds_o = {s.center.x - half.x, s.center.y - half.y, s.center.z - half.z, 0,
-                       s.center.x + half.x, s.center.y + half.y, s.center.z + half.z, 0};
+    const Box3f box = static_cast<const Shape*>(args->geometryUserPtr)->bounds();
+    *args->bounds_o = {box.lo.x, box.lo.y, box.lo.z, 0, box.hi.x, box.hi.y, box.hi.z, 0};
 }
 
 Ray lane(RTCRayN* rays, unsigned n, unsigned i) {

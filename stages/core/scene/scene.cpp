@@ -94,13 +94,13 @@ std::size_t Scene::table_bytes() const {
 
 Box3f Shape::bounds() const {
     Box3f box;
-    const auto add_ball = [&](float r) {
-        box.add(Point3f{center.x - r, center.y - r, center.z - r});
-        box.add(Point3f{center.x + r, center.y + r, center.z + r});
-    };
     for (const Point3f& p : mesh.positions) box.add(p);
-    if (kind == ShapeKind::sphere) add_ball(radius);
-    if (kind == ShapeKind::disk) add_ball(std::max(length(u_axis), length(v_axis)));
+    if (kind == ShapeKind::mesh) return box;
+    Vector3f half{radius, radius, radius};
+    if (kind == ShapeKind::disk)
+        for (int k = 0; k < 3; ++k) half[k] = std::sqrt(sqr(u_axis[k]) + sqr(v_axis[k]));
+    box.add(center - half);
+    box.add(center + half);
     return box;
 }
 

@@ -85,7 +85,7 @@ struct Shape {
     Vector3f u_axis, v_axis, w_axis;
     bool flip_normals = false;
 
-    Box3f bounds() const;  // world space; of a disk that of a sphere around it
+    Box3f bounds() const;  // world space
 };
 
 /// A point on a surface, ready for shading. Normals as in Mitsuba: ng from the geometry's own
