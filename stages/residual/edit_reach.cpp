@@ -92,22 +92,6 @@ bool same_sensor(const Sensor& a, const Sensor& b) {
     return numbers(a) == numbers(b);
 }
 
-void bounds_of(const Shape& shape, Point3f& low, Point3f& high) {
-    low = {INFINITY, INFINITY, INFINITY};
-    high = -low;
-    for (const Point3f& p : shape.mesh.positions)
-        for (int k = 0; k < 3; ++k) {
-            low[k] = std::min(low[k], p[k]);
-            high[k] = std::max(high[k], p[k]);
-        }
-    if (shape.kind == ShapeKind::mesh) return;
-    for (int k = 0; k < 3; ++k) {
-        const float half = shape.kind == ShapeKind::sphere ? shape.radius : std::abs(shape.u_axis[k]) + std::abs(shape.v_axis[k]);
-        low[k] = shape.center[k] - half;
-        high[k] = shape.center[k] + half;
-    }
-}
-
 /// Only what a ray engine looks at.
 Shape enlarged(const Shape& shape) {
     Shape large;
@@ -135,39 +119,22 @@ Shape enlarged(const Shape& shape) {
 }  // namespace
 
 void Obstacles::add(const Shape& shape) {
-    Point3f low, high;
-    bounds_of(shape, low, high);
-    if (!(low.x <= high.x)) return;  // a mesh without triangles
-    for (int k = 0; k < 3; ++k) {
-        const float around = margin * (1 + std::abs(low[k]) + std::abs(high[k]));
-        low_[k] = empty() ? low[k] - around : std::min(low_[k], low[k] - around);
-        high_[k] = empty() ? high[k] + around : std::max(high_[k], high[k] + around);
-    }
+    Box3f box = shape.bounds();
+    if (!(box.lo.x <= box.hi.x)) return;  // a mesh without triangles
+    box.grow(margin * (1 + largest(box.lo) + largest(box.hi)));
+    box_.add(box);
     shapes_.push_back(enlarged(shape));
 }
 
 void Obstacles::finish(float around) {
     if (empty()) return;
     rays_ = std::make_unique<RayEngine>(shapes_);
-    low_ = low_ - Vector3f{around, around, around};
-    high_ = high_ + Vector3f{around, around, around};
-}
-
-bool Obstacles::crosses(const Point3f& a, const Point3f& b) const {
-    float t_enter = 0, t_leave = 1;
-    for (int k = 0; k < 3; ++k) {
-        const float low = low_[k] - a[k], high = high_[k] - a[k], d = b[k] - a[k];
-        if (std::abs(d) < 1e-12f) continue;  // within, or apart() had said so
-        const float to_low = low / d, to_high = high / d;
-        t_enter = std::max(t_enter, std::min(to_low, to_high));
-        t_leave = std::min(t_leave, std::max(to_low, to_high));
-    }
-    return t_enter <= t_leave;
+    box_.grow(around);
 }
 
 bool Obstacles::may_meet(const Point3f& a, const Vector3f& d) const {
     float beyond = 0;
-    for (int k = 0; k < 3; ++k) beyond += std::max(std::abs(low_[k] - a[k]), std::abs(high_[k] - a[k]));
+    for (int k = 0; k < 3; ++k) beyond += std::max(std::abs(box_.lo[k] - a[k]), std::abs(box_.hi[k] - a[k]));
     return may_meet(a, a + d * (2 * beyond));
 }
 
@@ -212,16 +179,10 @@ EditReach::EditReach(const Scene& old_scene, const Scene& new_scene, const Edit&
     if (!everything.empty()) return;
     sky = old_scene.environment != new_scene.environment || (old_scene.environment >= 0 && emitters[std::size_t(old_scene.environment)]);
 
-    lights_low = {INFINITY, INFINITY, INFINITY};
-    lights_high = -lights_low;
     for (const Emitter& emitter : old_scene.emitters) {
         if (emitter.is_infinite()) bounded_lights = false;
-        Point3f low = emitter.position, high = emitter.position;
-        if (emitter.kind == EmitterKind::area) bounds_of(old_scene.shapes[emitter.shape], low, high);
-        for (int k = 0; k < 3; ++k) {
-            lights_low[k] = std::min(lights_low[k], low[k]);
-            lights_high[k] = std::max(lights_high[k], high[k]);
-        }
+        if (emitter.kind == EmitterKind::area) lights.add(old_scene.shapes[emitter.shape].bounds());
+        else lights.add(emitter.position);
     }
 }
 

@@ -24,26 +24,29 @@ class Obstacles {
 
     bool empty() const { return shapes_.empty(); }
     /// False: no ray that starts at a, or `around` from it, and ends at b meets one.
-    bool may_meet(const Point3f& a, const Point3f& b) const { return !apart(a, b, b) && crosses(a, b); }
+    bool may_meet(const Point3f& a, const Point3f& b) const { return !apart(a, {b, b}) && crosses(a, b); }
     /// The same of all rays from a along the unit vector d.
     bool may_meet(const Point3f& a, const Vector3f& d) const;
     /// The same of all rays from a to anywhere in a box.
-    bool may_meet(const Point3f& a, const Point3f& low, const Point3f& high) const { return !apart(a, low, high); }
+    bool may_meet(const Point3f& a, const Box3f& to) const { return !apart(a, to); }
     /// out:     met  by ray: it does meet one
     void meet(const Ray* const* rays, std::size_t n, bool* met) const { rays_->occluded(rays, n, met); }
 
   private:
     /// A point and a box lie on one side of all obstacles.
-    bool apart(const Point3f& a, const Point3f& low, const Point3f& high) const {
+    bool apart(const Point3f& a, const Box3f& to) const {
         bool is = false;
-        for (int k = 0; k < 3; ++k) is |= (std::max(a[k], high[k]) < low_[k]) | (std::min(a[k], low[k]) > high_[k]);
+        for (int k = 0; k < 3; ++k) is |= (std::max(a[k], to.hi[k]) < box_.lo[k]) | (std::min(a[k], to.lo[k]) > box_.hi[k]);
         return is;
     }
-    bool crosses(const Point3f& a, const Point3f& b) const;
+    bool crosses(const Point3f& a, const Point3f& b) const {
+        const Vector3f d = b - a;
+        return box_.met_by(a, {1 / d.x, 1 / d.y, 1 / d.z}, 0, 1);
+    }
 
     std::vector<Shape> shapes_;
     std::unique_ptr<RayEngine> rays_;
-    Point3f low_, high_;
+    Box3f box_;
 };
 
 /// Which places, shapes and lights of the old scene are not to the last bit what they are in the new one. What find_edit()
@@ -61,7 +64,7 @@ struct EditReach {
 
     /// Bounds of all points that light is sampled on; unbounded where a light is at infinity.
     bool bounded_lights = true;
-    Point3f lights_low, lights_high;
+    Box3f lights;
 };
 
 }  // namespace loom::residual

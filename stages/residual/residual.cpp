@@ -207,12 +207,21 @@ std::string plan_of(Method method, const Edit& edit) {
     return plan;
 }
 
-Image add_residual(const Image& old_picture, const Image& residual) {
-    Image sum = residual;
+namespace {
+
+/// What a sum says of itself: the scene that it shows, its links and samples.
+void label_sum(Image& sum, const Image& old_picture, const Image& residual) {
     sum.scene = residual.ledger.back().scene;
     sum.ledger = ledger_of(old_picture);
     sum.ledger.push_back(residual.ledger.back());
     sum.samples = old_picture.samples + residual.samples;
+}
+
+}  // namespace
+
+Image add_residual(const Image& old_picture, const Image& residual) {
+    Image sum = residual;
+    label_sum(sum, old_picture, residual);
     for (const char* c : rgb)
         for (const std::string& channel : {std::string(c), std::string("VarMean.") + c}) {
             const auto before = old_picture.find(channel);
@@ -225,12 +234,9 @@ Image add_residual(const Image& old_picture, const Image& residual) {
 Image take_controlled(const Image& old_picture, const Image& residual, ControlledPicture controlled) {
     Image sum = std::move(controlled.image);
     sum.provenance = residual.provenance;
-    sum.scene = residual.ledger.back().scene;
-    sum.ledger = ledger_of(old_picture);
+    label_sum(sum, old_picture, residual);
     for (LedgerLink& link : sum.ledger) link.var_mean *= controlled.old_variance;
-    sum.ledger.push_back(residual.ledger.back());
     sum.ledger.back().var_mean = controlled.var_mean;
-    sum.samples = old_picture.samples + residual.samples;
     return sum;
 }
 

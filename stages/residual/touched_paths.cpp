@@ -91,7 +91,7 @@ bool TouchedPaths::vertex_touches(std::size_t path, std::size_t j, bool light_fo
     const auto ng = [&] { return unit_vector<Normal3f>(g.vertices.ng.empty() ? g.vertices.ns : g.vertices.ng, j); };
     if (light_found || !(g.vertices.flags[j] & vertex_flag::attempted_nee)) return false;
     const bool may_be_freed =
-        !reach_.old_places.empty() && (!reach_.bounded_lights || reach_.old_places.may_meet(p, reach_.lights_low, reach_.lights_high));
+        !reach_.old_places.empty() && (!reach_.bounded_lights || reach_.old_places.may_meet(p, reach_.lights));
     if (!may_be_freed && !reach_.any_emitter) return false;
     const int depth = int(j - g.paths.first_vertex[path]) + 1;
     const LightSample light = sample_light(scene_, p, sampler_of(path).pair(dimension(depth, Place::light)));
