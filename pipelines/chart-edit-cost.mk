@@ -34,58 +34,45 @@ trace := $(BUILD)/bin/loom-trace
 residual := $(BUILD)/bin/loom-residual
 chart := $(BUILD)/bin/loom-chart
 
-# row|scene|values of NEW, + between them; of a shared scene the sed that makes NEW of it is in `rewrite`.
+# scene|row|values of both|values of NEW, + between them; of a shared scene the sed that makes NEW of it is in `rewrite`.
 speck := x=0.3+y=-0.97+z=0.7+size=0.03
 edits := \
-	speck|box|$(speck)|across=10 \
-	pebble|box|x=0.3+y=-0.9+z=0.6+size=0.1|across=10 \
+	box|speck|$(speck)|across=10 \
+	box|pebble|x=0.3+y=-0.9+z=0.6+size=0.1|across=10 \
 	box|box|-|across=10 \
-	turned|box|-|turn=20 \
-	blue|box|-|tall=blue \
-	floor|box|-|floor=blue \
-	half|box|-|floor=blue+tall=blue+short=blue \
-	apples|living-room-2|-|- \
-	cup|living-room-2|-|- \
-	carpet|living-room-2|-|- \
-	armchair|living-room-2|-|- \
-	armchairs|living-room-2|-|-
+	box|turned|-|turn=20 \
+	box|blue|-|tall=blue \
+	box|floor|-|floor=blue \
+	box|half|-|floor=blue+tall=blue+short=blue \
+	living-room-2|apples|-|- \
+	living-room-2|cup|-|- \
+	living-room-2|carpet|-|- \
+	living-room-2|armchair|-|- \
+	living-room-2|armchairs|-|-
 shared := $(wildcard ../shared/scenes/living-room-2/scene_v3.xml)
-field = $(filter-out -,$(word $(1),$(subst |, ,$(line.$(2)))))
-$(foreach e,$(edits),$(eval line.$(word 1,$(subst |, ,$(e))) := $(e)))
-names := $(foreach e,$(edits),$(word 1,$(subst |, ,$(e))))
-unknown := $(filter-out $(names),$(ROWS))
-ifneq ($(unknown),)
-$(error ROWS: $(unknown): not among $(names))
-endif
-asked := $(or $(strip $(ROWS)),$(names))
-ROWS := $(foreach w,$(asked),$(if $(or $(shared),$(filter box,$(call field,2,$(w)))),$(w)))
-ifneq ($(filter-out $(ROWS),$(asked)),)
-$(info left out, for there is no ../shared/scenes/living-room-2: $(filter-out $(ROWS),$(asked)))
-endif
-ifeq ($(ROWS),)
-$(error nothing to do)
-endif
+here = $(or $(shared),$(filter box,$(call field,1,$(1))))
+needs := ../shared/scenes/living-room-2
+include pipelines/rows.mk
 
 # Shapes by their mesh, for they have no id.
-move = /<shape/{:whole;/<\/shape>/!{N;bwhole;};/models\/Mesh($(1))[.]obj/s,</transform>,<translate $(2)/>&,;}
-rewrite.apples := $(call move,076|108|080|166,x="0.03" z="-0.02")
-rewrite.cup := $(call move,003|004|061,x="-0.15" z="-0.1")
-rewrite.carpet := $(call move,008,x="0.2")
-rewrite.armchair := $(call move,167|091|145|160,x="0.35" z="0.3")
-rewrite.armchairs := $(call move,167|091|145|160|010|082|086,x="0.2" z="0.2")
+move_mesh = $(call move,models\/Mesh($(1))[.]obj,$(2))
+rewrite.apples := $(call move_mesh,076|108|080|166,x="0.03" z="-0.02")
+rewrite.cup := $(call move_mesh,003|004|061,x="-0.15" z="-0.1")
+rewrite.carpet := $(call move_mesh,008,x="0.2")
+rewrite.armchair := $(call move_mesh,167|091|145|160,x="0.35" z="0.3")
+rewrite.armchairs := $(call move_mesh,167|091|145|160|010|082|086,x="0.2" z="0.2")
 $(OUT)/scenes/living-room-2-%.xml: FORCE
 	@mkdir -p $(@D)
-	@sed -E '$(rewrite.$*); s,(name="filename" value=")([^/]),\1$(shell realpath -m --relative-to=$(OUT)/scenes $(dir $(shared)))/\2,g' \
-		$(shared) >$@.made && if cmp -s $@.made $@; then rm $@.made; else mv $@.made $@; fi
+	@sed -E '$(rewrite.$*); $(call elsewhere,$(dir $(shared)),$(@D))' $(shared) $(update)
 
 file.box := scenes/edits.xml
 file.living-room-2 := $(OUT)/scenes/living-room-2-old.xml
 size.box := resx=$(SIZE) resy=$(SIZE)
 size.living-room-2 := resx=$(SIZE) resy=$(shell echo $$(($(SIZE) * 9 / 16)))
-old = $(file.$(call field,2,$(1)))
+old = $(file.$(call field,1,$(1)))
 new = $(if $(rewrite.$(1)),$(OUT)/scenes/living-room-2-$(1).xml,$(call old,$(1)))
 words_of = $(patsubst %,$(2) '%',$(subst +, ,$(1)))
-both = $(call words_of,$(size.$(call field,2,$(1))) $(call field,3,$(1)),-D)
+both = $(call words_of,$(size.$(call field,1,$(1))) $(call field,3,$(1)),-D)
 # Edits of one scene share its graph.
 graph = $(OUT)/graph/$(shell printf '%s' '$(call old,$(1)) $(call both,$(1)) $(SPP)' | cksum | cut -d' ' -f1).h5
 define graph_rule
@@ -115,7 +102,7 @@ endif
 
 $(eval $(call parameter,$(OUT)/rows.parameters,$(ROWS)))
 $(OUT)/runs.tsv: $(ROWS:%=$(OUT)/%.runs) $(OUT)/rows.parameters
-	@awk -v OFS='\t' -v scenes='$(foreach w,$(ROWS),$(w)=$(call field,2,$(w)))' \
+	@awk -v OFS='\t' -v scenes='$(foreach w,$(ROWS),$(w)=$(call field,1,$(w)))' \
 		'function least(a, b) { return a == "" || b < a ? b : a } \
 		BEGIN { n = split(scenes, list, " "); for (i = 1; i <= n; ++i) { split(list[i], p, "="); scene[p[1]] = p[2] } \
 			print "scene", "edit", "method", "touched", "rays", "full_s", "graph_s", "ratio" } \

@@ -102,8 +102,13 @@ edits := \
 	scenes|living-room-2|-|$(shared)/living-room-2/scene_v3.xml|$(OUT)/scenes/living-room-2-new.xml|-|- \
 	scenes|sponza|-|$(OUT)/scenes/sponza-old.xml|$(OUT)/scenes/sponza-new.xml|-|-
 
+# Where a shared scene lies, if not in a folder of its name.
+folder.glossy-cornell := cornell-box
+here = $(or $(filter-out scenes,$(call field,1,$(1))),$(wildcard $(shared)/$(or $(folder.$(1)),$(1))/scene_v3.xml))
+needs := $(shared)
+include pipelines/rows.mk
+
 # What becomes of the shared scenes, by sed: objects are found by id, mesh or material, for most shapes have no id.
-move = /<shape/{:whole;/<\/shape>/!{N;bwhole;};/$(1)/s,</transform>,<translate $(2)/>&,;}
 rewrite.cornell-box-new := $(call move,id="ShortBox",x="-0.15" z="0.1")
 rewrite.glossy-cornell-new := $(rewrite.cornell-box-new)
 rewrite.staircase-new := $(call move,<ref id="(WoodChair|ChairSeat)",x="-0.35" z="0.25")
@@ -114,34 +119,13 @@ guest = <shape type="cube"><transform name="to_world"><scale value="$(1)"/><rota
 guests = s,</scene>,$(call guest,0.8,20,$(1),0.6 0.15 0.1)$(call guest,0.6,50,$(2),0.1 0.3 0.6)$(call guest,0.5,70,$(3),0.6 0.5 0.1)&,
 rewrite.sponza-old := $(call guests,x="9" y="1" z="1.5",x="11" y="2.5" z="-1",x="8.5" y="4" z="-2.5")
 rewrite.sponza-new := $(call guests,x="9.6" y="1" z="0.9",x="11.8" y="3.1" z="-1",x="9.3" y="3.4" z="-2")
-folder.glossy-cornell := cornell-box
-
-# $(call field,N,ROW), empty where it is -.
-field = $(filter-out -,$(word $(1),$(subst |, ,$(line.$(2)))))
-$(foreach e,$(edits),$(eval line.$(word 2,$(subst |, ,$(e))) := $(e)))
-names := $(foreach e,$(edits),$(word 2,$(subst |, ,$(e))))
-unknown := $(filter-out $(names),$(ROWS))
-ifneq ($(unknown),)
-$(error ROWS: $(unknown): not among $(names))
-endif
-asked := $(or $(strip $(ROWS)),$(names))
-here = $(or $(filter-out scenes,$(call field,1,$(1))),$(wildcard $(shared)/$(or $(folder.$(1)),$(1))/scene_v3.xml))
-ROWS := $(foreach w,$(asked),$(if $(call here,$(w)),$(w)))
-missing := $(filter-out $(ROWS),$(asked))
-ifneq ($(missing),)
-$(info left out, for there is no $(shared): $(missing))
-endif
-ifeq ($(ROWS),)
-$(error nothing to do)
-endif
 
 # The scene with other objects in it, its files named from where it lies. Written anew only when it is another one.
 source = $(shared)/$(or $(folder.$(1)),$(1))
 written := $(sort $(foreach w,$(ROWS),$(filter $(OUT)/scenes/%,$(call field,4,$(w)) $(call field,5,$(w)))))
 $(written): $(OUT)/scenes/%.xml: FORCE
 	@mkdir -p $(@D)
-	@sed -E '$(rewrite.$*); s,(name="filename" value=")([^/]),\1$(shell realpath -m --relative-to=$(@D) $(call source,$(call edited,$*)))/\2,g' \
-		$(call original,$*) >$@.made && if cmp -s $@.made $@; then rm $@.made; else mv $@.made $@; fi
+	@sed -E '$(rewrite.$*); $(call elsewhere,$(call source,$(call edited,$*)),$(@D))' $(call original,$*) $(update)
 edited = $(patsubst %-new,%,$(patsubst %-old,%,$(1)))
 original = $(call source,$(call edited,$(1)))/$(if $(filter glossy%,$(1)),scene_glossy_v3.xml,scene_v3.xml)
 

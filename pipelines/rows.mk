@@ -1,0 +1,26 @@
+# Tables of edits. in: edits, a row per word, its fields between |, the second of which names it, - for an empty one; ROWS,
+# the names asked for (all); $(call here,NAME), empty where what it needs is missing; needs, what that is
+# out: ROWS, those that can be done, in the order asked for; $(call field,N,NAME)
+field = $(filter-out -,$(word $(1),$(subst |, ,$(line.$(2)))))
+$(foreach e,$(edits),$(eval line.$(word 2,$(subst |, ,$(e))) := $(e)))
+names := $(foreach e,$(edits),$(word 2,$(subst |, ,$(e))))
+unknown := $(filter-out $(names),$(ROWS))
+ifneq ($(unknown),)
+$(error ROWS: $(unknown): not among $(names))
+endif
+asked := $(or $(strip $(ROWS)),$(names))
+ROWS := $(foreach w,$(asked),$(if $(call here,$(w)),$(w)))
+missing := $(filter-out $(ROWS),$(asked))
+ifneq ($(missing),)
+$(info left out, for there is no $(needs): $(missing))
+endif
+ifeq ($(ROWS),)
+$(error nothing to do)
+endif
+
+# $(call move,SHAPE,BY): sed that moves the shapes whose text matches.
+move = /<shape/{:whole;/<\/shape>/!{N;bwhole;};/$(1)/s,</transform>,<translate $(2)/>&,;}
+# $(call elsewhere,FROM,TO): sed that names the files of a scene in folder FROM as they are named from folder TO.
+elsewhere = s,(name="filename" value=")([^/]),\1$(shell realpath -m --relative-to=$(2) $(1))/\2,g
+# Recipe: what the shell writes to its output becomes the target, which is written anew only when it is another one.
+update = >$@.made && if cmp -s $@.made $@; then rm $@.made; else mv $@.made $@; fi
