@@ -7,6 +7,7 @@
 #include <cmath>
 #include <limits>
 
+#include "formats/io/content_hash.h"
 #include "formats/io/hdf5_format.h"
 
 namespace loom {
@@ -103,20 +104,32 @@ std::string bad_vertices(const PathGraph& g) {
     return {};
 }
 
+template <class InOrder>
+std::string bad_order(std::string_view name, std::size_t n, InOrder in_order) {
+    const std::size_t unsorted = first_bad(n < 2 ? 0 : n - 1, in_order);
+    return n < 2 || unsorted == n - 1 ? std::string() : fmt::format("{}: row {} is not in order (by vertex, then technique)", name, unsorted + 1);
+}
+
+std::string bad_order_of_edges(const PathGraph& g) {
+    const auto& e = g.light_edges;
+    return bad_order("light_edges/vertex", g.n_light_edges(),
+                     [&](std::size_t k) { return e.vertex[k] < e.vertex[k + 1] || (e.vertex[k] == e.vertex[k + 1] && e.technique[k] <= e.technique[k + 1]); });
+}
+
+std::string bad_order_of_misses(const PathGraph& g) {
+    const auto& m = g.misses;
+    const std::size_t n = g.n_misses();
+    if (m.technique.size() != n || m.y.size() != 4 * n || m.emitter.size() != n) return "misses: some of its columns are there, some are not";
+    return bad_order("misses/vertex", n,
+                     [&](std::size_t k) { return m.vertex[k] < m.vertex[k + 1] || (m.vertex[k] == m.vertex[k + 1] && m.technique[k] < m.technique[k + 1]); });
+}
+
 std::string bad_edges(const PathGraph& g) {
     const auto& e = g.light_edges;
     const std::size_t n = g.n_light_edges();
     const std::size_t unknown = first_bad(n, [&](std::size_t k) { return e.technique[k] <= 1; });
     if (unknown < n) {
         return fmt::format("light_edges/technique: row {} is {}, not 0 or 1", unknown, e.technique[unknown]);
-    }
-    const std::size_t unsorted = first_bad(n < 2 ? 0 : n - 1, [&](std::size_t k) {
-        return e.vertex[k] < e.vertex[k + 1] ||
-               (e.vertex[k] == e.vertex[k + 1] && e.technique[k] <= e.technique[k + 1]);
-    });
-    if (n >= 2 && unsorted < n - 1) {
-        return fmt::format("light_edges/vertex: row {} is not in order (by vertex, then technique)",
-                           unsorted + 1);
     }
     const std::size_t bad_w =
         first_bad(n, [&](std::size_t k) { return e.y[4 * k + 3] == 0 || e.y[4 * k + 3] == 1; });
@@ -125,6 +138,16 @@ std::string bad_edges(const PathGraph& g) {
     const std::size_t negative =
         first_bad(n, [&](std::size_t k) { return e.pdf_nee_w[k] >= 0 && e.pdf_bsdf_w[k] >= 0; });
     if (negative < n) return fmt::format("light_edges/pdf_nee_w or pdf_bsdf_w: row {} is negative", negative);
+    return {};
+}
+
+std::string bad_misses(const PathGraph& g) {
+    const auto& m = g.misses;
+    const std::size_t n = g.n_misses();
+    const std::size_t unknown = first_bad(n, [&](std::size_t k) { return m.technique[k] <= 1; });
+    if (unknown < n) return fmt::format("misses/technique: row {} is {}, not 0 or 1", unknown, m.technique[unknown]);
+    const std::size_t bad_w = first_bad(n, [&](std::size_t k) { return m.y[4 * k + 3] == 0 || m.y[4 * k + 3] == 1; });
+    if (bad_w < n) return fmt::format("misses/y: row {} has w = {}, not 0 or 1", bad_w, m.y[4 * bad_w + 3]);
     return {};
 }
 
@@ -201,7 +224,7 @@ std::string_view emitter_kind_name(std::uint8_t kind) {
     return kind < names.size() ? names[kind] : "unknown";
 }
 
-std::string PathGraph::problem() const {
+std::string PathGraph::problem(Check check) const {
     if (sensor.kind != "perspective" && sensor.kind != "orthographic" && sensor.kind != "nlos_capture_meter")
         return fmt::format("sensor/kind: is {}, expected perspective, orthographic or nlos_capture_meter", sensor.kind);
     if (auto bad = bad_capture(*this); !bad.empty()) return bad;
@@ -218,10 +241,16 @@ std::string PathGraph::problem() const {
     if (auto bad = bad_index("light_edges/emitter", light_edges.emitter, emitters.id.size(), "emitters");
         !bad.empty())
         return bad;
+    if (auto bad = bad_index("misses/vertex", misses.vertex, n_vertices(), "vertices"); !bad.empty()) return bad;
+    if (auto bad = bad_index("misses/emitter", misses.emitter, emitters.id.size(), "emitters"); !bad.empty()) return bad;
     if (auto bad = missing_parameter(*this); !bad.empty()) return bad;
+    if (auto bad = bad_order_of_edges(*this); !bad.empty()) return bad;
+    if (auto bad = bad_order_of_misses(*this); !bad.empty()) return bad;
+    if (check == Check::structure) return {};
     if (auto bad = bad_flags(*this); !bad.empty()) return bad;
     if (auto bad = bad_vertices(*this); !bad.empty()) return bad;
-    return bad_edges(*this);
+    if (auto bad = bad_edges(*this); !bad.empty()) return bad;
+    return bad_misses(*this);
 }
 
 void write_path_graph(const PathGraph& graph, const std::filesystem::path& path, Sync sync) {
@@ -231,8 +260,16 @@ void write_path_graph(const PathGraphInPieces& graph, const std::filesystem::pat
     write_graph(graph, path, sync);
 }
 
-PathGraph read_path_graph(const std::filesystem::path& path) {
-    return read_format<PathGraph>(path);
+PathGraph read_path_graph(const std::filesystem::path& path, Check check) {
+    return read_format<PathGraph>(path, check);
+}
+
+InputId identify_by_header(const PathGraph& graph, const std::filesystem::path& path) {
+    const Provenance& made = graph.provenance;
+    std::string text = fmt::format("{}\n{}\n{}\n{}\n{} {} {} {}\n", producer_text(made), made.command, made.seed, made.plan, graph.n_paths(), graph.n_vertices(),
+                                   graph.n_light_edges(), graph.n_misses());
+    for (const InputId& input : made.inputs) text += input_text(input) + "\n";
+    return {path.filename().native(), content_hash_text(content_hash(std::as_bytes(std::span(text))))};
 }
 
 std::vector<ColumnBytes> column_bytes(const PathGraph& graph) {

@@ -15,6 +15,7 @@
 #include <vector>
 
 #include "formats/io/arena.h"
+#include "formats/io/check.h"
 #include "formats/io/documenter.h"
 #include "formats/io/field.h"
 #include "formats/io/mapped_file.h"
@@ -103,9 +104,17 @@ struct PathRows {
         ColumnOf<float> eta;
     } light_edges;
 
+    struct Misses {
+        ColumnOf<std::uint32_t> vertex;
+        ColumnOf<std::uint8_t> technique;
+        ColumnOf<float> y;
+        ColumnOf<std::uint16_t> emitter;
+    } misses;
+
     std::size_t n_paths() const { return paths.first_vertex.empty() ? 0 : paths.first_vertex.size() - 1; }
     std::size_t n_vertices() const { return vertices.flags.size(); }
     std::size_t n_light_edges() const { return light_edges.vertex.size(); }
+    std::size_t n_misses() const { return misses.vertex.size(); }
 
     template <class Self, class Visitor>
     static void row_fields(Self& g, Visitor& v);
@@ -174,7 +183,7 @@ struct PathGraphHeader {
 /// The declaration of the format; the same for every way in which the columns can lie in memory.
 template <template <class> class ColumnOf>
 struct PathGraphOf : PathGraphHeader, PathRows<ColumnOf> {
-    static constexpr FormatId format{"path_graph", 1, 1};
+    static constexpr FormatId format{"path_graph", 1, 2};
 
     template <class Self, class Visitor>
     static void fields(Self& g, Visitor& v);
@@ -184,7 +193,7 @@ struct PathGraph : PathGraphOf<Column> {
     std::shared_ptr<const MappedFile> storage;  // what the columns are borrowed from, if from a file
 
     /// The invariants that go beyond types, lengths and finite floats; empty when all hold.
-    std::string problem() const;
+    std::string problem(Check check = Check::everything) const;
 };
 
 /// A graph as it was traced, to be written: its columns lie in the pieces in which they were filled.
@@ -196,9 +205,12 @@ struct PathGraphInPieces : PathGraphOf<PiecedColumn> {
 void write_path_graph(const PathGraph& graph, const std::filesystem::path& path, Sync sync = Sync::yes);
 /// The same bytes as from the joined columns.
 void write_path_graph(const PathGraphInPieces& graph, const std::filesystem::path& path, Sync sync = Sync::yes);
-/// Reads, maps and checks the whole file.
+/// Reads, maps and checks the file.
 /// throws:  InputError naming the file and the dataset
-PathGraph read_path_graph(const std::filesystem::path& path);
+PathGraph read_path_graph(const std::filesystem::path& path, Check check = Check::everything);
+/// A graph by name, and by a hash of what it says of itself: command, seed, build, scene, numbers of rows. The same paths have the
+/// same, and reading all of them would cost more than some of their readers do.
+InputId identify_by_header(const PathGraph& graph, const std::filesystem::path& path);
 
 /// Bytes of each column that is there.
 std::vector<ColumnBytes> column_bytes(const PathGraph& graph);
@@ -273,6 +285,16 @@ void PathRows<ColumnOf>::row_fields(Self& g, Visitor& v) {
     v.field("light_edges/emitter", e.emitter, 1, "edge", "1", "row of emitters");
     v.optional("light_edges/eta", e.eta, 1, "edge", "1",
                "absolute refractive index along the edge; absent: 1");
+
+    auto& m = g.misses;
+    v.optional("misses/vertex", m.vertex, 1, "miss", "1",
+               "row of vertices whose attempt at light found none, never decreasing; all of them, or misses is absent");
+    v.optional("misses/technique", m.technique, 1, "miss", "1",
+               "0 next-event estimation, 1 the BSDF sample that ended the path; in this order for a vertex");
+    v.optional("misses/y", m.y, 4, "miss,xyzw", "m, or 1 at infinity",
+               "where its ray was to arrive, as light_edges/y, or w = 0 and the unit direction of the BSDF sample; the vertex itself: nothing could have "
+               "arrived, and no ray was asked for");
+    v.optional("misses/emitter", m.emitter, 1, "miss", "1", "row of emitters that was chosen; 0 for a BSDF sample");
 }
 
 template <template <class> class ColumnOf>

@@ -71,7 +71,7 @@ defines = $(foreach d,$(2), $(1) $(call quote,$(d)))
 of_old = $(call quote,$(OLD))$(call defines,-D,$(DEFINES) $(OLD_DEFINES))
 old_parameters = $(of_old) --spp $(BASE_SPP)$(if $(base_seed), --seed $(base_seed))
 graph_seed = $(or $(strip $(GRAPH_SEED)),$(shell echo $$(($(or $(base_seed),0) + 1))))
-graph_parameters = $(if $(filter same,$(GRAPH)),$(old_parameters),$(of_old) --spp $(SPP) --seed $(graph_seed))
+graph_parameters = $(if $(filter same,$(GRAPH)),$(old_parameters),$(of_old) --spp $(SPP) --seed $(graph_seed)) --misses
 edit_parameters = $(call quote,$(OLD)) $(call quote,$(NEW))$(call defines,-D,$(DEFINES))$(call defines,--old-define,$(OLD_DEFINES))$(call defines,--new-define,$(NEW_DEFINES)) \
 	--method $(METHOD)$(if $(filter 0,$(MAP)), --no-map)$(if $(filter 0,$(CONTROL)), --no-control) \
 	$(if $(GRAPH),--old-graph $(BASE)/graph.h5,--spp $(SPP)$(if $(SEED), --seed $(SEED))) --old $(picture)

@@ -7,6 +7,7 @@
 
 #include <new>
 
+#include "formats/io/check.h"
 #include "formats/io/error.h"
 #include "formats/io/field_checker.h"
 #include "formats/io/hdf5_reader.h"
@@ -26,10 +27,11 @@ void write_format(const Format& data, const std::filesystem::path& path, Sync sy
     writer.commit(sync);
 }
 
-/// Reads and checks the whole file; columns of 64 KiB and more are borrowed from the mapped file.
+/// Reads and checks a file; columns of 64 KiB and more are borrowed from the mapped file.
+/// in:      check  a Format that knows less than everything takes it in problem()
 /// throws:  InputError naming the file and the dataset
 template <class Format>
-Format read_format(const std::filesystem::path& path) {
+Format read_format(const std::filesystem::path& path, Check check = Check::everything) {
     Format data;
     Hdf5Reader reader(path, Format::format);
     try {
@@ -41,9 +43,13 @@ Format read_format(const std::filesystem::path& path) {
     }
     data.provenance = reader.provenance();
     data.storage = reader.storage();
-    FieldChecker checker(true);
+    FieldChecker checker(check == Check::everything);
     Format::fields(data, checker);
-    const std::string problem = checker.problem().empty() ? data.problem() : checker.problem();
+    std::string problem = checker.problem();
+    if (problem.empty()) {
+        if constexpr (requires { data.problem(check); }) problem = data.problem(check);
+        else problem = data.problem();
+    }
     if (!problem.empty()) throw InputError(path.native() + ": " + problem);
     return data;
 }

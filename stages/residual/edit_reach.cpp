@@ -123,6 +123,7 @@ void Obstacles::add(const Shape& shape) {
     if (!(box.lo.x <= box.hi.x)) return;  // a mesh without triangles
     box.grow(margin * (1 + largest(box.lo) + largest(box.hi)));
     box_.add(box);
+    boxes_.push_back(box);
     shapes_.push_back(enlarged(shape));
 }
 
@@ -130,6 +131,9 @@ void Obstacles::finish(float around) {
     if (empty()) return;
     rays_ = std::make_unique<RayEngine>(shapes_);
     box_.grow(around);
+    for (Box3f& box : boxes_) box.grow(around);
+    constexpr std::size_t most = 32;  // asking for more costs more than it spares
+    if (boxes_.size() > most) boxes_ = {box_};
 }
 
 bool Obstacles::may_meet(const Point3f& a, const Vector3f& d) const {

@@ -23,6 +23,8 @@ class Obstacles {
     void finish(float around);
 
     bool empty() const { return shapes_.empty(); }
+    /// Around all of them, each with what a ray may start off its surface: a ray that meets no box meets no obstacle.
+    const std::vector<Box3f>& boxes() const { return boxes_; }
     /// False: no ray that starts at a, or `around` from it, and ends at b meets one.
     bool may_meet(const Point3f& a, const Point3f& b) const { return !apart(a, {b, b}) && crosses(a, b); }
     /// The same of all rays from a along the unit vector d.
@@ -47,6 +49,7 @@ class Obstacles {
     std::vector<Shape> shapes_;
     std::unique_ptr<RayEngine> rays_;
     Box3f box_;
+    std::vector<Box3f> boxes_;
 };
 
 /// Which places, shapes and lights of the old scene are not to the last bit what they are in the new one. What find_edit()

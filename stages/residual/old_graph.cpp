@@ -80,8 +80,8 @@ std::optional<TraceCommand> parse(std::string command) {
         *value = *number;
         command.erase(at, end - at);
     }
-    const std::string one_pass = " --passes 1";
-    if (const auto at = command.find(one_pass); at != std::string::npos) command.erase(at, one_pass.size());
+    for (const std::string same_paths : {" --passes 1", " --misses"})
+        if (const auto at = command.find(same_paths); at != std::string::npos) command.erase(at, same_paths.size());
     parsed.rest = std::move(command);
     return parsed;
 }
@@ -181,7 +181,7 @@ class Worker {
             double squares[3]{};
             each_sample(pixel, begin, end, [&](std::size_t, std::uint64_t, std::size_t at) {
                 if (!flags_[at]) {
-                    sums.add(Spectrum(0.0f), known_[at].first);
+                    sums.add_zero(known_[at].first);
                     return;
                 }
                 const Spectrum& before = known_[at].L;
@@ -222,7 +222,7 @@ class Worker {
 OldGraph read_old_graph(const std::vector<std::string>& files, const Scene& old_scene, const std::string& scene_name, int max_depth) {
     OldGraph graph;
     std::vector<std::pair<std::string, PathGraph>> passes;
-    for (const std::string& file : files) passes.emplace_back(file, read_path_graph(file));
+    for (const std::string& file : files) passes.emplace_back(file, read_path_graph(file, Check::structure));
     std::sort(passes.begin(), passes.end(), [](const auto& a, const auto& b) { return a.second.tracing.first_sample < b.second.tracing.first_sample; });
     for (auto& [file, pass] : passes) {
         check_pass(pass, file, old_scene, scene_name, max_depth);

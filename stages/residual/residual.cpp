@@ -317,7 +317,7 @@ void run(const Options& options, app::Report& report) {
     const std::string in_words = edit.nothing() ? "nothing differs" : fmt::format("{}", fmt::join(edit.changes, "; "));
     residual.provenance.plan = how.starts_with("edit: ") ? how : fmt::format("edit: {}; {}", in_words, how);
     residual.provenance.inputs = {{old_name, content_hash_text(old_scene->content_hash)}, {new_name, content_hash_text(new_scene->content_hash)}};
-    for (const std::string& file : options.old_graph) residual.provenance.inputs.push_back(identify(file));
+    for (std::size_t i = 0; i < graph.passes.size(); ++i) residual.provenance.inputs.push_back(identify_by_header(graph.passes[i], graph.files[i]));
     residual.ledger.back().what = in_words;
     residual.ledger.back().scene = residual.provenance.inputs[1];
 

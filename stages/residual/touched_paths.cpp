@@ -19,8 +19,10 @@ constexpr std::size_t queue_size = 1024;
 }  // namespace
 
 TouchedPaths::TouchedPaths(const Scene& old_scene, const EditReach& reach, const GraphReader& reader, const PathOptions& options)
-    : scene_(old_scene), reach_(reach), reader_(reader), options_(options) {
+    : scene_(old_scene), reach_(reach), candidates_(old_scene, reach, reader.graph()), reader_(reader), options_(options) {
     for (Queue* queue : {&through_, &blocked_}) queue->rays.reserve(2 * queue_size);
+    for (std::size_t i = 0; i < reader.graph().materials.kind.size(); ++i)
+        for (const float side : {1.0f, -1.0f}) matte_.push_back(albedo(Bsdf<float>(reader.model(i)), {0, 0, side}));
 }
 
 Sampler TouchedPaths::sampler_of(std::size_t path) const {
@@ -43,14 +45,21 @@ Vector3f TouchedPaths::arrival(std::size_t j) const {
     return {-wo[0], -wo[1], -wo[2]};
 }
 
-FirstHit TouchedPaths::first_hit(std::size_t i) const {
+FirstHit TouchedPaths::first_hit(std::size_t i) {
     const PathGraph& g = reader_.graph();
     const std::size_t j = g.paths.first_vertex[i];
     if (j == g.paths.first_vertex[i + 1]) return {};
-    const auto n = unit_vector<Normal3f>(g.vertices.ns, j);
+    const std::int16_t* const code = g.vertices.ns.data() + 2 * j;
+    if (code[0] != last_code_[0] || code[1] != last_code_[1]) {
+        last_normal_ = unit_vector<Normal3f>(g.vertices.ns, j);
+        std::copy(code, code + 2, last_code_);
+    }
     const Vector3f d = arrival(j);
-    // An albedo depends on the angle to the normal alone.
-    return {albedo(reader_.bsdf(j), {0, 0, dot(-d, n)}), n, dot(position(j) - camera_of(i), d)};
+    const float cosine = dot(-d, last_normal_);
+    const std::size_t material = g.vertices.material[j];
+    const bool matte = reader_.model(material).kind == BsdfKind::diffuse && g.materials.textured[material] == 0;
+    // An albedo depends on the angle to the normal alone, a matte one on the side.
+    return {matte ? matte_[2 * material + (cosine < 0)] : albedo(reader_.bsdf(j), {0, 0, cosine}), last_normal_, dot(position(j) - camera_of(i), d)};
 }
 
 BsdfSample<float> TouchedPaths::redraw(const ShadingPoint& here, std::size_t path, std::size_t j) const {
@@ -188,8 +197,12 @@ void TouchedPaths::find(std::size_t begin, std::size_t end, std::uint8_t* touche
     const PathGraph& g = reader_.graph();
     const auto& edge_vertex = g.light_edges.vertex;
     next_edge_ = std::size_t(std::lower_bound(edge_vertex.begin(), edge_vertex.end(), g.paths.first_vertex[begin]) - edge_vertex.begin());
+    const std::size_t last_edge = std::size_t(std::lower_bound(edge_vertex.begin(), edge_vertex.end(), g.paths.first_vertex[end]) - edge_vertex.begin());
     edges_.resize(end - begin);
+    candidates_.find(begin, end, touched);
     for (std::size_t path = begin; path < end; ++path) {
+        if (!touched[path - begin]) continue;
+        next_edge_ = std::size_t(std::lower_bound(edge_vertex.begin() + std::ptrdiff_t(next_edge_), edge_vertex.begin() + std::ptrdiff_t(last_edge), g.paths.first_vertex[path]) - edge_vertex.begin());
         edges_[path - begin] = next_edge_;
         touched[path - begin] = touches(path, begin) ? 1 : 0;
         if (through_.rays.size() >= queue_size) answer(through_, reach_.new_places, touched);

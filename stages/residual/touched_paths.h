@@ -6,6 +6,7 @@
 
 #include "stages/core/transport/graph_reader.h"
 #include "stages/core/transport/path_tracer.h"
+#include "stages/residual/candidate_paths.h"
 #include "stages/residual/edit_reach.h"
 
 namespace loom::residual {
@@ -42,7 +43,7 @@ class TouchedPaths {
     };
     /// True: touched, whatever the rays say.
     bool touches(std::size_t path, std::size_t begin);
-    FirstHit first_hit(std::size_t path) const;
+    FirstHit first_hit(std::size_t path);
     /// The tracer's own sum, without its rays: lights that were seen are in the graph, BSDFs are asked once more.
     /// in:  edge  first light edge of the path
     Spectrum light(std::size_t path, std::size_t edge) const;
@@ -62,12 +63,16 @@ class TouchedPaths {
 
     const Scene& scene_;
     const EditReach& reach_;
+    CandidatePaths candidates_;
     const GraphReader& reader_;
     PathOptions options_;
     std::size_t next_edge_ = 0;  // light edge of the next path
     Queue through_, blocked_;    // rays that went through, and those that did not
     std::vector<const Ray*> pointers_;
     std::vector<std::size_t> edges_;  // first light edge, by path of the block
+    std::vector<Spectrum> matte_;     // albedo by material and side, of matte ones without texture
+    std::int16_t last_code_[2] = {0, 0};  // of a normal, and that normal: neighbours lie on one surface
+    Normal3f last_normal_{0, 0, 1};
 };
 
 }  // namespace loom::residual

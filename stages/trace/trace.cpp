@@ -104,9 +104,9 @@ Image render_image(const Scene& scene, const PathOptions& path, const Work& work
 }
 
 PathGraphInPieces render_graph(const Scene& scene, const PathOptions& path, const Work& work,
-                               app::Report& report, Counts& counts, std::shared_ptr<Arena> memory) {
+                               app::Report& report, Counts& counts, std::shared_ptr<Arena> memory, bool misses) {
     const std::uint64_t n_pixels = scene.sensor.n_pixels(), n_paths = n_pixels * work.spp;
-    GraphBuilder builder(scene, path, (n_paths + PathBatch::capacity - 1) / PathBatch::capacity, std::move(memory));
+    GraphBuilder builder(scene, path, (n_paths + PathBatch::capacity - 1) / PathBatch::capacity, std::move(memory), misses);
     NonfiniteLog nonfinite(report, scene.sensor.width, path.seed);
     counts = {};
     {
@@ -152,6 +152,7 @@ void declare(app::Command& command, Options& options) {
                    app::Range<int>{-1, 1 << 20});
     command.choice("--laser-spot", options.laser_spot, "spot of the laser in a capture around a corner, when it is sampled: of unit area, as mitransient has it, or that of its beam",
                    {{"unit", LaserSpot::unit_area}, {"true", LaserSpot::true_area}});
+    command.flag("--misses", options.misses, "graph: also keep what found no light, a tenth more bytes, with which loom-residual --old-graph finds what an edit touches several times faster");
     command.threads(options.threads);
     command.output("--depfile", options.depfile, "also write a make rule that names all files read");
     command.flag("--plan", options.plan, "print what the scene calls for, and stop");
@@ -208,6 +209,7 @@ void run(const Options& options, app::Report& report) {
         report.answer(replay(*scene, path, options.replay));
         return;
     }
+    if (options.misses && scene->nlos) throw InputError("--misses: a capture around a corner has none");
     if (options.plan) {
         report.answer(planned + "\n");
         return;
@@ -234,7 +236,7 @@ void run(const Options& options, app::Report& report) {
             image.provenance = std::move(provenance);
             write_image(image, output);
         } else {
-            PathGraphInPieces graph = render_graph(*scene, path, work, report, counts, memory);
+            PathGraphInPieces graph = render_graph(*scene, path, work, report, counts, memory, options.misses);
             graph.provenance = std::move(provenance);
             write_path_graph(graph, output);
             std::uint64_t bytes = 0;

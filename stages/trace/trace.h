@@ -32,6 +32,7 @@ struct Options {
     std::optional<int> max_depth;      // of the scene file when unset; -1: no limit
     std::string depfile;               // make rules for all files that were read
     LaserSpot laser_spot = LaserSpot::unit_area;
+    bool misses = false;               // of a graph: keep what found no light, too
     bool plan = false;                 // print the plan and stop
     std::string replay;                // x,y,sample: trace that one path and print it
 };
@@ -43,8 +44,9 @@ using loom::Work;
 Image render_image(const Scene& scene, const PathOptions& path, const Work& work, app::Report& report, Counts& counts);
 
 /// The same paths as a graph, to be written, in the memory given: that of an earlier graph, which is gone then.
+/// in:      misses  kept, too; a capture around a corner has none
 PathGraphInPieces render_graph(const Scene& scene, const PathOptions& path, const Work& work, app::Report& report,
-                               Counts& counts, std::shared_ptr<Arena> memory = std::make_shared<Arena>());
+                               Counts& counts, std::shared_ptr<Arena> memory = std::make_shared<Arena>(), bool misses = false);
 
 void declare(app::Command& command, Options& options);
 

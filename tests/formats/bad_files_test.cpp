@@ -20,6 +20,7 @@ using testing::file_bytes;
 using testing::input_error_of;
 using testing::ScratchFolder;
 using testing::tiny_graph;
+using testing::tiny_graph_with_misses;
 using testing::write_bytes;
 
 class BadFiles : public ::testing::Test {
@@ -259,6 +260,37 @@ TEST_F(BadFiles, InvariantsOfVerticesAndEdges) {
     EXPECT_EQ(complaint(), "light_edges/technique: row 1 is 2, not 0 or 1");
     rewrite([](PathGraph& g) { g.light_edges.pdf_nee_w = {3, 2, -1, 1}; });
     EXPECT_EQ(complaint(), "light_edges/pdf_nee_w or pdf_bsdf_w: row 2 is negative");
+}
+
+TEST_F(BadFiles, InvariantsOfMisses) {
+    const auto with = [&](auto&& change) {
+        rewrite([&](PathGraph& g) {
+            g = tiny_graph_with_misses();
+            change(g.misses);
+        });
+        return complaint();
+    };
+    EXPECT_EQ(with([](auto& m) { m.vertex = {1, 2, 6}; }), "misses/vertex: row 2 is 6, but there are 6 vertices");
+    EXPECT_EQ(with([](auto& m) { m.emitter = {0, 2, 0}; }), "misses/emitter: row 1 is 2, but there are 2 emitters");
+    EXPECT_EQ(with([](auto& m) { m.emitter = {}; }), "misses: some of its columns are there, some are not");
+    EXPECT_EQ(with([](auto& m) { m.vertex = {2, 1, 4}; }), "misses/vertex: row 1 is not in order (by vertex, then technique)");
+    EXPECT_EQ(with([](auto& m) { m.vertex = {1, 1, 4}; }), "misses/vertex: row 1 is not in order (by vertex, then technique)");
+    EXPECT_EQ(with([](auto& m) { m.technique = {0, 0, 2}; }), "misses/technique: row 2 is 2, not 0 or 1");
+    EXPECT_EQ(with([](auto& m) { m.y = {0, 2, 0, 1, 0.2f, 0.2f, -0.3f, 0.5f, 0, 0.6f, 0.8f, 0}; }), "misses/y: row 1 has w = 0.5, not 0 or 1");
+}
+
+// Readers that look at few rows ask for what keeps them within the file, and for no more.
+TEST_F(BadFiles, StructureIsCheckedAlone) {
+    const auto structure = [&] { return input_error_of([&] { read_path_graph(file(), Check::structure); }); };
+    rewrite([](PathGraph& g) { g.vertices.wo = std::vector<float>(18, std::numeric_limits<float>::quiet_NaN()); });
+    EXPECT_NE(message(), "nothing was thrown");
+    EXPECT_EQ(structure(), "nothing was thrown");
+    rewrite([](PathGraph& g) { g.light_edges.vertex = {0, 1, 0, 5}; });
+    EXPECT_NE(structure(), "nothing was thrown");
+    rewrite([](PathGraph& g) { g.vertices.shape = {0, 1, 2, 0, 3, 2}; });
+    EXPECT_NE(structure(), "nothing was thrown");
+    rewrite([](PathGraph& g) { g.paths.first_vertex = {0, 2, 1, 3, 6}; });
+    EXPECT_NE(structure(), "nothing was thrown");
 }
 
 // A download that stopped, a disk that was full: whatever the length, an InputError and never a crash.

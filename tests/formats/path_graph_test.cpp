@@ -18,6 +18,7 @@ using testing::file_bytes;
 using testing::large_graph;
 using testing::ScratchFolder;
 using testing::tiny_graph;
+using testing::tiny_graph_with_misses;
 
 // Would catch a column that is written but not read, read into another, or changed on the way.
 TEST(PathGraph, ReadsBackBitForBit) {
@@ -26,6 +27,15 @@ TEST(PathGraph, ReadsBackBitForBit) {
     write_path_graph(graph, folder / "g.h5");
     expect_equal(graph, read_path_graph(folder / "g.h5"));
     EXPECT_EQ(folder.n_partial(), 0);
+}
+
+TEST(PathGraph, MissesReadBackBitForBit) {
+    const ScratchFolder folder;
+    const PathGraph graph = tiny_graph_with_misses();
+    write_path_graph(graph, folder / "g.h5");
+    const PathGraph read = read_path_graph(folder / "g.h5");
+    expect_equal(graph, read);
+    EXPECT_EQ(read.n_misses(), 3u);
 }
 
 TEST(PathGraph, AbsentColumnsStayAbsent) {

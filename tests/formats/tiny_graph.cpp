@@ -127,6 +127,16 @@ PathGraph tiny_graph() {
     return g;
 }
 
+PathGraph tiny_graph_with_misses() {
+    PathGraph g = tiny_graph();
+    auto& m = g.misses;
+    m.vertex = {1, 2, 4};
+    m.technique = {0, 0, 1};
+    m.y = {0, 2, 0, 1, 0.2f, 0.2f, -0.3f, 1, 0, 0.6f, 0.8f, 0};
+    m.emitter = {0, 1, 0};
+    return g;
+}
+
 PathGraph large_graph(std::uint32_t n) {
     PathGraph g;
     set_common(g);

@@ -10,6 +10,8 @@ namespace loom::testing {
 /// A graph of 2 x 1 pixels with two samples each, made by hand: every column is there, one path escapes at
 /// once, one has two vertices, and each technique and ending occurs.
 PathGraph tiny_graph();
+/// The same, with what its vertices asked for and did not get, of each kind one.
+PathGraph tiny_graph_with_misses();
 
 /// n vertices in paths of one vertex each: columns long enough to be mapped.
 PathGraph large_graph(std::uint32_t n);

@@ -19,6 +19,7 @@
 #include "formats/io/content_hash.h"
 #include "formats/io/error.h"
 #include "stages/residual/residual.h"
+#include "stages/residual/touched_paths.h"
 #include "tests/traced_graph.h"
 
 namespace loom::residual {
@@ -127,15 +128,15 @@ struct Edited {
     ScenePair pair() const { return {*old_scene, *new_scene}; }
     PathOptions path(SamplerKind sampler = SamplerKind::sobol) const { return loom::testing::path_options(*old_scene, seed, sampler); }
 
-    PathGraph trace(PathOptions path, std::uint64_t n, std::uint64_t first = 0) const {
-        return loom::testing::trace_graph(*old_scene, path, n, first);
+    PathGraph trace(PathOptions path, std::uint64_t n, std::uint64_t first, bool misses) const {
+        return loom::testing::trace_graph(*old_scene, path, n, first, misses);
     }
-    OldGraph graph(const PathOptions& options) const {
+    OldGraph graph(const PathOptions& options, bool misses = false) const {
         PathOptions path = options;
         path.seed = seeds_of(Method::correlated, path.seed).old_scene;
         OldGraph graph;
-        graph.passes.push_back(trace(path, 3));
-        graph.passes.push_back(trace(path, spp - 3, 3));
+        graph.passes.push_back(trace(path, 3, 0, misses));
+        graph.passes.push_back(trace(path, spp - 3, 3, misses));
         graph.files = {"a.h5", "b.h5"};
         graph.path = path;
         graph.spp = spp;
@@ -177,6 +178,36 @@ TEST_P(OfAnOldGraph, IsTheFullDifferenceBitForBit) {
         EXPECT_EQ(ours.touched, 0u);
     }
     RecordProperty("touched", fmt::format("{:.4f}", double(ours.touched) / double(ours.paths)));
+
+    // With the misses few paths are looked at closely, and light samples that asked for no ray are not drawn again.
+    const OldGraph graph = edited.graph(path, true);
+    const GraphResidual scanned = render_residual(edited.pair(), edited.edit, graph, 2, nullptr, quiet());
+    for (const char* channel : {"R", "G", "B", "VarMean.R", "VarMean.G", "VarMean.B", "Albedo.R", "Albedo.G", "Albedo.B", "N.X", "N.Y", "N.Z"})
+        EXPECT_EQ(n_differing(ours.image, scanned.image, channel), 0u) << channel;
+    EXPECT_LE(scanned.touched, ours.touched);
+}
+
+// What the scan lets through is little more than what is touched.
+TEST(OldGraph, ScanOfTheGraphLeavesFewPathsToLookAt) {
+    for (const auto& [name, most] : {std::pair{"moved", 1.6}, {"repainted", 1.0}, {"glossy_moved", 1.5}, {"light_colour", 1.0}, {"sky", 1.0}}) {
+        SCOPED_TRACE(name);
+        const auto found = std::find_if(edits().begin(), edits().end(), [&](const EditCase& c) { return c.name == name; });
+        const Edited edited(*found);
+        const PathOptions path = edited.path();
+        const PathGraph graph = edited.trace(path, spp, 0, true);
+        const EditReach reach(*edited.old_scene, *edited.new_scene, edited.edit);
+        const GraphReader reader(graph);
+        CandidatePaths candidates(*edited.old_scene, reach, graph);
+        TouchedPaths touched(*edited.old_scene, reach, reader, path);
+        const std::size_t n = graph.n_paths();
+        std::vector<std::uint8_t> may(n), is(n);
+        std::vector<KnownPath> known(n);
+        candidates.find(0, n, may.data());
+        touched.find(0, n, is.data(), known.data());
+        const auto n_may = double(std::count(may.begin(), may.end(), 1)), n_is = double(std::count(is.begin(), is.end(), 1));
+        EXPECT_GT(n_is, 0);
+        EXPECT_LE(n_may, most * n_is) << "of " << n;
+    }
 }
 
 INSTANTIATE_TEST_SUITE_P(Edits, OfAnOldGraph, ::testing::ValuesIn(edits()), [](const auto& info) { return info.param.name; });

@@ -6,6 +6,18 @@ namespace loom {
 
 void PixelSums::add(const Spectrum& sample, const FirstHit& first) {
     for (int c = 0; c < 3; ++c) L[c].add(sample[c]);
+    add(first);
+}
+
+void PixelSums::add_zero(const FirstHit& first) {
+    for (Moments& moments : L) {
+        if (moments.mean == 0 && moments.m2 == 0) ++moments.n;
+        else moments.add(0);
+    }
+    add(first);
+}
+
+void PixelSums::add(const FirstHit& first) {
     if (first.depth == 0) return;
     ++hits;
     depth += first.depth;

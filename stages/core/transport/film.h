@@ -18,6 +18,11 @@ struct PixelSums {
     std::uint64_t hits = 0;
 
     void add(const Spectrum& sample, const FirstHit& first);
+    /// The same of a black sample, which changes little where all have been black.
+    void add_zero(const FirstHit& first);
+
+  private:
+    void add(const FirstHit& first);
 };
 
 /// Layers of an image that pixels are written to, each pixel by one thread.

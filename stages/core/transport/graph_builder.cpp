@@ -11,16 +11,17 @@ namespace {
 
 /// Places columns behind one another in a block: first their sizes are summed, then they get their places.
 struct RowsPlacer : FieldVisitor<RowsPlacer> {
-    std::size_t n_paths, n_vertices, n_light_edges;
+    std::size_t n_paths, n_vertices, n_light_edges, n_misses;
     std::size_t n_bytes = 0;
     std::span<std::byte> block;  // empty: sum only
     std::vector<std::span<std::byte>> columns;
 
-    RowsPlacer(std::size_t paths, std::size_t vertices, std::size_t edges) : n_paths(paths), n_vertices(vertices), n_light_edges(edges) {}
+    explicit RowsPlacer(const PathRecords& records)
+        : n_paths(records.paths.size()), n_vertices(records.vertices.size()), n_light_edges(records.light_edges.size()), n_misses(records.misses.size()) {}
 
     template <class T>
     void column_of(const Field& field, PlacedColumn<T>& column) {
-        const std::size_t rows = field.axes.starts_with("path") ? n_paths : field.axes.starts_with("vertex") ? n_vertices : n_light_edges;
+        const std::size_t rows = field.axes.starts_with("path") ? n_paths : field.axes.starts_with("vertex") ? n_vertices : field.axes.starts_with("edge") ? n_light_edges : n_misses;
         const std::size_t n = column.wanted ? rows * field.row_size() : 0;
         if (!block.empty()) {
             const auto bytes = block.subspan(n_bytes, n * sizeof(T));
@@ -156,7 +157,7 @@ void describe_scene(const Scene& scene, PathGraphHeader& g) {
 
 }  // namespace
 
-GraphBuilder::GraphBuilder(const Scene& scene, const PathOptions& options, std::size_t n_pieces, std::shared_ptr<Arena> memory)
+GraphBuilder::GraphBuilder(const Scene& scene, const PathOptions& options, std::size_t n_pieces, std::shared_ptr<Arena> memory, bool misses)
     : scene_(scene), options_(options), pieces_(n_pieces), arena_(std::move(memory)) {
     arena_->reset();
     const SceneFeatures& f = scene.features;
@@ -172,10 +173,12 @@ GraphBuilder::GraphBuilder(const Scene& scene, const PathOptions& options, std::
     v.transmittance.wanted = f.textured_transmittance;
     v.alpha.wanted = f.textured_alpha;
     v.opacity.wanted = f.textured_opacity;
+    auto& m = wanted_.misses;
+    m.vertex.wanted = m.technique.wanted = m.y.wanted = m.emitter.wanted = misses;
 }
 
 void GraphBuilder::set(std::size_t i, const PathRecords& records) {
-    RowsPlacer placer(records.paths.size(), records.vertices.size(), records.light_edges.size());
+    RowsPlacer placer(records);
     Rows rows = wanted_;
     Rows::row_fields(rows, placer);
     placer.block = arena_->allocate(std::exchange(placer.n_bytes, 0));
@@ -183,14 +186,16 @@ void GraphBuilder::set(std::size_t i, const PathRecords& records) {
     pieces_[i] = std::move(placer.columns);
 
     // Records come depth by depth, rows go path by path.
-    std::vector<std::uint32_t> first_vertex, next_vertex, next_edge;
-    std::uint32_t vertex = 0, edge = 0;
+    std::vector<std::uint32_t> first_vertex, next_vertex, next_edge, next_miss;
+    std::uint32_t vertex = 0, edge = 0, miss = 0;
     for (std::size_t path = 0; path < records.paths.size(); ++path) {
         const PathRecords::Path& r = records.paths[path];
         first_vertex.push_back(vertex);
         next_edge.push_back(edge);
+        next_miss.push_back(miss);
         vertex += r.n_vertices;
         edge += r.n_light_edges;
+        miss += r.n_misses;
         rows.paths.first_vertex.put(path, vertex);
         rows.paths.Le.put(path, r.Le.r, r.Le.g, r.Le.b);
         rows.paths.origin.put(path, r.origin.x, r.origin.y, r.origin.z);
@@ -231,6 +236,14 @@ void GraphBuilder::set(std::size_t i, const PathRecords& records) {
         e.emitter.put(row, r.emitter);
         e.eta.put(row, r.eta);
     }
+    const auto& m = rows.misses;
+    for (const MissRecord& r : records.misses) {
+        const std::size_t row = next_miss[r.path]++;
+        m.vertex.put(row, first_vertex[r.path] + r.vertex);
+        m.technique.put(row, std::uint8_t(r.technique));
+        m.y.put(row, r.y.x, r.y.y, r.y.z, r.at_infinity ? 0.0f : 1.0f);
+        m.emitter.put(row, r.emitter);
+    }
 }
 
 PathGraphInPieces GraphBuilder::finish(std::uint64_t first_sample, std::uint64_t samples) && {
@@ -254,6 +267,7 @@ PathGraphInPieces GraphBuilder::finish(std::uint64_t first_sample, std::uint64_t
     tbb::parallel_for(std::size_t(0), pieces_.size(), [&](std::size_t i) {
         for (std::uint64_t& vertex : g.paths.first_vertex.pieces()[i + 1]) vertex += base[i];
         for (std::uint32_t& vertex : g.light_edges.vertex.pieces()[i]) vertex += std::uint32_t(base[i]);
+        for (std::uint32_t& vertex : g.misses.vertex.pieces()[i]) vertex += std::uint32_t(base[i]);
     });
     g.storage = std::move(arena_);
     return g;

@@ -90,6 +90,8 @@ class MatteBlock {
             shadow.ray = {c.shadow_o.get<Point3f>(m), c.shadow_d.get<Vector3f>(m), 0, c.shadow_t_max[m]};
             shadow.contribution = c.contribution.get<Spectrum>(m);
             if constexpr (recording) record_light(m, path, record.last_number(), shadow.edge);
+        } else if constexpr (recording) {
+            if (!scene_.emitters.empty()) record.miss(emitters_[m]);
         }
         if (c.roulette_ends(m)) {
             if constexpr (recording) record.last().end(Ending::roulette);

@@ -72,21 +72,32 @@ struct LightEdgeRecord {
     float eta = 1;
 };
 
+/// What a vertex asked for and did not get: a light sample that was not seen, a BSDF sample that met no light.
+struct MissRecord {
+    std::uint32_t path = 0, vertex = 0;  // within the path
+    LightTechnique technique = LightTechnique::next_event;
+    std::uint16_t emitter = 0;
+    bool at_infinity = false;
+    Point3f y;  // where a shadow ray was to arrive, or its direction; the direction of the BSDF sample; the vertex: no ray
+};
+
 struct PathRecords {
     struct Path {
         Point3f origin;
         Spectrum Le;  // seen directly
-        std::uint32_t n_vertices = 0, n_light_edges = 0;
+        std::uint32_t n_vertices = 0, n_light_edges = 0, n_misses = 0;
         std::uint32_t last = 0;  // vertex so far
     };
     std::vector<Path> paths;
     std::vector<VertexRecord> vertices;
     std::vector<LightEdgeRecord> light_edges;
+    std::vector<MissRecord> misses;
 
     void start(std::size_t n_paths) {
         paths.assign(n_paths, {});
         vertices.clear();
         light_edges.clear();
+        misses.clear();
     }
 };
 
@@ -112,8 +123,23 @@ class PathRecorder {
         ++path().n_light_edges;
         records_->light_edges.emplace_back(edge).path = path_;
     }
+    /// A light sample without a shadow ray: nothing would arrive.
+    void miss(std::uint16_t emitter) const { keep({.vertex = last_number(), .emitter = emitter, .y = last().p}); }
+    /// A shadow ray that was blocked.
+    void miss(const LightEdgeRecord& edge) const {
+        keep({.vertex = edge.vertex, .emitter = edge.emitter, .at_infinity = edge.at_infinity, .y = edge.y});
+    }
+    /// A BSDF sample that met no light.
+    void miss(const Vector3f& d) const {
+        keep({.vertex = last_number(), .technique = LightTechnique::bsdf_hit, .at_infinity = true, .y = Point3f(d)});
+    }
 
   private:
+    void keep(const MissRecord& miss) const {
+        ++path().n_misses;
+        records_->misses.emplace_back(miss).path = path_;
+    }
+
     PathRecords* records_ = nullptr;
     std::uint32_t path_ = 0;
 };

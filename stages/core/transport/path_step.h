@@ -135,6 +135,8 @@ Step arrive(const Scene& scene, const PathOptions& options, int depth, const Hit
         if (!is_black(Le))
             add_arrived_light<recording>(path, record, Le, mis ? lights.pdf_w : 0.0f,
                                          scene.environment, true, nullptr);
+        else if constexpr (recording)
+            record.miss(path.ray.d);
         if constexpr (recording) record.last().end(Ending::escaped);
         return Step::ends;
     }
@@ -156,7 +158,10 @@ Step arrive(const Scene& scene, const PathOptions& options, int depth, const Hit
                                              false, &at);
             // An emitter that reflects nothing ends the path as a light point.
             if (scene.materials[at.material].black()) {
-                if constexpr (recording) record.last().end(Ending::hit_emitter);
+                if constexpr (recording) {
+                    if (is_black(Le)) record.miss(path.ray.d);
+                    record.last().end(Ending::hit_emitter);
+                }
                 return Step::ends;
             }
         }
@@ -191,6 +196,8 @@ Step arrive(const Scene& scene, const PathOptions& options, int depth, const Hit
     if (next_event && sample_next_event<recording>(scene, path, here, at.shape, q, lights, shadow,
                                                    recording ? record.last_number() : 0))
         step = Step::asks_shadow;
+    else if constexpr (recording)
+        if (next_event) record.miss(lights.point.emitter);
     if constexpr (recording) {
         record.last().q = q;
         record.last().flags |= vertex_flag::attempted_bsdf | (next_event ? vertex_flag::attempted_nee : 0);
@@ -226,11 +233,11 @@ Step arrive(const Scene& scene, const PathOptions& options, int depth, const Hit
     return step | Step::goes_on;
 }
 
-/// The shadow ray of a step is through: the light is seen.
+/// The shadow ray of a step is answered: the light is seen, or it is not.
 template <bool recording>
-void add_next_event(PathState& path, const ShadowRequest& shadow, PathRecorder record) {
-    path.result.L += shadow.contribution;
-    if constexpr (recording) record.add(shadow.edge);
+void end_next_event(PathState& path, const ShadowRequest& shadow, bool blocked, PathRecorder record) {
+    if (!blocked) path.result.L += shadow.contribution;
+    if constexpr (recording) blocked ? record.miss(shadow.edge) : record.add(shadow.edge);
 }
 
 }  // namespace loom

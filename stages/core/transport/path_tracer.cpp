@@ -44,7 +44,7 @@ PathResult trace_path(const Scene& scene, const PathOptions& options, PathId id,
                                        path.sampler.pair(dimension(depth, Place::direction)), path, shadow, record);
         if (has(step, Step::asks_shadow)) {
             ++path.result.n_rays;
-            if (!scene.occluded(shadow.ray)) add_next_event<true>(path, shadow, record);
+            end_next_event<true>(path, shadow, scene.occluded(shadow.ray), record);
         }
         if (!has(step, Step::goes_on)) return path.result;
     }
@@ -216,7 +216,7 @@ struct PathBatch::Impl {
             for (std::size_t k = 0; k < waiting.size(); ++k) {
                 const std::uint32_t i = waiting[k];
                 ++paths[i].result.n_rays;
-                if (!blocked[k]) add_next_event<recording>(paths[i], shadows[i], recorder(i));
+                end_next_event<recording>(paths[i], shadows[i], blocked[k], recorder(i));
             }
             if (watch) {
                 for (const std::uint32_t i : waiting)

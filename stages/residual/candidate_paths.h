@@ -1,0 +1,49 @@
+#pragma once
+// Which paths of a graph an edit may touch, by boxes around what it changes: what is left over need not be asked for.
+
+#include <cstdint>
+#include <vector>
+
+#include "formats/path_graph.h"
+#include "stages/core/transport/segment_columns.h"
+#include "stages/residual/edit_reach.h"
+
+namespace loom::residual {
+
+/// Reads the rows of a graph one after the other and nothing of scene or random numbers, so that a path costs as little as
+/// its bytes. One belongs to one thread.
+class CandidatePaths {
+  public:
+    CandidatePaths(const Scene& old_scene, const EditReach& reach, const PathGraph& graph);
+
+    /// False: all paths count as candidates, for the graph has no misses and the edit asks for them.
+    bool tells() const { return tells_; }
+    /// in:      begin, end  paths of the graph
+    /// out:     may         by path, 0: TouchedPaths would find that the edit does not touch it
+    void find(std::size_t begin, std::size_t end, std::uint8_t* may);
+
+  private:
+    void arrivals(std::size_t begin, std::size_t end);
+    void light_edges(std::size_t last_vertex);
+    void misses(std::size_t last_vertex);
+    /// Segments to y[4 i], y[4 i + 1], ... of vertex[i], i < n, or along it where y[4 i + 3] is 0.
+    void fill(std::size_t n, const std::uint32_t* vertex, const float* y);
+    /// Asks for the first n segments.
+    void answer(std::size_t n, const Obstacles& obstacles);
+    void mark(std::size_t n) {
+        for (std::size_t i = 0; i < n; ++i) met_[vertices_[i]] |= segments_.met[i];
+    }
+    void room(std::size_t n);
+
+    const EditReach& reach_;
+    const PathGraph& graph_;
+    Point3f camera_;
+    std::vector<std::uint8_t> hit_changes_;  // by emitter: it is changed, or its shape is
+    bool any_shape_ = false, any_hit_ = false, tells_ = true;
+    SegmentColumns segments_{0};
+    std::vector<std::uint32_t> vertices_;  // by segment: its vertex in the block
+    std::size_t first_ = 0;                // vertex of the block
+    std::vector<std::uint8_t> met_;        // by vertex of the block
+};
+
+}  // namespace loom::residual
