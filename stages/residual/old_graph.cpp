@@ -276,7 +276,7 @@ GraphResidual render_residual(const ScenePair& scenes, const Edit& edit, const O
     app::Progress progress(report, "tracing", n_pixels * graph.spp);
     tbb::enumerable_thread_specific<Worker> workers([&] { return Worker(scenes, graph, reach, readers, old_picture, old_log, new_log, film, out); });
     // Large enough for batches of touched paths where few are.
-    constexpr std::uint64_t paths_per_chunk = 1 << 14;
+    constexpr std::uint64_t paths_per_chunk = 1 << 15;
     parallel_chunks(n_pixels, std::clamp<std::uint64_t>(paths_per_chunk / graph.spp, 16, paths_per_chunk), threads,
                     [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
                         workers.local().run(begin, end);
