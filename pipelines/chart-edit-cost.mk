@@ -113,7 +113,7 @@ $(OUT)/runs.tsv: $(ROWS:%=$(OUT)/%.runs) $(OUT)/rows.parameters
 			print scene[r], r, "touched", touched, rays[g] / rays[f], cpu[f], cpu[g], touched } }' $(filter %.runs,$^) >$@
 
 $(OUT)/cost.svg: $(OUT)/runs.tsv $(chart)
-	@$(chart) --quiet $< -o $@ --x touched --y ratio >/dev/null
+	@$(chart) --quiet $< -o $@ --x touched --y ratio --no-front >/dev/null
 
 $(OUT)/cost.md: $(OUT)/runs.tsv
 	@awk -F'\t' 'NR == 1 { print "$(SPP) samples per pixel, longer side $(SIZE) px, the fastest of $(REPLICATES) runs in turn, scenes not counted.\n"; \

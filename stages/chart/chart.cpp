@@ -61,6 +61,7 @@ void declare(app::Command& command, Options& options) {
     command.option("--y", options.y, "column of the error");
     command.option("--by", options.by, "column that tells curves apart");
     command.flag("--linear-x", options.linear_x, "a linear axis, for what falls by a factor per step");
+    command.flag("--no-front", options.no_front, "no Pareto front: less of x is not bought with more of y");
     command.option("--title", options.title, "above the chart");
     command.example("loom-chart errors.tsv -o error-cost.svg --x wall_s --y relmse_trimmed");
 }

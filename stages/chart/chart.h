@@ -24,6 +24,7 @@ struct Options {
     std::string y = "relmse";   // error
     std::string by = "method";  // what tells curves apart
     bool linear_x = false;      // curves of what falls by a factor per step: no slopes, no front
+    bool no_front = false;      // less of x is not bought with more of y
     std::string title;
     std::string command;  // what made the chart, for NAME.gp to say; not an option
 };

@@ -131,8 +131,8 @@ Files curve_files(const std::string& stem, const std::vector<Curve>& curves, con
     body += fmt::format(
         "set logscale {}\nset xlabel {}\nset ylabel {}\nset style fill transparent solid 0.2 noborder\n",
         options.linear_x ? "y" : "xy", in_quotes(words_for(options.x)), in_quotes(words_for(options.y)));
-    // A long key, or one in a small panel, would lie on the curves.
-    if (methods.size() > 3 || scenes.size() > 1) body += "set key outside top center horizontal\n";
+    // A long key, one in a small panel, or one above curves that rise would lie on them.
+    if (methods.size() > 3 || scenes.size() > 1 || options.no_front) body += "set key outside top center horizontal\n";
     std::size_t row = 1;  // of the data; 0 is its head
     for (const std::string& scene : scenes) {
         LogAxis x, y;
@@ -159,7 +159,7 @@ Files curve_files(const std::string& stem, const std::vector<Curve>& curves, con
                                  every, markers[style % markers.size()], colour,
                                  in_quotes(curve.method + (options.linear_x ? "" : slope_text(curve.slope))));
             row = last + 1;
-            if (options.linear_x) continue;
+            if (options.linear_x || options.no_front) continue;
             // One ring in the key is enough.
             front += fmt::format(
                 "{} using 3:($8 == 1 ? $4 : NaN) with points pt 6 ps 2 lw 1.5 lc rgb '#222222' {}, ", every,

@@ -174,6 +174,19 @@ TEST(Chart, LinearAxisAndCommand) {
     EXPECT_EQ(commands.find("Pareto"), std::string::npos);
 }
 
+// Columns of which neither is bought with the other: logarithmic axes and slopes, no front, and a key that lies on no curve.
+TEST(Chart, NoFrontWhereNothingIsTraded) {
+    Options options;
+    const auto curves = curves_of(two_methods(0), "cpu_s", "relmse", "method");
+    EXPECT_NE(curve_files("c", curves, options).at("c.gp").find("Pareto"), std::string::npos);
+    options.no_front = true;
+    const Files files = curve_files("c", curves, options);
+    const std::string& commands = files.at("c.gp");
+    EXPECT_EQ(commands.find("Pareto"), std::string::npos);
+    EXPECT_NE(commands.find("slope"), std::string::npos);
+    EXPECT_NE(commands.find("set key outside"), std::string::npos);
+}
+
 // A name with a quote must not end gnuplot's string, let alone start a command.
 TEST(Chart, NamesAreQuoted) {
     Table table = two_methods(0);
