@@ -17,11 +17,6 @@ CandidatePaths::CandidatePaths(const Scene& old_scene, const EditReach& reach, c
     const bool asks = reach.any_emitter || !reach.old_places.empty() || !reach.new_places.empty();
     tells_ = reach.everything.empty() && !(asks && graph.misses.vertex.empty());
     any_shape_ = std::any_of(reach.shapes.begin(), reach.shapes.end(), [](std::uint8_t changed) { return changed != 0; });
-    for (std::size_t i = 0; i < reach.emitters.size(); ++i) {
-        const Emitter& emitter = old_scene.emitters[i];
-        hit_changes_.push_back(reach.emitters[i] || (emitter.kind == EmitterKind::area && reach.shapes[emitter.shape]));
-        any_hit_ |= hit_changes_.back() != 0;
-    }
 }
 
 void CandidatePaths::room(std::size_t n) {
@@ -90,11 +85,8 @@ void CandidatePaths::arrivals(std::size_t begin, std::size_t end) {
 void CandidatePaths::light_edges(std::size_t last_vertex) {
     const auto& e = graph_.light_edges;
     const std::size_t begin = first_row(e.vertex, first_), end = first_row(e.vertex, last_vertex, begin), n = end - begin;
-    if (any_hit_)
-        for (std::size_t k = begin; k < end; ++k) {
-            const bool by_hit = e.technique[k] == std::uint8_t(LightTechnique::bsdf_hit);
-            met_[e.vertex[k] - first_] |= by_hit ? hit_changes_[e.emitter[k]] : reach_.emitters[e.emitter[k]];
-        }
+    if (reach_.any_emitter)
+        for (std::size_t k = begin; k < end; ++k) met_[e.vertex[k] - first_] |= reach_.emitters[e.emitter[k]];
     if (reach_.new_places.empty()) return;
     fill(n, e.vertex.data() + begin, e.y.data() + 4 * begin);
     answer(n, reach_.new_places);

@@ -38,8 +38,7 @@ class CandidatePaths {
     const EditReach& reach_;
     const PathGraph& graph_;
     Point3f camera_;
-    std::vector<std::uint8_t> hit_changes_;  // by emitter: it is changed, or its shape is
-    bool any_shape_ = false, any_hit_ = false, tells_ = true;
+    bool any_shape_ = false, tells_ = true;
     SegmentColumns segments_{0};
     std::vector<std::uint32_t> vertices_;  // by segment: its vertex in the block
     std::size_t first_ = 0;                // vertex of the block
