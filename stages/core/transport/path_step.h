@@ -33,6 +33,11 @@ struct alignas(64) PathState {
         : ray(scene.sensor.sample_ray(std::uint32_t(id.pixel % scene.sensor.width),
                                       std::uint32_t(id.pixel / scene.sensor.width), u_film)),
           sampler(numbers) {}
+    /// One that others will say how it began.
+    explicit PathState(const Sampler& numbers) : sampler(numbers) {}
+
+    /// Number of the edge that its ray is about to make.
+    int depth() const { return int(result.n_vertices) + 1; }
 };
 
 /// A point on a surface as light that leaves along wo sees it.
@@ -84,6 +89,15 @@ void add_arrived_light(PathState& path, PathRecorder record, const Spectrum& Li,
     }
 }
 
+/// The direction that a path draws at its vertex number `depth`. Its weight has the shadows of bumps in it.
+[[gnu::always_inline]] inline BsdfSample<float> draw(const ShadingPoint& here, const Sampler& sampler, int depth, Point2f u_direction) {
+    const bool one_lobe = here.bsdf.model->kind == BsdfKind::diffuse && here.bsdf.opacity == 1;
+    const float u_lobe = one_lobe ? 0.0f : sampler.pair(dimension(depth, Place::lobe)).x;
+    BsdfSample<float> s = sample(here.bsdf, here.wo_local, u_lobe, u_direction);
+    if (here.perturbed && s.lobe != Lobe::none && s.lobe != Lobe::null) s.weight *= bump_shadowing(here, here.frame.to_world(s.wi), s.wi.z);
+    return s;
+}
+
 /// Next-event estimation from `here`. True when a shadow ray is to decide.
 template <bool recording>
 bool sample_next_event(const Scene& scene, const PathState& path, const ShadingPoint& here, std::uint32_t shape, float q,
@@ -115,6 +129,10 @@ bool sample_next_event(const Scene& scene, const PathState& path, const ShadingP
     }
     return true;
 }
+
+template <bool recording>
+Step leave(const Scene& scene, const PathOptions& options, int depth, const ShadingPoint& here, std::uint32_t shape, const LightQuery& lights,
+           Point2f u_direction, PathState& path, ShadowRequest& shadow, PathRecorder record);
 
 /// The ray of `path` has met `hit` (or nothing) as its edge number `depth`: adds emission, samples a light and
 /// the next direction.
@@ -171,7 +189,6 @@ Step arrive(const Scene& scene, const PathOptions& options, int depth, const Hit
 
     ++path.result.n_vertices;
     const ShadingPoint here = shading_point(scene, at, wo);
-    const BsdfModel& model = *here.bsdf.model;
     if (depth == 1) path.result.first = {albedo(here.bsdf, here.wo_local), here.frame.n, hit.t};
     if constexpr (recording) {
         VertexRecord& vertex = record.add(VertexRecord{});
@@ -184,7 +201,16 @@ Step arrive(const Scene& scene, const PathOptions& options, int depth, const Hit
         if constexpr (recording) record.last().end(Ending::max_depth);
         return Step::ends;
     }
+    return leave<recording>(scene, options, depth, here, at.shape, lights, u_direction, path, shadow, record);
+}
 
+/// What comes of a path at its vertex number `depth`, not the last that it may have: samples a light, plays roulette and samples
+/// the next direction.
+/// in, out: as arrive()
+template <bool recording>
+[[gnu::always_inline]] inline Step leave(const Scene& scene, const PathOptions& options, int depth, const ShadingPoint& here, std::uint32_t shape,
+                                         const LightQuery& lights, Point2f u_direction, PathState& path, ShadowRequest& shadow, PathRecorder record) {
+    const BsdfModel& model = *here.bsdf.model;
     float q = 1;
     if (depth >= options.rr_depth && options.roulette != Roulette::off) {
         Spectrum survival = albedo(here.bsdf, here.wo_local);
@@ -193,7 +219,7 @@ Step arrive(const Scene& scene, const PathOptions& options, int depth, const Hit
     }
     Step step = Step::ends;
     const bool next_event = !scene.emitters.empty() && has_smooth_lobe(here.bsdf);
-    if (next_event && sample_next_event<recording>(scene, path, here, at.shape, q, lights, shadow,
+    if (next_event && sample_next_event<recording>(scene, path, here, shape, q, lights, shadow,
                                                    recording ? record.last_number() : 0))
         step = Step::asks_shadow;
     else if constexpr (recording)
@@ -207,11 +233,8 @@ Step arrive(const Scene& scene, const PathOptions& options, int depth, const Hit
         if constexpr (recording) record.last().end(Ending::roulette);
         return step;
     }
-    const bool one_lobe = model.kind == BsdfKind::diffuse && here.bsdf.opacity == 1;
-    const float u_lobe = one_lobe ? 0.0f : path.sampler.pair(dimension(depth, Place::lobe)).x;
-    BsdfSample<float> s = sample(here.bsdf, here.wo_local, u_lobe, u_direction);
+    const BsdfSample<float> s = draw(here, path.sampler, depth, u_direction);
     const Vector3f wi = here.frame.to_world(s.wi);
-    if (here.perturbed && s.lobe != Lobe::none && s.lobe != Lobe::null) s.weight *= bump_shadowing(here, wi, s.wi.z);
     if (s.lobe == Lobe::none || is_black(s.weight)) {
         if constexpr (recording) record.last().end(Ending::invalid_sample);
         return step;
@@ -223,7 +246,7 @@ Step arrive(const Scene& scene, const PathOptions& options, int depth, const Hit
     if (s.lobe == Lobe::delta_transmission || s.lobe == Lobe::glossy_transmission) {
         path.eta_scale *= sqr(s.eta);
         if (scene.features.dielectric && model.kind != BsdfKind::thin_dielectric)
-            path.media.cross(at.shape, s.wi.z < 0, model.int_ior, model.ext_ior);
+            path.media.cross(shape, s.wi.z < 0, model.int_ior, model.ext_ior);
     }
     path.ray = spawn_ray(here.p, here.ng, wi);
     if constexpr (recording) {

@@ -1,5 +1,6 @@
 #include "stages/core/transport/path_tracer.h"
 
+#include <algorithm>
 #include <vector>
 
 #include "stages/core/scene/embree.h"
@@ -54,12 +55,14 @@ struct PathBatch::Impl {
     const Scene& scene;
     PathOptions options;
     std::vector<Sampler> samplers;
-    std::vector<PathState> paths;
+    std::vector<PathState> started;
+    std::span<PathState> paths;  // those, or those to be resumed
     std::vector<ShadowRequest> shadows;
     std::vector<Hit> hits;
     std::vector<LightQuery> lights;
     std::vector<const Ray*> rays;
     std::vector<std::uint32_t> active, waiting;  // paths under way; paths whose shadow ray is asked for
+    std::vector<std::uint32_t> joining;          // paths that begin at a later depth, the deepest first
     std::unique_ptr<bool[]> blocked{new bool[capacity]};
     // Columns of random numbers, in the order of `active`.
     std::vector<std::uint32_t> key_lo, key_hi, index;
@@ -77,7 +80,7 @@ struct PathBatch::Impl {
     Impl(const Scene& s, const PathOptions& o, const Watch* w)
         : scene(s), options(o), matte(s, o), prefetches(s.table_bytes() > cache_bytes), watch(w), columns(w ? capacity : 0) {
         samplers.reserve(capacity);
-        paths.reserve(capacity);
+        started.reserve(capacity);
         shadows.resize(capacity);
         hits.resize(capacity);
         lights.resize(capacity);
@@ -128,9 +131,8 @@ struct PathBatch::Impl {
 
     template <bool recording>
     void trace(std::span<const PathId> ids, std::span<PathResult> results, PathRecords* records) {
-        const auto recorder = [records](std::uint32_t i) { return recording ? PathRecorder(*records, i) : PathRecorder(); };
         if constexpr (recording) records->start(ids.size());
-        paths.clear();
+        started.clear();
         samplers.clear();
         active.clear();
         for (std::size_t i = 0; i < ids.size(); ++i) {
@@ -142,12 +144,41 @@ struct PathBatch::Impl {
         sampler_pairs(options.sampler, key_lo.data(), key_hi.data(), index.data(), film_pair, ids.size(),
                       light_x.data(), light_y.data());
         for (std::size_t i = 0; i < ids.size(); ++i) {
-            paths.emplace_back(scene, samplers[i], ids[i], Point2f{light_x[i], light_y[i]});
+            PathState& path = started.emplace_back(scene, samplers[i], ids[i], Point2f{light_x[i], light_y[i]});
             active.push_back(std::uint32_t(i));
-            if (watch) paths[i].result.touched = false;
-            if constexpr (recording) records->paths[i].origin = paths[i].ray.o;
+            if (watch) path.result.touched = false;
+            if constexpr (recording) records->paths[i].origin = path.ray.o;
         }
-        for (int depth = 1; !active.empty(); ++depth) {
+        paths = started;
+        follow<recording>(records);
+        for (std::size_t i = 0; i < ids.size(); ++i) results[i] = paths[i].result;
+    }
+
+    void resume(std::span<PathState> resumed, std::span<const std::uint32_t> under_way) {
+        paths = resumed;
+        active.clear();
+        joining.assign(under_way.begin(), under_way.end());
+        std::stable_sort(joining.begin(), joining.end(), [this](std::uint32_t a, std::uint32_t b) { return paths[a].depth() > paths[b].depth(); });
+        follow<false>(nullptr);
+    }
+
+    /// Paths that begin here join the active ones.
+    void join(int depth) {
+        for (; !joining.empty() && paths[joining.back()].depth() == depth; joining.pop_back()) {
+            const Sampler& sampler = paths[joining.back()].sampler;
+            const std::size_t k = active.size();
+            key_lo[k] = sampler.key_lo();
+            key_hi[k] = sampler.key_hi();
+            index[k] = sampler.index();
+            active.push_back(joining.back());
+        }
+    }
+
+    template <bool recording>
+    void follow(PathRecords* records) {
+        const auto recorder = [records](std::uint32_t i) { return recording ? PathRecorder(*records, i) : PathRecorder(); };
+        for (int depth = 1; !active.empty() || !joining.empty(); ++depth) {
+            join(depth);
             const std::size_t n = active.size();
             for (std::size_t k = 0; k < n; ++k) rays[k] = &paths[active[k]].ray;
             scene.rays->intersect(rays.data(), n, hits.data(), depth == 1);
@@ -225,7 +256,6 @@ struct PathBatch::Impl {
             }
             active.resize(going);
         }
-        for (std::size_t i = 0; i < ids.size(); ++i) results[i] = paths[i].result;
     }
 };
 
@@ -243,5 +273,7 @@ void PathBatch::trace(std::span<const PathId> ids, std::span<PathResult> results
     if (impl_->scene.nlos) return trace_nlos(impl_->scene, impl_->options, ids, results, &records);
     impl_->trace<true>(ids, results, &records);
 }
+
+void PathBatch::resume(std::span<PathState> paths, std::span<const std::uint32_t> under_way) { impl_->resume(paths, under_way); }
 
 }  // namespace loom

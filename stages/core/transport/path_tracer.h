@@ -14,6 +14,7 @@
 namespace loom {
 
 class RayEngine;
+struct PathState;  // path_step.h
 
 /// Survival probability of Russian roulette from `rr_depth` on.
 enum class Roulette : std::uint8_t {
@@ -85,6 +86,13 @@ class PathBatch {
     void trace(std::span<const PathId> ids, std::span<PathResult> results);
     /// The same paths, with all of their vertices and light edges.
     void trace(std::span<const PathId> ids, std::span<PathResult> results, PathRecords& records);
+
+    /// Takes paths that are under way to their ends, from whatever depth each has come to; as tracing them whole would have.
+    /// in:      under_way  which of the paths, at most `capacity`; the others are left as they are
+    ///          paths      each with its ray, what led to it, and the light and vertices so far
+    /// out:     paths      the result of each; n_rays counts on
+    /// needs:   no watch, no capture around a corner
+    void resume(std::span<PathState> paths, std::span<const std::uint32_t> under_way);
 
     static constexpr std::size_t capacity = 1024;
 
