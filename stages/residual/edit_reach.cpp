@@ -165,6 +165,7 @@ EditReach::EditReach(const Scene& old_scene, const Scene& new_scene, const Edit&
     new_places.finish(around);
 
     if (!same_sensor(old_scene.sensor, new_scene.sensor)) everything = "the camera differs in its last digits";
+    if (old_scene.features.anisotropic != new_scene.features.anisotropic) everything = "the one scene has a surface with a grain, the other has none: frames are turned otherwise";
     const std::size_t n = old_scene.emitters.size();
     if (n != new_scene.emitters.size()) everything = fmt::format("{} lights, now {}: the same number picks another", n, new_scene.emitters.size());
     for (std::uint32_t i = 0; everything.empty() && i < n; ++i) {

@@ -10,6 +10,7 @@
 // Of the scan of a graph with misses: segments to vertices (14), to lights (13), camera segments from the path before (14), blocked
 // rays (12) or BSDF samples without light (9) not asked for, directions that end (15), failed samples of a changed light (6), the sky,
 // ends on a light, escaped camera rays (1, 1, 3) forgotten.
+// Frames that turn with the first surface that has a grain (made_anisotropic).
 
 #include "stages/residual/old_graph.h"
 
@@ -94,6 +95,7 @@ const std::vector<EditCase>& edits() {
         {"through_an_orthographic_camera", box, {{"<sensor type=\"perspective\">", "<sensor type=\"orthographic\">"}, {"<string name=\"fov_axis\" value=\"x\"/>", ""},
                                                  {"<float name=\"fov\" value=\"34\"/>", ""}, {"rfilter type=\"box\"", "rfilter type=\"gaussian\""}},
          {{short_place, "<translate x=\"0.31\" y=\"-0.6\" z=\"0.3\"/>"}}},
+        {"made_anisotropic", box, {}, {{tall_end, tall_of("<bsdf type=\"roughconductor\"><float name=\"alpha_u\" value=\"0.1\"/><float name=\"alpha_v\" value=\"0.3\"/></bsdf>")}}, true},
         {"nothing", gloss, {}, {}},
     };
     return all;
