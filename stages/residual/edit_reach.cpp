@@ -92,6 +92,13 @@ bool same_sensor(const Sensor& a, const Sensor& b) {
     return numbers(a) == numbers(b);
 }
 
+/// Calls holds(material) for a material and what is seen of it from behind.
+template <class Holds>
+bool of_both_sides(const Scene& scene, std::uint32_t material, Holds&& holds) {
+    const Material& front = scene.materials[material];
+    return holds(front) && (front.back < 0 || holds(scene.materials[std::size_t(front.back)]));
+}
+
 /// Only what a ray engine looks at.
 Shape enlarged(const Shape& shape) {
     Shape large;
@@ -156,6 +163,10 @@ EditReach::EditReach(const Scene& old_scene, const Scene& new_scene, const Edit&
         if (!in_place) old_places.add(geometry);
         const bool same = in_place && !shape.dyed() && compare.same_material(int(geometry.material), int(new_scene.shapes[shape.partner].material));
         shapes.push_back(!same);
+        const bool only_repainted = !same && in_place && geometry.emitter < 0 && new_scene.shapes[shape.partner].emitter < 0 &&
+                                    of_both_sides(old_scene, geometry.material, [](const Material& m) { return !m.perturbed(); }) &&
+                                    of_both_sides(new_scene, new_scene.shapes[shape.partner].material, [](const Material& m) { return !m.needs_uv(); });
+        repainted.push_back(only_repainted ? int(new_scene.shapes[shape.partner].material) : -1);
         dark_light |= !same && geometry.emitter >= 0 && old_scene.materials[geometry.material].black();
     }
     for (std::uint32_t j = 0; j < new_scene.shapes.size(); ++j)

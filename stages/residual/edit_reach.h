@@ -59,6 +59,8 @@ struct EditReach {
 
     std::string everything;  // why no path is known to be the same; empty: some may be
     std::vector<std::uint8_t> shapes;    // of the old scene, by shape: stands, scatters or shines otherwise now, or is gone
+    std::vector<int> repainted;          // of the old scene, by shape: its material in the new one, if that is all that has changed and a
+                                         // vertex without texture coordinates is enough to know either BSDF; -1: else
     std::vector<std::uint8_t> emitters;  // of the old scene, by emitter: what arrives from it, or its density, is not the same
     bool sky = false;            // the emitter at infinity all around is one of them
     bool any_emitter = false;

@@ -14,7 +14,7 @@
 #include "stages/core/app/values.h"
 #include "stages/core/transport/film.h"
 #include "stages/core/transport/graph_builder.h"
-#include "stages/residual/touched_paths.h"
+#include "stages/residual/resumed_paths.h"
 
 namespace loom::residual {
 namespace {
@@ -93,35 +93,53 @@ class Worker {
     std::uint64_t touched = 0, probed = 0, others = 0;  // probed paths that are not those of the graph
     std::string other;                                  // one of them
 
-    /// in:  readers  of the graph's passes
-    Worker(const ScenePair& scenes, const OldGraph& graph, const EditReach& reach, const std::vector<GraphReader>& readers, const Image* old_picture,
+    /// in:  passes  of the graph
+    Worker(const ScenePair& scenes, const OldGraph& graph, const EditReach& reach, const std::vector<StoredPaths>& passes, const Image* old_picture,
            NonfiniteLog& old_log, NonfiniteLog& new_log, Film& film, GraphResidual& out)
-        : graph_(graph), old_batch_(scenes.old_scene, graph.path), new_batch_(scenes.new_scene, graph.path),
+        : graph_(graph), passes_(passes), old_batch_(scenes.old_scene, graph.path), resumed_(scenes.new_scene, reach, graph.path),
           old_nonfinite_(old_log), new_nonfinite_(new_log), film_(film), out_(out), n_pixels_(scenes.old_scene.sensor.n_pixels()) {
-        for (const GraphReader& reader : readers) finders_.emplace_back(scenes.old_scene, reach, reader, graph.path);
+        for (const StoredPaths& pass : passes) {
+            finders_.emplace_back(pass, reach);
+            first_hits_.emplace_back(pass);
+        }
         for (int c = 0; old_picture && c < 3; ++c) old_mean_[c] = old_picture->find(rgb[c]);
     }
 
     void run(std::uint64_t begin, std::uint64_t end) {
-        find(begin, end);
         trace(begin, end);
+        probe();
         add(begin, end);
     }
 
   private:
-    /// Fills flags_ and known_, [sample of all passes][pixel of the chunk].
-    void find(std::uint64_t begin, std::uint64_t end) {
+    /// Fills flags_ and pairs_, [sample of all passes][pixel of the chunk].
+    void trace(std::uint64_t begin, std::uint64_t end) {
         const std::size_t width = end - begin;
         flags_.resize(width * graph_.spp);
-        known_.resize(flags_.size());
-        std::uint8_t* flags = flags_.data();
-        KnownPath* known = known_.data();
-        for (std::size_t i = 0; i < graph_.passes.size(); ++i)
-            for (std::uint64_t s = 0; s < graph_.passes[i].tracing.samples_per_pixel; ++s, flags += width, known += width)
-                finders_[i].find(s * n_pixels_ + begin, s * n_pixels_ + end, flags, known);
+        pairs_.resize(flags_.size());
+        touched_.clear();
+        std::size_t row = 0;
+        for (std::size_t i = 0; i < passes_.size(); ++i)
+            for (std::uint64_t s = 0; s < graph_.passes[i].tracing.samples_per_pixel; ++s, row += width) {
+                const std::size_t first = s * n_pixels_ + begin;
+                for (std::size_t k = 0; k < width; ++k) pairs_[row + k].first = first_hits_[i].of(first + k);
+                changes_.clear();
+                finders_[i].find(first, first + width, flags_.data() + row, changes_);
+                std::span<const std::uint32_t> again(changes_.again);
+                for (const PathChange& change : changes_.paths) {
+                    const std::size_t at = row + (change.path - first);
+                    resumed_.add(passes_[i], change, again.first(change.n_again), pairs_[at]);
+                    again = again.subspan(change.n_again);
+                    touched_.push_back({i, change.path, at});
+                }
+            }
+        resumed_.finish();
+        counts.add(resumed_.counts);
+        resumed_.counts = {};
+        touched += touched_.size();
     }
 
-    /// Calls body(pass, sample within it, place in flags_ and known_) for all samples of a pixel, in order.
+    /// Calls body(pass, sample within it, place in flags_ and pairs_) for all samples of a pixel, in order.
     template <class Body>
     void each_sample(std::uint64_t pixel, std::uint64_t begin, std::uint64_t end, Body&& body) const {
         std::size_t row = 0;
@@ -129,37 +147,19 @@ class Worker {
             for (std::uint64_t s = 0; s < graph_.passes[i].tracing.samples_per_pixel; ++s, ++row) body(i, s, row * (end - begin) + (pixel - begin));
     }
 
-    void trace(std::uint64_t begin, std::uint64_t end) {
-        ids_.clear();
-        rows_.clear();
-        for (std::uint64_t pixel = begin; pixel < end; ++pixel)
-            each_sample(pixel, begin, end, [&](std::size_t i, std::uint64_t s, std::size_t at) {
-                if (!flags_[at]) return;
-                ids_.push_back({pixel, graph_.passes[i].tracing.first_sample + s});
-                rows_.push_back({i, s * n_pixels_ + pixel, at});
-            });
-        new_results_.resize(ids_.size());
-        touched += ids_.size();
-        for (std::size_t at = 0; at < ids_.size(); at += PathBatch::capacity) {
-            const std::size_t n = std::min(PathBatch::capacity, ids_.size() - at);
-            new_batch_.trace(std::span<const PathId>(ids_.data() + at, n), std::span(new_results_).subspan(at, n));
-        }
-        probe();
-    }
-
     /// Traces some of the touched paths in the old scene as well: they must be those of the graph.
     void probe() {
         constexpr std::size_t one_in = 64;
-        const std::size_t step = std::max(one_in, ids_.size() / PathBatch::capacity + 1);
+        const std::size_t step = std::max(one_in, touched_.size() / PathBatch::capacity + 1);
         probes_.clear();
-        for (std::size_t k = 0; k < ids_.size(); k += step) probes_.push_back(ids_[k]);
-        old_results_.resize(probes_.size());
-        old_batch_.trace(probes_, old_results_);
+        for (std::size_t k = 0; k < touched_.size(); k += step) probes_.push_back(passes_[touched_[k].pass].id(touched_[k].path));
+        probed_.resize(probes_.size());
+        old_batch_.trace(probes_, probed_);
         for (std::size_t i = 0; i < probes_.size(); ++i) {
-            const auto& [pass, path, at] = rows_[i * step];
-            const PathResult& traced = old_results_[i];
+            const auto& [pass, path, at] = touched_[i * step];
+            const PathResult& traced = probed_[i];
             counts.add(traced);
-            const Spectrum& known = known_[at].L;
+            const Spectrum& known = pairs_[at].before;
             const auto& first = graph_.passes[pass].paths.first_vertex;
             const std::uint64_t n = first[path + 1] - first[path];
             constexpr double tolerance = 1e-4;
@@ -175,46 +175,47 @@ class Worker {
     }
 
     void add(std::uint64_t begin, std::uint64_t end) {
-        std::size_t k = 0;
         for (std::uint64_t pixel = begin; pixel < end; ++pixel) {
             PixelSums sums;
             double squares[3]{};
-            each_sample(pixel, begin, end, [&](std::size_t, std::uint64_t, std::size_t at) {
+            each_sample(pixel, begin, end, [&](std::size_t i, std::uint64_t s, std::size_t at) {
+                const PathPair& pair = pairs_[at];
                 if (!flags_[at]) {
-                    sums.add_zero(known_[at].first);
+                    sums.add_zero(pair.first);
                     return;
                 }
-                const Spectrum& before = known_[at].L;
-                const PathResult& after = new_results_[k];
-                old_nonfinite_.check(before, ids_[k]);
-                new_nonfinite_.check(after.L, ids_[k]);
-                sums.add(after.L - before, after.first);
-                counts.add(after);
+                const PathId id{pixel, graph_.passes[i].tracing.first_sample + s};
+                old_nonfinite_.check(pair.before, id);
+                new_nonfinite_.check(pair.after, id);
+                sums.add(pair.after - pair.before, pair.first);
                 for (int c = 0; c < 3 && !old_mean_[c].empty(); ++c)
-                    squares[c] += (double(after.L[c]) - before[c]) * (double(after.L[c]) + before[c] - 2.0 * old_mean_[c][pixel]);
-                ++k;
+                    squares[c] += (double(pair.after[c]) - pair.before[c]) * (double(pair.after[c]) + pair.before[c] - 2.0 * old_mean_[c][pixel]);
             });
             film_.set(pixel, sums);
             for (int c = 0; c < 3 && !old_mean_[c].empty(); ++c) out_.squares[c][pixel] = float(squares[c]);
         }
     }
 
-    struct Row {
-        std::size_t pass, path, at;  // path of a pass; its place in known_
+    struct Touched {
+        std::size_t pass, path, at;  // path of a pass; its place in pairs_
     };
     const OldGraph& graph_;
-    PathBatch old_batch_, new_batch_;
+    const std::vector<StoredPaths>& passes_;
+    PathBatch old_batch_;
+    ResumedPaths resumed_;
     std::vector<TouchedPaths> finders_;  // by pass
+    std::vector<FirstHits> first_hits_;  // by pass
     NonfiniteLog &old_nonfinite_, &new_nonfinite_;
     Film& film_;
     GraphResidual& out_;
     std::uint64_t n_pixels_;
     std::span<const float> old_mean_[3];
     std::vector<std::uint8_t> flags_;
-    std::vector<KnownPath> known_;
-    std::vector<PathId> ids_, probes_;  // of touched paths, pixel by pixel, and of some of them
-    std::vector<Row> rows_;
-    std::vector<PathResult> old_results_, new_results_;
+    std::vector<PathPair> pairs_;
+    PathChanges changes_;  // of one sample number
+    std::vector<Touched> touched_;
+    std::vector<PathId> probes_;
+    std::vector<PathResult> probed_;
 };
 
 }  // namespace
@@ -269,12 +270,14 @@ GraphResidual render_residual(const ScenePair& scenes, const Edit& edit, const O
     std::vector<GraphReader> readers;
     out.why_all = reach.everything;
     for (const PathGraph& pass : graph.passes) readers.emplace_back(pass);
+    std::vector<StoredPaths> passes;
+    for (const GraphReader& reader : readers) passes.emplace_back(scenes.old_scene, reader, graph.path);
     for (auto& squares : out.squares) squares.resize(old_picture ? n_pixels : 0);
 
     Film film(sensor.width, sensor.height, graph.spp);
     NonfiniteLog old_log(report, sensor.width, graph.path.seed, " of the old scene"), new_log(report, sensor.width, graph.path.seed, " of the new scene");
     app::Progress progress(report, "tracing", n_pixels * graph.spp);
-    tbb::enumerable_thread_specific<Worker> workers([&] { return Worker(scenes, graph, reach, readers, old_picture, old_log, new_log, film, out); });
+    tbb::enumerable_thread_specific<Worker> workers([&] { return Worker(scenes, graph, reach, passes, old_picture, old_log, new_log, film, out); });
     // Large enough for batches of touched paths where few are.
     constexpr std::uint64_t paths_per_chunk = 1 << 15;
     parallel_chunks(n_pixels, std::clamp<std::uint64_t>(paths_per_chunk / graph.spp, 16, paths_per_chunk), threads,

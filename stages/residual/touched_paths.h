@@ -1,20 +1,34 @@
 #pragma once
-// Which paths of a graph the edit of its scene touches.
+// Which paths of a graph the edit of its scene touches, and where first.
 
 #include <cstdint>
+#include <span>
 #include <vector>
 
-#include "stages/core/transport/graph_reader.h"
-#include "stages/core/transport/path_tracer.h"
 #include "stages/residual/candidate_paths.h"
 #include "stages/residual/edit_reach.h"
+#include "stages/residual/stored_paths.h"
 
 namespace loom::residual {
 
-/// What the graph knows of a path.
-struct KnownPath {
-    FirstHit first;  // of one that is not touched: what the tracer has said of its first surface, depth but for rounding
-    Spectrum L;      // of one that is touched: what it has brought, to the last bit
+/// What an edit may change of a path, a little on the safe side.
+struct PathChange {
+    static constexpr std::uint32_t never = ~0u;
+    std::size_t path = 0, edge = 0;  // of the graph; first light edge of it, or of a later one
+    std::uint32_t cut = never;       // number within the path, from 0, of the first vertex whose ray may be another; n: the ray
+                                     // that left the last of n and found no vertex
+    bool repainted = false;          // a vertex before that lies on EditReach::repainted
+    std::uint32_t n_again = 0;       // vertices before that whose light sample may be another, or be answered otherwise
+};
+
+/// Those of many paths, in order.
+struct PathChanges {
+    std::vector<PathChange> paths;
+    std::vector<std::uint32_t> again;  // rows of vertices, n_again for each path
+    void clear() {
+        paths.clear();
+        again.clear();
+    }
 };
 
 /// Looks for paths that may be others, or worth something else, in the new scene with the same random numbers. [METHODS 2.3]
@@ -24,55 +38,57 @@ struct KnownPath {
 /// in their way at its new place; those that did not (shadow rays) if nothing stood in their way at its old place, for then
 /// what blocked them is still there. Most rays can be read off the graph. What it does not keep is drawn once more by the
 /// path's own random numbers: light samples that failed, directions of rays that found nothing, camera rays that escaped.
+/// A ray that leads to what the edit changed counts as one that may be another.
 /// One belongs to one thread.
 class TouchedPaths {
   public:
-    /// in:      options   with which the graph was traced in the old scene
-    TouchedPaths(const Scene& old_scene, const EditReach& reach, const GraphReader& reader, const PathOptions& options);
+    TouchedPaths(const StoredPaths& paths, const EditReach& reach);
 
     /// in:      begin, end   paths of the graph, one sample number of pixels in a row
-    /// out:     touched      by path, 1: the edit may change it (with a little on the safe side), 0: it does not
-    ///          known        by path, what its next use asks for
-    void find(std::size_t begin, std::size_t end, std::uint8_t* touched, KnownPath* known);
+    /// out:     touched      by path, 1: the edit may change it, 0: it does not
+    ///          changes      of those that it may change; others are added to
+    void find(std::size_t begin, std::size_t end, std::uint8_t* touched, PathChanges& changes);
 
   private:
-    /// Rays of a block that wait for an answer.
+    /// Rays of a block that wait for an answer, and what becomes another if they meet something.
+    struct Asked {
+        std::uint32_t path, vertex;  // from the begin of the block; for an arriving ray the vertex's number within the path
+        bool arrives;                // else it is a shadow ray
+    };
     struct Queue {
         std::vector<Ray> rays;
-        std::vector<std::uint32_t> paths;  // from the begin of the block
+        std::vector<Asked> asked;
+        void add(const Ray& ray, const Asked& what) {
+            rays.push_back(ray);
+            asked.push_back(what);
+        }
     };
-    /// True: touched, whatever the rays say.
-    bool touches(std::size_t path, std::size_t begin);
-    FirstHit first_hit(std::size_t path);
-    /// The tracer's own sum, without its rays: lights that were seen are in the graph, BSDFs are asked once more.
-    /// in:  edge  first light edge of the path
-    Spectrum light(std::size_t path, std::size_t edge) const;
-    /// What the tracer has drawn at a vertex.
-    BsdfSample<float> redraw(const ShadingPoint& here, std::size_t path, std::size_t vertex) const;
-    bool vertex_touches(std::size_t path, std::size_t vertex, bool light_found, std::uint32_t in_block);
-    void ask(Queue& queue, const Ray& ray, std::uint32_t in_block) {
-        queue.rays.push_back(ray);
-        queue.paths.push_back(in_block);
+    void look_at(std::size_t path);
+    void look_at_failed_light(std::size_t path, std::size_t vertex);
+    void answer(Queue& queue, const Obstacles& obstacles);
+    /// The ray to a vertex may be another.
+    void cut(std::uint32_t path, std::uint32_t number) {
+        cuts_[path] = std::min(cuts_[path], number);
+        touched_[path] = 1;
     }
-    void answer(Queue& queue, const Obstacles& obstacles, std::uint8_t* touched);
-    Sampler sampler_of(std::size_t path) const;
-    Point3f camera_of(std::size_t path) const;
-    Point3f position(std::size_t vertex) const;
-    Vector3f arrival(std::size_t vertex) const;  // direction of the ray that found it
-    Ray sampled_ray(std::size_t path, std::size_t vertex) const;  // from a vertex along its BSDF sample
+    /// So may the light sample of a vertex.
+    void sample_again(std::uint32_t path, std::uint32_t vertex) {
+        again_[vertex] = 1;
+        touched_[path] = 1;
+    }
 
-    const Scene& scene_;
+    const StoredPaths& paths_;
     const EditReach& reach_;
     CandidatePaths candidates_;
-    const GraphReader& reader_;
-    PathOptions options_;
-    std::size_t next_edge_ = 0;  // light edge of the next path
-    Queue through_, blocked_;    // rays that went through, and those that did not
+    Queue through_, blocked_;  // rays that went through, and those that did not
     std::vector<const Ray*> pointers_;
-    std::vector<std::size_t> edges_;  // first light edge, by path of the block
-    std::vector<Spectrum> matte_;     // albedo by material and side, of matte ones without texture
-    std::int16_t last_code_[2] = {0, 0};  // of a normal, and that normal: neighbours lie on one surface
-    Normal3f last_normal_{0, 0, 1};
+    // Of a block of paths: its begin; by path
+    std::size_t begin_ = 0, first_vertex_ = 0, next_edge_ = 0;
+    std::uint8_t* touched_ = nullptr;
+    std::vector<std::uint32_t> cuts_;
+    std::vector<std::size_t> edges_;
+    std::vector<std::uint8_t> repainted_;
+    std::vector<std::uint8_t> again_;  // by vertex
 };
 
 }  // namespace loom::residual
