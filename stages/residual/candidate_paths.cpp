@@ -2,6 +2,8 @@
 
 #include <algorithm>
 
+#include "stages/core/transport/graph_reader.h"
+
 namespace loom::residual {
 namespace {
 
@@ -85,8 +87,8 @@ void CandidatePaths::arrivals(std::size_t begin, std::size_t end) {
 void CandidatePaths::light_edges(std::size_t last_vertex) {
     const auto& e = graph_.light_edges;
     const std::size_t begin = first_row(e.vertex, first_), end = first_row(e.vertex, last_vertex, begin), n = end - begin;
-    if (reach_.any_emitter)
-        for (std::size_t k = begin; k < end; ++k) met_[e.vertex[k] - first_] |= reach_.emitters[e.emitter[k]];
+    if (reach_.any_emitter || reach_.any_relit)
+        for (std::size_t k = begin; k < end; ++k) met_[e.vertex[k] - first_] |= reach_.emitters[e.emitter[k]] | reach_.relit[e.emitter[k]];
     if (reach_.new_places.empty()) return;
     fill(n, e.vertex.data() + begin, e.y.data() + 4 * begin);
     answer(n, reach_.new_places);
@@ -120,6 +122,8 @@ void CandidatePaths::find(std::size_t begin, std::size_t end, std::uint8_t* may)
     const bool escaped = reach_.sky || !reach_.new_places.empty();
     for (std::size_t path = begin; path < end; ++path) may[path - begin] = std::uint8_t(!tells_ || (escaped && first[path] == first[path + 1]));
     if (!tells_) return;
+    if (reach_.any_relit)
+        for (std::size_t path = begin; path < end; ++path) may[path - begin] |= std::uint8_t(!is_black(rgb(graph_.paths.Le, path)));
     const auto& v = graph_.vertices;
     const std::size_t last = first[end];
     first_ = first[begin];

@@ -156,18 +156,19 @@ EditReach::EditReach(const Scene& old_scene, const Scene& new_scene, const Edit&
     const auto stays = [&](const ShapeEdit& shape, std::uint32_t old_index, std::uint32_t new_index) {
         return shape.partner != none && !shape.dynamic() && same_geometry(old_scene.shapes[old_index], new_scene.shapes[new_index]);
     };
+    std::vector<std::uint8_t> scatters_alike;
     for (std::uint32_t i = 0; i < old_scene.shapes.size(); ++i) {
         const ShapeEdit& shape = edit.old_shapes[i];
         const Shape& geometry = old_scene.shapes[i];
         const bool in_place = stays(shape, i, shape.partner);
         if (!in_place) old_places.add(geometry);
-        const bool same = in_place && !shape.dyed() && compare.same_material(int(geometry.material), int(new_scene.shapes[shape.partner].material));
+        scatters_alike.push_back(in_place && !(shape.changes & change::repainted) && compare.same_material(int(geometry.material), int(new_scene.shapes[shape.partner].material)));
+        const bool same = scatters_alike[i] && !shape.dyed();
         shapes.push_back(!same);
         const bool only_repainted = !same && in_place && geometry.emitter < 0 && new_scene.shapes[shape.partner].emitter < 0 &&
                                     of_both_sides(old_scene, geometry.material, [](const Material& m) { return !m.perturbed(); }) &&
                                     of_both_sides(new_scene, new_scene.shapes[shape.partner].material, [](const Material& m) { return !m.needs_uv(); });
         repainted.push_back(only_repainted ? int(new_scene.shapes[shape.partner].material) : -1);
-        dark_light |= !same && geometry.emitter >= 0 && old_scene.materials[geometry.material].black();
     }
     for (std::uint32_t j = 0; j < new_scene.shapes.size(); ++j)
         if (const ShapeEdit& shape = edit.new_shapes[j]; !stays(shape, shape.partner, j)) new_places.add(new_scene.shapes[j]);
@@ -189,10 +190,23 @@ EditReach::EditReach(const Scene& old_scene, const Scene& new_scene, const Edit&
             const ShapeEdit& shape = edit.old_shapes[before.shape];
             changed = shape.partner != after.shape || !stays(shape, before.shape, after.shape);
         }
-        emitters.push_back(changed);
-        any_emitter |= changed;
+        Emitter as_before = after;
+        as_before.radiance = before.radiance;
+        const bool even = (before.kind == EmitterKind::area && stays(edit.old_shapes[before.shape], before.shape, after.shape)) ||
+                          (before.kind == EmitterKind::constant && old_scene.environment == new_scene.environment);
+        relit.push_back(changed && even && before.texture < 0 && !is_black(before.radiance) && compare.same_emitter(before, as_before));
+        emitters.push_back(changed && !relit[i]);
+        any_emitter |= emitters[i] != 0;
+        any_relit |= relit[i] != 0;
     }
     if (!everything.empty()) return;
+    for (std::uint32_t i = 0; i < shapes.size(); ++i) {
+        const Shape& shape = old_scene.shapes[i];
+        if (shape.emitter < 0) continue;
+        const auto emitter = std::size_t(shape.emitter);
+        shapes[i] = (shapes[i] || emitters[emitter]) && !(scatters_alike[i] && relit[emitter]);
+        dark_light |= shapes[i] && old_scene.materials[shape.material].black();
+    }
     sky = old_scene.environment != new_scene.environment || (old_scene.environment >= 0 && emitters[std::size_t(old_scene.environment)]);
 
     for (const Emitter& emitter : old_scene.emitters) {

@@ -58,12 +58,14 @@ struct EditReach {
     EditReach(const Scene& old_scene, const Scene& new_scene, const Edit& edit);
 
     std::string everything;  // why no path is known to be the same; empty: some may be
-    std::vector<std::uint8_t> shapes;    // of the old scene, by shape: stands, scatters or shines otherwise now, or is gone
-    std::vector<int> repainted;          // of the old scene, by shape: its material in the new one, if that is all that has changed and a
-                                         // vertex without texture coordinates is enough to know either BSDF; -1: else
-    std::vector<std::uint8_t> emitters;  // of the old scene, by emitter: what arrives from it, or its density, is not the same
-    bool sky = false;            // the emitter at infinity all around is one of them
-    bool any_emitter = false;
+    std::vector<std::uint8_t> shapes;    // of the old scene, by shape: stands or scatters otherwise now, shines otherwise and not just relit, or is gone
+    std::vector<int> repainted;          // of those, by shape: its material in the new scene, if that is all that has changed and a vertex
+                                         // without texture coordinates is enough to know either BSDF; -1: else
+    std::vector<std::uint8_t> emitters;  // of the old scene, by emitter: where it shines, or its density, is not the same, or what arrives
+                                         // from it depends on where
+    std::vector<std::uint8_t> relit;     // of the others, by emitter: it sends one radiance everywhere, not black, and now another one
+    bool sky = false;            // the emitter at infinity all around is changed so
+    bool any_emitter = false, any_relit = false;
     bool dark_light = false;     // a shape that shines, reflects nothing and is changed: a path may end there untold
     Obstacles old_places, new_places;  // of what moved, came or went
 

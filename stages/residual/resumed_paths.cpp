@@ -53,7 +53,13 @@ void ResumedPaths::add(const StoredPaths& paths, const PathChange& change, std::
     PathState path(sampler);  // in the new scene
     Spectrum beta(1);         // in the old one
     pair.before = rgb(g.paths.Le, change.path);
-    pair.after = change.cut > 0 ? pair.before : Spectrum(0);
+    // A light that is relit sends the same to wherever it has been seen from.
+    const auto new_light = [&](std::size_t emitter, const Spectrum& old_light) { return reach_.relit[emitter] ? scene_.emitters[emitter].radiance : old_light; };
+    pair.after = Spectrum(0);
+    if (change.cut > 0) {
+        const int seen = paths.seen_emitter(change.path);
+        pair.after = seen < 0 ? pair.before : new_light(std::size_t(seen), pair.before);
+    }
     first_term_ = terms_.size();
 
     // The new path is followed as long as it goes along the old one. From vertex `end` on it has nothing of its own.
@@ -80,7 +86,7 @@ void ResumedPaths::add(const StoredPaths& paths, const PathChange& change, std::
             const float weight = power_heuristic(e.pdf_nee_w[k], e.pdf_bsdf_w[k]) / e.pdf_nee_w[k];
             const Spectrum f_cos = vertex.f_cos(paths.reader().light_direction(p, k));
             pair.before += beta * f_cos * rgb(e.Li, k) * weight;
-            if (along && !ask_again && !step_again) add_light(pair, path.beta * f_cos * rgb(e.Li, k) * weight);
+            if (along && !ask_again && !step_again) add_light(pair, path.beta * f_cos * new_light(e.emitter[k], rgb(e.Li, k)) * weight);
             seen = true;
         }
         if (done()) break;
@@ -124,7 +130,7 @@ void ResumedPaths::add(const StoredPaths& paths, const PathChange& change, std::
         for (; k < e.vertex.size() && e.vertex[k] == j; ++k) {
             const Spectrum Li = rgb(e.Li, k);
             pair.before += beta * Li * power_heuristic(e.pdf_bsdf_w[k], e.pdf_nee_w[k]);
-            if (along) add_light(pair, path.beta * Li * power_heuristic(path.pdf_w, e.pdf_nee_w[k]));
+            if (along) add_light(pair, path.beta * new_light(e.emitter[k], Li) * power_heuristic(path.pdf_w, e.pdf_nee_w[k]));
         }
     }
     if (!resumes) return;

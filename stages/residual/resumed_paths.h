@@ -19,7 +19,8 @@ struct PathPair {
 
 /// Up to its first changed ray a path is the old one: its state follows from the graph, without a ray. Where a light sample
 /// before that may be another, or be answered otherwise, that one is drawn and asked again. A repainted surface is asked what
-/// it makes of the same random numbers: if it sends the path on as before, only what the path is worth changes.
+/// it makes of the same random numbers: if it sends the path on as before, only what the path is worth changes. Light that was seen of
+/// a lamp that is only relit is seen again.
 /// Sums go in the tracer's order: at each depth light that the ray has hit, then the light sample. [METHODS 2.3]
 /// One belongs to one thread.
 class ResumedPaths {
@@ -30,6 +31,7 @@ class ResumedPaths {
     /// in, out: pair   first: of the old scene, then of the new one; the rest is filled by this call or by finish(), and stays
     ///                 where it is until then
     void add(const StoredPaths& paths, const PathChange& change, std::span<const std::uint32_t> again, PathPair& pair);
+    /// Has the shadow rays answered that add() has asked for, and takes up the paths that it has left.
     void finish();
 
     Counts counts;  // of what was traced, shadow rays that were asked again included

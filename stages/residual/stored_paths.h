@@ -38,6 +38,13 @@ class StoredPaths {
         const auto& origin = graph().paths.origin;
         return origin.empty() ? scene_.sensor.origin : Point3f{origin[3 * path], origin[3 * path + 1], origin[3 * path + 2]};
     }
+    /// Emitter that the camera has seen; -1: none.
+    int seen_emitter(std::size_t path) const {
+        const PathGraph& g = graph();
+        if (is_black(rgb(g.paths.Le, path))) return -1;
+        const std::size_t j = g.paths.first_vertex[path];
+        return j == g.paths.first_vertex[path + 1] ? scene_.environment : scene_.shapes[g.vertices.shape[j]].emitter;
+    }
     /// Number of a vertex within its path, from 1: that of the edge which leads to it.
     int depth(std::size_t path, std::size_t vertex) const { return int(vertex - graph().paths.first_vertex[path]) + 1; }
     Point3f position(std::size_t vertex) const {

@@ -46,6 +46,7 @@ void TouchedPaths::look_at(std::size_t path) {
     const Scene& scene = paths_.scene();
     if (!reach_.everything.empty()) return cut(in_block, 0);
 
+    if (const int seen = reach_.any_relit ? paths_.seen_emitter(path) : -1; seen >= 0 && reach_.relit[std::size_t(seen)]) touched_[in_block] = 1;
     if (first == last) {
         if (reach_.sky) return cut(in_block, 0);
         if (ahead.empty()) return;
@@ -64,11 +65,12 @@ void TouchedPaths::look_at(std::size_t path) {
         break;
     }
     for (std::size_t k = edges; k < next_edge_; ++k) {
-        const bool changed = reach_.emitters[e.emitter[k]];
+        const std::size_t emitter = e.emitter[k];
+        if (reach_.relit[emitter]) touched_[in_block] = 1;
         if (e.technique[k] == std::uint8_t(LightTechnique::bsdf_hit)) {
             // A ray may have ended on a shape that only shines.
-            if (changed || (e.y[4 * k + 3] == 1 && reach_.shapes[scene.emitters[e.emitter[k]].shape])) cut(in_block, std::uint32_t(e.vertex[k] - first + 1));
-        } else if (changed) {
+            if (reach_.emitters[emitter] || (e.y[4 * k + 3] == 1 && reach_.shapes[scene.emitters[emitter].shape])) cut(in_block, std::uint32_t(e.vertex[k] - first + 1));
+        } else if (reach_.emitters[emitter]) {
             sample_again(in_block, std::uint32_t(e.vertex[k] - first_vertex_));
         }
     }
