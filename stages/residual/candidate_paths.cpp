@@ -101,6 +101,8 @@ void CandidatePaths::misses(std::size_t last_vertex) {
     const std::size_t begin = first_row(m.vertex, first_), end = first_row(m.vertex, last_vertex, begin), n = end - begin;
     const std::uint8_t* const technique = m.technique.data() + begin;
     constexpr auto by_bsdf = std::uint8_t(LightTechnique::bsdf_hit);
+    miss_of_.resize(last_vertex - first_);
+    for (std::size_t i = n; i-- > 0;) miss_of_[m.vertex[begin + i] - first_] = std::uint32_t(begin + i);
     if (reach_.any_emitter)
         for (std::size_t i = 0; i < n; ++i)
             if (technique[i] != by_bsdf) met_[m.vertex[begin + i] - first_] |= reach_.emitters[m.emitter[begin + i]];

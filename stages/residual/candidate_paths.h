@@ -21,6 +21,10 @@ class CandidatePaths {
     /// in:      begin, end  paths of the graph
     /// out:     may         by path, 0: TouchedPaths would find that the edit does not touch it
     void find(std::size_t begin, std::size_t end, std::uint8_t* may);
+    /// After find(), for a row of its vertices: 0 if neither the vertex nor what leaves it or leads to it need be looked at.
+    bool may_touch(std::size_t vertex) const { return !tells_ || met_[vertex - first_] != 0; }
+    /// Row of misses of a vertex whose light sample was not seen, if the graph has them and may_touch().
+    std::size_t miss_of(std::size_t vertex) const { return miss_of_[vertex - first_]; }
 
   private:
     void arrivals(std::size_t begin, std::size_t end);
@@ -43,6 +47,7 @@ class CandidatePaths {
     std::vector<std::uint32_t> vertices_;  // by segment: its vertex in the block
     std::size_t first_ = 0;                // vertex of the block
     std::vector<std::uint8_t> met_;        // by vertex of the block
+    std::vector<std::uint32_t> miss_of_;   // by vertex of the block: the first of its misses
 };
 
 }  // namespace loom::residual

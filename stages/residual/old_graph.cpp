@@ -106,45 +106,43 @@ class Worker {
     }
 
     void run(std::uint64_t begin, std::uint64_t end) {
-        trace(begin, end);
+        width_ = end - begin;
+        sums_.assign(width_, {});
+        trace(begin);
         probe();
-        add(begin, end);
+        add(begin);
+        for (std::uint64_t pixel = begin; pixel < end; ++pixel) film_.set(pixel, sums_[pixel - begin]);
     }
 
   private:
-    /// Fills flags_ and pairs_, [sample of all passes][pixel of the chunk].
-    void trace(std::uint64_t begin, std::uint64_t end) {
-        const std::size_t width = end - begin;
-        flags_.resize(width * graph_.spp);
-        pairs_.resize(flags_.size());
+    /// Fills flags_, [sample of all passes][pixel of the chunk], and pairs_ in this order. Adds the first surfaces of paths that are not
+    /// touched.
+    void trace(std::uint64_t begin) {
+        flags_.resize(width_ * graph_.spp);
         touched_.clear();
-        std::size_t row = 0;
+        pairs_.clear();
+        pairs_.reserve(flags_.size());  // they stay where they are
+        std::uint8_t* flags = flags_.data();
         for (std::size_t i = 0; i < passes_.size(); ++i)
-            for (std::uint64_t s = 0; s < graph_.passes[i].tracing.samples_per_pixel; ++s, row += width) {
+            for (std::uint64_t s = 0; s < graph_.passes[i].tracing.samples_per_pixel; ++s, flags += width_) {
                 const std::size_t first = s * n_pixels_ + begin;
-                for (std::size_t k = 0; k < width; ++k) pairs_[row + k].first = first_hits_[i].of(first + k);
                 changes_.clear();
-                finders_[i].find(first, first + width, flags_.data() + row, changes_);
+                finders_[i].find(first, first + width_, flags, changes_);
+                for (std::size_t k = 0; k < width_; ++k)
+                    if (!flags[k]) sums_[k].add(first_hits_[i].of(first + k));
                 std::span<const std::uint32_t> again(changes_.again);
                 for (const PathChange& change : changes_.paths) {
-                    const std::size_t at = row + (change.path - first);
-                    resumed_.add(passes_[i], change, again.first(change.n_again), pairs_[at]);
+                    PathPair& pair = pairs_.emplace_back();
+                    pair.first = first_hits_[i].of(change.path);
+                    resumed_.add(passes_[i], change, again.first(change.n_again), pair);
                     again = again.subspan(change.n_again);
-                    touched_.push_back({i, change.path, at});
+                    touched_.push_back({i, change.path});
                 }
             }
         resumed_.finish();
         counts.add(resumed_.counts);
         resumed_.counts = {};
         touched += touched_.size();
-    }
-
-    /// Calls body(pass, sample within it, place in flags_ and pairs_) for all samples of a pixel, in order.
-    template <class Body>
-    void each_sample(std::uint64_t pixel, std::uint64_t begin, std::uint64_t end, Body&& body) const {
-        std::size_t row = 0;
-        for (std::size_t i = 0; i < graph_.passes.size(); ++i)
-            for (std::uint64_t s = 0; s < graph_.passes[i].tracing.samples_per_pixel; ++s, ++row) body(i, s, row * (end - begin) + (pixel - begin));
     }
 
     /// Traces some of the touched paths in the old scene as well: they must be those of the graph.
@@ -156,10 +154,10 @@ class Worker {
         probed_.resize(probes_.size());
         old_batch_.trace(probes_, probed_);
         for (std::size_t i = 0; i < probes_.size(); ++i) {
-            const auto& [pass, path, at] = touched_[i * step];
+            const auto& [pass, path] = touched_[i * step];
             const PathResult& traced = probed_[i];
             counts.add(traced);
-            const Spectrum& known = pairs_[at].before;
+            const Spectrum& known = pairs_[i * step].before;
             const auto& first = graph_.passes[pass].paths.first_vertex;
             const std::uint64_t n = first[path + 1] - first[path];
             constexpr double tolerance = 1e-4;
@@ -174,30 +172,36 @@ class Worker {
         }
     }
 
-    void add(std::uint64_t begin, std::uint64_t end) {
-        for (std::uint64_t pixel = begin; pixel < end; ++pixel) {
-            PixelSums sums;
-            double squares[3]{};
-            each_sample(pixel, begin, end, [&](std::size_t i, std::uint64_t s, std::size_t at) {
-                const PathPair& pair = pairs_[at];
-                if (!flags_[at]) {
-                    sums.add_zero(pair.first);
-                    return;
+    /// Adds what the samples bring, in their order; zeros before the first that brings something only count.
+    void add(std::uint64_t begin) {
+        squares_.assign(old_mean_[0].empty() ? 0 : 3 * width_, 0.0);
+        const std::uint8_t* flags = flags_.data();
+        std::size_t t = 0;
+        for (std::uint64_t sample = 0; sample < graph_.spp; ++sample, flags += width_)
+            for (std::size_t k = 0; k < width_; ++k) {
+                PixelSums& sums = sums_[k];
+                if (!flags[k]) {
+                    if (sums.L[0].n > 0) sums.add(Spectrum(0));
+                    continue;
                 }
-                const PathId id{pixel, graph_.passes[i].tracing.first_sample + s};
+                const PathPair& pair = pairs_[t];
+                const PathId id = passes_[touched_[t].pass].id(touched_[t].path);
+                ++t;
                 old_nonfinite_.check(pair.before, id);
                 new_nonfinite_.check(pair.after, id);
+                for (Moments& L : sums.L) L.n = std::max(L.n, sample);
                 sums.add(pair.after - pair.before, pair.first);
-                for (int c = 0; c < 3 && !old_mean_[c].empty(); ++c)
-                    squares[c] += (double(pair.after[c]) - pair.before[c]) * (double(pair.after[c]) + pair.before[c] - 2.0 * old_mean_[c][pixel]);
-            });
-            film_.set(pixel, sums);
-            for (int c = 0; c < 3 && !old_mean_[c].empty(); ++c) out_.squares[c][pixel] = float(squares[c]);
-        }
+                for (std::size_t c = 0; c < 3 && !squares_.empty(); ++c)
+                    squares_[3 * k + c] += (double(pair.after[int(c)]) - pair.before[int(c)]) *
+                                           (double(pair.after[int(c)]) + pair.before[int(c)] - 2.0 * old_mean_[c][begin + k]);
+            }
+        for (PixelSums& sums : sums_)
+            for (Moments& L : sums.L) L.n = graph_.spp;
+        for (std::size_t k = 0; k < squares_.size(); ++k) out_.squares[k % 3][begin + k / 3] = float(squares_[k]);
     }
 
     struct Touched {
-        std::size_t pass, path, at;  // path of a pass; its place in pairs_
+        std::size_t pass, path;  // path of a pass
     };
     const OldGraph& graph_;
     const std::vector<StoredPaths>& passes_;
@@ -210,10 +214,13 @@ class Worker {
     GraphResidual& out_;
     std::uint64_t n_pixels_;
     std::span<const float> old_mean_[3];
+    std::size_t width_ = 0;  // pixels of the chunk
+    std::vector<PixelSums> sums_;
+    std::vector<double> squares_;  // of pixels and channels
     std::vector<std::uint8_t> flags_;
-    std::vector<PathPair> pairs_;
     PathChanges changes_;  // of one sample number
     std::vector<Touched> touched_;
+    std::vector<PathPair> pairs_;  // of those
     std::vector<PathId> probes_;
     std::vector<PathResult> probed_;
 };

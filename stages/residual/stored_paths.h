@@ -142,13 +142,12 @@ class FirstHits {
             last_normal_ = unit_vector<Normal3f>(g.vertices.ns, j);
             std::copy(code, code + 2, last_code_);
         }
-        const Vector3f d = paths_.arrival(j);
-        const float cosine = dot(-d, last_normal_);
+        const Vector3f v = paths_.position(j) - paths_.camera(path);
         const std::size_t material = g.vertices.material[j];
         const bool matte = paths_.reader().model(material).kind == BsdfKind::diffuse && g.materials.textured[material] == 0;
         // An albedo depends on the angle to the normal alone, a matte one on the side.
-        return {matte ? matte_[2 * material + (cosine < 0)] : albedo(paths_.reader().bsdf(j), {0, 0, cosine}), last_normal_,
-                dot(paths_.position(j) - paths_.camera(path), d)};
+        return {matte ? matte_[2 * material + (dot(v, last_normal_) > 0)] : albedo(paths_.reader().bsdf(j), {0, 0, dot(-paths_.arrival(j), last_normal_)}), last_normal_,
+                length(v)};
     }
 
   private:

@@ -28,6 +28,16 @@ void TouchedPaths::look_at_failed_light(std::size_t path, std::size_t j) {
         !reach_.old_places.empty() && (!reach_.bounded_lights || reach_.old_places.may_meet(p, reach_.lights));
     if (!may_be_freed && !reach_.any_emitter) return;
     const std::uint32_t in_block = std::uint32_t(path - begin_), vertex = std::uint32_t(j - first_vertex_);
+    if (candidates_.tells()) {
+        const auto& m = paths_.graph().misses;
+        const std::size_t k = candidates_.miss_of(j);
+        if (reach_.emitters[m.emitter[k]]) return sample_again(in_block, vertex);
+        const Point3f y{m.y[4 * k], m.y[4 * k + 1], m.y[4 * k + 2]};
+        const bool at_infinity = m.y[4 * k + 3] == 0;
+        if (may_be_freed && (at_infinity ? reach_.old_places.may_meet(p, Vector3f(y)) : !(y == p) && reach_.old_places.may_meet(p, y)))
+            blocked_.add(at_infinity ? spawn_ray(p, paths_.ng(j), Vector3f(y)) : spawn_segment(p, paths_.ng(j), y), {in_block, vertex, false});
+        return;
+    }
     const LightSample light = sample_light(paths_.scene(), p, paths_.sampler(path).pair(dimension(paths_.depth(path, j), Place::light)));
     if (reach_.emitters[light.emitter]) return sample_again(in_block, vertex);
     if (!may_be_freed || !(light.pdf_w > 0)) return;
@@ -77,9 +87,10 @@ void TouchedPaths::look_at(std::size_t path) {
 
     const std::uint32_t end = cuts_[in_block];
     std::size_t k = edges;
-    Point3f from = paths_.camera(path);
     for (std::size_t j = first; j < last && j - first < end; ++j) {
-        const Point3f p = paths_.position(j);
+        if (!candidates_.may_touch(j)) continue;
+        while (k < next_edge_ && e.vertex[k] < j) ++k;
+        const Point3f p = paths_.position(j), from = j == first ? paths_.camera(path) : paths_.position(j - 1);
         const std::uint32_t number = std::uint32_t(j - first), vertex = std::uint32_t(j - first_vertex_);
         const Asked arriving{in_block, number, true}, leaving{in_block, number + 1, true};
         if (!ahead.empty() && ahead.may_meet(from, p)) {
@@ -87,7 +98,6 @@ void TouchedPaths::look_at(std::size_t path) {
             const Point3f o = j == first ? from : offset_origin(from, paths_.ng(j - 1), d);
             through_.add({o, d, 0, beyond(dot(p - o, d), p)}, arriving);
         }
-        from = p;
         bool light_found = false, hit_found = false;
         for (; k < next_edge_ && e.vertex[k] == j; ++k) {
             const bool by_hit = e.technique[k] == std::uint8_t(LightTechnique::bsdf_hit), at_infinity = e.y[4 * k + 3] == 0;

@@ -4,16 +4,12 @@
 
 namespace loom {
 
-void PixelSums::add(const Spectrum& sample, const FirstHit& first) {
+void PixelSums::add(const Spectrum& sample) {
     for (int c = 0; c < 3; ++c) L[c].add(sample[c]);
-    add(first);
 }
 
-void PixelSums::add_zero(const FirstHit& first) {
-    for (Moments& moments : L) {
-        if (moments.mean == 0 && moments.m2 == 0) ++moments.n;
-        else moments.add(0);
-    }
+void PixelSums::add(const Spectrum& sample, const FirstHit& first) {
+    add(sample);
     add(first);
 }
 

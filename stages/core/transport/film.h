@@ -18,10 +18,8 @@ struct PixelSums {
     std::uint64_t hits = 0;
 
     void add(const Spectrum& sample, const FirstHit& first);
-    /// The same of a black sample, which changes little where all have been black.
-    void add_zero(const FirstHit& first);
-
-  private:
+    /// Half of that each, for samples whose radiance comes later than the others.
+    void add(const Spectrum& sample);
     void add(const FirstHit& first);
 };
 
