@@ -5,7 +5,7 @@
 # common has the same noise and the same blur in both. The spread between passes is the variance: no pass knows its own.
 #
 # in:   what edit.mk has
-# out:  OUT/residual.exr
+# out:  found, a residual
 
 graph_work := $(OUT)/graph
 PASSES := $(or $(strip $(PASSES)),4)
@@ -76,7 +76,7 @@ $(pictures): $(graph_work)/%.exr: $(graph_work)/%.h5 $(graph_work)/%.radiance.h5
 
 merge_parameters = $(if $(filter 1,$(UNBIASED)),--unbiased $(corrected),$(MERGE))
 $(eval $(call parameter,$(graph_work)/merge.parameters,$(PASSES) $(merge_parameters)))
-$(OUT)/residual.exr: $(pictures) $(graph_work)/merge.parameters $(merge)
+$(found): $(pictures) $(graph_work)/merge.parameters $(OUT)/edit.parameters $(merge)
 	$(LAUNCH) $(merge) $(numbers:%=$(graph_work)/new-%.exr) $(numbers:%=--minus $(graph_work)/old-%.exr) $(merge_parameters) -o $@
 	$(if $(filter-out 0,$(KEEP)),,rm -f $(graphs) $(call in_pass,clusters.h5) $(call in_pass,radiance.h5))
 

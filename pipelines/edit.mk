@@ -28,6 +28,7 @@ BASE_SPP ?= 64  ## samples per pixel of OLD's picture
 # OLD_DEFINES=  ## values of OLD only
 # NEW_DEFINES=  ## values of NEW only: NEW_DEFINES="light=20"
 # SEED=  ## seed of the random numbers
+# DENOISE=  ## 1: the residual without its noise (loom-denoise), biased a little; the one with it is OUT/noisy.exr
 # BASE_SEED=  ## of OLD's picture, where it must not change with that of the residual (SEED)
 # THREADS=  ## threads of a stage (all); no result depends on it
 # EXPOSURE=  ## of the PNGs, in stops
@@ -72,8 +73,7 @@ of_old = $(call quote,$(OLD))$(call defines,-D,$(DEFINES) $(OLD_DEFINES))
 old_parameters = $(of_old) --spp $(BASE_SPP)$(if $(base_seed), --seed $(base_seed))
 graph_seed = $(or $(strip $(GRAPH_SEED)),$(shell echo $$(($(or $(base_seed),0) + 1))))
 graph_parameters = $(if $(filter same,$(GRAPH)),$(old_parameters),$(of_old) --spp $(SPP) --seed $(graph_seed)) --misses
-edit_parameters = $(call quote,$(OLD)) $(call quote,$(NEW))$(call defines,-D,$(DEFINES))$(call defines,--old-define,$(OLD_DEFINES))$(call defines,--new-define,$(NEW_DEFINES)) \
-	--method $(METHOD)$(if $(filter 0,$(MAP)), --no-map)$(if $(filter 0,$(CONTROL)), --no-control) \
+edit_parameters = $(scene_parameters) --method $(METHOD)$(if $(filter 0,$(MAP)), --no-map)$(if $(filter 0,$(CONTROL)), --no-control) \
 	$(if $(GRAPH),--old-graph $(BASE)/graph.h5,--spp $(SPP)$(if $(SEED), --seed $(SEED))) --old $(picture)
 
 # A base with other values lies in another folder.
@@ -92,7 +92,11 @@ $(error OLD_PICTURE=$(OLD_PICTURE): is what this edit makes; give another OUT)
 endif
 endif
 
+denoised := $(filter-out 0,$(DENOISE))
+# What the method makes.
+found := $(OUT)/$(if $(denoised),noisy,residual).exr
 trace := $(BUILD)/bin/loom-trace
+denoise := $(BUILD)/bin/loom-denoise
 residual := $(BUILD)/bin/loom-residual
 inspect := $(BUILD)/bin/loom-inspect
 threads = $(if $(THREADS), --threads $(THREADS))
@@ -111,18 +115,27 @@ $(BASE)/graph.h5: $(call scene,$(OLD)) $(BASE)/graph.parameters $(trace)
 	$(LAUNCH) $(trace) $(graph_parameters)$(threads) --depfile $(BASE)/graph.d -o $@
 endif
 
+scene_parameters = $(call quote,$(OLD)) $(call quote,$(NEW))$(call defines,-D,$(DEFINES))$(call defines,--old-define,$(OLD_DEFINES))$(call defines,--new-define,$(NEW_DEFINES))
+edited := $(call scene,$(OLD)) $(call scene,$(NEW)) $(picture) $(GRAPH:%=$(BASE)/graph.h5)
+$(eval $(call parameter,$(OUT)/edit.parameters,$(if $(filter graph,$(METHOD)),graph,$(edit_parameters))$(denoised:%= denoised)))
 ifeq ($(METHOD),graph)
 include pipelines/edit-graph.mk
-edit_parameters = $(call quote,$(OLD)) $(call quote,$(NEW))$(call defines,-D,$(DEFINES))$(call defines,--old-define,$(OLD_DEFINES))$(call defines,--new-define,$(NEW_DEFINES))
-$(eval $(call parameter,$(OUT)/edit.parameters,graph))
-$(OUT)/new.exr: $(OUT)/residual.exr $(BASE)/old.exr $(OUT)/edit.parameters $(residual)
-	$(LAUNCH) $(residual) $(edit_parameters) --residual $(OUT)/residual.exr --old $(BASE)/old.exr --depfile $(OUT)/edit.d \
-		--residual-png $(OUT)/residual.png --new $(OUT)/new.exr
+else ifneq ($(denoised),)
+$(found): $(edited) $(OUT)/edit.parameters $(residual)
+	$(LAUNCH) $(residual) $(edit_parameters)$(threads) --depfile $(OUT)/found.d -o $@
 else
-$(eval $(call parameter,$(OUT)/edit.parameters,$(edit_parameters)))
-$(OUT)/new.exr $(OUT)/residual.exr &: $(call scene,$(OLD)) $(call scene,$(NEW)) $(picture) $(GRAPH:%=$(BASE)/graph.h5) $(OUT)/edit.parameters $(residual)
+$(OUT)/new.exr $(found) &: $(edited) $(OUT)/edit.parameters $(residual)
 	$(LAUNCH) $(residual) $(edit_parameters)$(threads) --depfile $(OUT)/edit.d \
-		-o $(OUT)/residual.exr --residual-png $(OUT)/residual.png --new $(OUT)/new.exr
+		-o $(found) --residual-png $(OUT)/residual.png --new $(OUT)/new.exr
+endif
+ifneq ($(denoised),)
+$(OUT)/residual.exr: $(found) $(denoise)
+	$(LAUNCH) $(denoise) $< -o $@$(threads)
+endif
+ifneq ($(denoised)$(filter graph,$(METHOD)),)
+$(OUT)/new.exr: $(OUT)/residual.exr $(picture) $(OUT)/edit.parameters $(residual)
+	$(LAUNCH) $(residual) $(scene_parameters) --residual $(OUT)/residual.exr --old $(picture) --depfile $(OUT)/edit.d \
+		--residual-png $(OUT)/residual.png --new $(OUT)/new.exr
 endif
 
 $(eval $(call parameter,$(OUT)/preview.parameters,$(EXPOSURE)))
@@ -130,8 +143,7 @@ $(OUT)/new.png: $(OUT)/new.exr $(OUT)/preview.parameters $(inspect)
 	$(LAUNCH) $(inspect) $< --png $@$(if $(EXPOSURE), --exposure $(EXPOSURE))
 
 # What each technique of dynamic paths finds by itself, weighted against the others and raw, in false colours.   [RP] Fig. 3
-technique_parameters = $(call quote,$(OLD)) $(call quote,$(NEW))$(call defines,-D,$(DEFINES))$(call defines,--old-define,$(OLD_DEFINES))$(call defines,--new-define,$(NEW_DEFINES)) \
-	--method dynamic --spp $(SPP)$(if $(SEED), --seed $(SEED))$(threads)
+technique_parameters = $(scene_parameters) --method dynamic --spp $(SPP)$(if $(SEED), --seed $(SEED))$(threads)
 edit-techniques: $(call scene,$(OLD)) $(call scene,$(NEW)) $(residual)
 	@mkdir -p $(OUT)/techniques
 	@names=$$($(residual) --quiet $(technique_parameters) --technique list) && for name in $$names; do for how in weighted raw; do \
@@ -140,8 +152,8 @@ edit-techniques: $(call scene,$(OLD)) $(call scene,$(NEW)) $(residual)
 		echo $$picture.png; done; done
 
 # Run alone on a tree that is not built yet.
-$(trace) $(residual) $(inspect) &:
+$(trace) $(residual) $(denoise) $(inspect) &:
 	$(MAKE) --no-print-directory -f Makefile stages
 
 # Files that the scenes include: meshes, textures, other scene files.
--include $(wildcard $(BASE)/old.d $(BASE)/graph.d $(OUT)/edit.d)
+-include $(wildcard $(BASE)/old.d $(BASE)/graph.d $(OUT)/edit.d $(OUT)/found.d)

@@ -24,7 +24,12 @@ BEGIN { FS = OFS = "\t"; nan = "nan"; n_curve = split(curve, at, " ") }
 FNR == 1 { ++file; split("", column); for (i = 1; i <= NF; ++i) column[$i] = i; next }
 file == 1 { noise_mse = $column["mse"] / 4; noise_relmse = $column["relmse"] / 4; next }
 file == 2 { split($column["file"], path, "/residual.exr"); seconds[path[1]] += $column["render_s"]; next }
-file == 3 { split($column["file"], path, "/residual.exr"); seconds[path[1]] = $column["cpu_s"] - $column["load_s"]; next }
+file == 3 {
+    split($column["file"], path, "/residual.exr")
+    if (!(path[1] in own)) { own[path[1]]; seconds[path[1]] = 0 }
+    seconds[path[1]] += $column["cpu_s"] - $column["load_s"]
+    next
+}
 {
     l = $column["method"]
     if (!(l in runs)) order[++labels] = l

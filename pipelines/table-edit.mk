@@ -198,7 +198,8 @@ $(OUT)/$(1)/row.tsv: $(patsubst %,$(OUT)/%/new.exr,$(call runs_of,$(1))) $(OUT)/
 	@$(compare) --quiet --tsv --cost $(call labelled,$(1),residual) >$$(@D)/costs.tsv
 	@printf 'file\tcpu_s\tload_s\n' >$$(@D)/own.tsv
 	@$(foreach r,$(filter %,$(foreach r,$(call runs_of,$(1)),$(if $(findstring GRAPH,$(r)),$(r)))), \
-		printf '%s\t%s\t%s\n' $(OUT)/$(r)/residual.exr $$$$(sed -n 's/.*"cpu_s": *\([^,]*\),.*/\1/p; s/.*"load_s": *\([^,]*\),.*/\1/p' $(OUT)/$(r)/residual.exr.cost.json) >>$$(@D)/own.tsv;) :
+		for cost in $(OUT)/$(r)/residual.exr.cost.json $$$$(ls $(OUT)/$(r)/noisy.exr.cost.json 2>/dev/null); do \
+		printf '%s\t%s\t%s\n' $(OUT)/$(r)/residual.exr $$$$(sed -n 's/.*"cpu_s": *\([^,]*\),.*/\1/p; s/.*"load_s": *\([^,]*\),.*/\1/p' $$$$cost) >>$$(@D)/own.tsv; done;) :
 	@awk -v table='$(call field,1,$(1))' -v row='$(1)' -v paper='$(or $(call field,3,$(1)),nan)' -v curve='$(curve)' \
 		-f pipelines/table-edit.awk $$(@D)/noise.tsv $$(@D)/costs.tsv $$(@D)/own.tsv $$(@D)/errors.tsv >$$@
 endef

@@ -172,6 +172,8 @@ void run(const Options& options, app::Report& report) {
     clean.width = image.width;
     clean.height = image.height;
     clean.samples = image.samples;
+    clean.scene = image.scene;
+    if (image.ledger.size() == 1) clean.ledger = image.ledger;  // a residual says where it leads to
     for (int c = 0; c < 3; ++c) clean.channels.push_back({std::string(1, "RGB"[c]), std::move(color[c])});
     // Neither the variance of the noisy means nor the parts that they were blended of belong to the clean ones.
     const auto of_noisy = [](const std::string& name) {

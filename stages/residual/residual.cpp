@@ -28,16 +28,20 @@ Defines both(const std::vector<std::string>& common, const std::vector<std::stri
     return parse_defines(all);
 }
 
+bool says_its_noise(const Image& image) {
+    return std::none_of(std::begin(rgb), std::end(rgb), [&](const char* c) { return image.find(std::string("VarMean.") + c).empty(); });
+}
+
 /// A picture on the film of a scene that says how noisy it is.
 /// in:  writers  what writes such pictures, in words
-Image read_noisy_picture(const std::string& file, const Scene& scene, const std::string& scene_name, const char* writers) {
+///      denoised one need not say it
+Image read_noisy_picture(const std::string& file, const Scene& scene, const std::string& scene_name, const char* writers, bool or_denoised = false) {
     Image image = read_image(file);
     if (image.width != scene.sensor.width || image.height != scene.sensor.height)
         throw InputError(fmt::format("{}: is {} x {}, but the film of {} has {} x {} pixels", file, image.width, image.height, scene_name, scene.sensor.width,
                                      scene.sensor.height));
-    for (const char* c : rgb)
-        if (image.find(std::string("VarMean.") + c).empty())
-            throw InputError(fmt::format("{}: does not say how noisy it is (no channel VarMean.{}); {} write it", file, c, writers));
+    if (!says_its_noise(image) && !(or_denoised && image.provenance.stage == "loom-denoise"))
+        throw InputError(fmt::format("{}: does not say how noisy it is (no channels VarMean.R, G, B); {} write them", file, writers));
     return image;
 }
 
@@ -70,7 +74,7 @@ std::size_t family_of(const std::string& name, const std::vector<Family>& famili
 
 /// A residual made before, once it is known to lead to the new scene as far as it says; with its link.
 Image read_residual(const std::string& file, const Scene& new_scene, const std::string& scene_name) {
-    Image image = read_noisy_picture(file, new_scene, scene_name, "loom-residual and loom-merge of two or more passes");
+    Image image = read_noisy_picture(file, new_scene, scene_name, "loom-residual and loom-merge of two or more passes", true);
     if (!image.scene.hash.empty()) throw InputError(fmt::format("{}: is a picture of {}, not a residual", file, image.scene.name));
     image.ledger = {link_of_residual(image)};
     if (image.ledger[0].method == part_method) throw InputError(fmt::format("{}: has the paths of one technique, which are a part of a residual", file));
@@ -212,8 +216,11 @@ namespace {
 /// What a sum says of itself: the scene that it shows, its links and samples.
 void label_sum(Image& sum, const Image& old_picture, const Image& residual) {
     sum.scene = residual.ledger.back().scene;
-    sum.ledger = ledger_of(old_picture);
-    sum.ledger.push_back(residual.ledger.back());
+    sum.ledger.clear();
+    if (says_its_noise(residual)) {
+        sum.ledger = ledger_of(old_picture);
+        sum.ledger.push_back(residual.ledger.back());
+    }
     sum.samples = old_picture.samples + residual.samples;
 }
 
@@ -224,6 +231,7 @@ Image add_residual(const Image& old_picture, const Image& residual) {
     label_sum(sum, old_picture, residual);
     for (const char* c : rgb)
         for (const std::string& channel : {std::string(c), std::string("VarMean.") + c}) {
+            if (residual.find(channel).empty()) continue;  // denoised: nobody knows its variance
             const auto before = old_picture.find(channel);
             const auto values = sum.add(channel);
             for (std::size_t i = 0; i < values.size(); ++i) values[i] += before[i];

@@ -54,6 +54,35 @@ TEST_F(MakeEdit, edits_share_the_picture_before) {
         for (std::size_t i = 0; i < sum.n_pixels(); ++i) EXPECT_EQ(sum.find(channel)[i], before.find(channel)[i] + residual.find(channel)[i]) << channel;
 }
 
+// The residual without its noise: nobody knows its variance, and so neither that of the sum, to which no edit can be added.
+TEST_F(MakeEdit, of_a_denoised_residual) {
+    const std::string light = "SPP=8 METHOD=correlated NEW_DEFINES=light=20,10,5";
+    const std::string noisy = made("a", light);
+    for (const char* method : {"", " GRAPH=1", " METHOD=graph PASSES=2"}) {
+        SCOPED_TRACE(method);
+        const std::string first = made("a", light + method), clean = made("d", light + method + " DENOISE=1");
+        EXPECT_FALSE(first == clean);
+        EXPECT_TRUE(clean == made("d", light + method + " DENOISE=1 THREADS=1"));
+        const Image before = read_image(folder / "base/old.exr"), found = read_image(folder / "a/residual.exr"), kept = read_image(folder / "d/noisy.exr"),
+                    residual = read_image(folder / "d/residual.exr"), sum = read_image(folder / "d/new.exr");
+        EXPECT_TRUE(sum.find("VarMean.R").empty());
+        EXPECT_TRUE(sum.ledger.empty());
+        EXPECT_EQ(sum.scene, read_image(folder / "a/new.exr").scene);
+        double changed = 0;
+        for (const char* c : {"R", "G", "B"})
+            for (std::size_t i = 0; i < sum.n_pixels(); ++i) {
+                EXPECT_EQ(kept.find(c)[i], found.find(c)[i]);
+                EXPECT_EQ(sum.find(c)[i], before.find(c)[i] + residual.find(c)[i]);
+                changed += std::abs(residual.find(c)[i] - kept.find(c)[i]);
+            }
+        EXPECT_GT(changed, 0);
+    }
+    EXPECT_TRUE(noisy == made("a", light));  // whatever was made there in between
+    const Outcome chained = sh(edit("e", light + " OLD_PICTURE=" + in("d/new.exr")));
+    EXPECT_NE(chained.code, 0);
+    EXPECT_NE(chained.err.find("does not say how noisy it is"), std::string::npos) << chained.err;
+}
+
 // The difference of path graphs: old + residual, its passes made once, the graphs gone; the same scene is 0.
 TEST_F(MakeEdit, by_path_graphs) {
     const std::string light = "METHOD=graph PASSES=4 NEW_DEFINES=light=20,10,5";
