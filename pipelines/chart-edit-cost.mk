@@ -78,7 +78,7 @@ graph = $(OUT)/graph/$(shell printf '%s' '$(call old,$(1)) $(call both,$(1)) $(S
 define graph_rule
 $(call graph,$(1)): $(call old,$(1)) $(trace)
 	@mkdir -p $$(@D)
-	$(trace) --quiet $(call old,$(1)) $(call both,$(1)) --spp $(SPP) --seed 1 -o $$@
+	$(trace) --quiet $(call old,$(1)) $(call both,$(1)) --spp $(SPP) --seed 1 --misses -o $$@
 endef
 $(foreach g,$(sort $(foreach w,$(ROWS),$(call graph,$(w)))),$(eval $(call graph_rule,$(firstword $(foreach w,$(ROWS),$(if $(filter $(g),$(call graph,$(w))),$(w)))))))
 
