@@ -124,30 +124,23 @@ std::string bad_order_of_misses(const PathGraph& g) {
                      [&](std::size_t k) { return m.vertex[k] < m.vertex[k + 1] || (m.vertex[k] == m.vertex[k + 1] && m.technique[k] < m.technique[k + 1]); });
 }
 
-std::string bad_edges(const PathGraph& g) {
-    const auto& e = g.light_edges;
-    const std::size_t n = g.n_light_edges();
-    const std::size_t unknown = first_bad(n, [&](std::size_t k) { return e.technique[k] <= 1; });
-    if (unknown < n) {
-        return fmt::format("light_edges/technique: row {} is {}, not 0 or 1", unknown, e.technique[unknown]);
-    }
-    const std::size_t bad_w =
-        first_bad(n, [&](std::size_t k) { return e.y[4 * k + 3] == 0 || e.y[4 * k + 3] == 1; });
-    if (bad_w < n)
-        return fmt::format("light_edges/y: row {} has w = {}, not 0 or 1", bad_w, e.y[4 * bad_w + 3]);
-    const std::size_t negative =
-        first_bad(n, [&](std::size_t k) { return e.pdf_nee_w[k] >= 0 && e.pdf_bsdf_w[k] >= 0; });
-    if (negative < n) return fmt::format("light_edges/pdf_nee_w or pdf_bsdf_w: row {} is negative", negative);
+/// What light edges and misses have in common.
+std::string bad_attempts(std::string_view group, const Column<std::uint8_t>& technique, const Column<float>& y) {
+    const std::size_t n = technique.size();
+    const std::size_t unknown = first_bad(n, [&](std::size_t k) { return technique[k] <= 1; });
+    if (unknown < n) return fmt::format("{}/technique: row {} is {}, not 0 or 1", group, unknown, technique[unknown]);
+    const std::size_t bad_w = first_bad(n, [&](std::size_t k) { return y[4 * k + 3] == 0 || y[4 * k + 3] == 1; });
+    if (bad_w < n) return fmt::format("{}/y: row {} has w = {}, not 0 or 1", group, bad_w, y[4 * bad_w + 3]);
     return {};
 }
 
-std::string bad_misses(const PathGraph& g) {
-    const auto& m = g.misses;
-    const std::size_t n = g.n_misses();
-    const std::size_t unknown = first_bad(n, [&](std::size_t k) { return m.technique[k] <= 1; });
-    if (unknown < n) return fmt::format("misses/technique: row {} is {}, not 0 or 1", unknown, m.technique[unknown]);
-    const std::size_t bad_w = first_bad(n, [&](std::size_t k) { return m.y[4 * k + 3] == 0 || m.y[4 * k + 3] == 1; });
-    if (bad_w < n) return fmt::format("misses/y: row {} has w = {}, not 0 or 1", bad_w, m.y[4 * bad_w + 3]);
+std::string bad_edges(const PathGraph& g) {
+    const auto& e = g.light_edges;
+    const std::size_t n = g.n_light_edges();
+    if (auto bad = bad_attempts("light_edges", e.technique, e.y); !bad.empty()) return bad;
+    const std::size_t negative =
+        first_bad(n, [&](std::size_t k) { return e.pdf_nee_w[k] >= 0 && e.pdf_bsdf_w[k] >= 0; });
+    if (negative < n) return fmt::format("light_edges/pdf_nee_w or pdf_bsdf_w: row {} is negative", negative);
     return {};
 }
 
@@ -250,7 +243,7 @@ std::string PathGraph::problem(Check check) const {
     if (auto bad = bad_flags(*this); !bad.empty()) return bad;
     if (auto bad = bad_vertices(*this); !bad.empty()) return bad;
     if (auto bad = bad_edges(*this); !bad.empty()) return bad;
-    return bad_misses(*this);
+    return bad_attempts("misses", misses.technique, misses.y);
 }
 
 void write_path_graph(const PathGraph& graph, const std::filesystem::path& path, Sync sync) {

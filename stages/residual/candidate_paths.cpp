@@ -5,14 +5,6 @@
 #include "stages/core/transport/graph_reader.h"
 
 namespace loom::residual {
-namespace {
-
-/// First row from `begin` on that belongs to vertex j or a later one.
-std::size_t first_row(const Column<std::uint32_t>& vertex, std::size_t j, std::size_t begin = 0) {
-    return std::size_t(std::lower_bound(vertex.begin() + std::ptrdiff_t(begin), vertex.end(), j) - vertex.begin());
-}
-
-}  // namespace
 
 CandidatePaths::CandidatePaths(const Scene& old_scene, const EditReach& reach, const PathGraph& graph)
     : reach_(reach), graph_(graph), camera_(old_scene.sensor.origin) {

@@ -1,7 +1,9 @@
 #pragma once
 // Which paths of a graph an edit may touch, by boxes around what it changes: what is left over need not be asked for.
 
+#include <algorithm>
 #include <cstdint>
+#include <span>
 #include <vector>
 
 #include "formats/path_graph.h"
@@ -9,6 +11,12 @@
 #include "stages/residual/edit_reach.h"
 
 namespace loom::residual {
+
+/// First of the rows [begin, end) that belongs to vertex j or a later one; `end` if there is none.
+inline std::size_t first_row(std::span<const std::uint32_t> vertex, std::size_t j, std::size_t begin, std::size_t end) {
+    return std::size_t(std::lower_bound(vertex.begin() + std::ptrdiff_t(begin), vertex.begin() + std::ptrdiff_t(end), j) - vertex.begin());
+}
+inline std::size_t first_row(std::span<const std::uint32_t> vertex, std::size_t j, std::size_t begin = 0) { return first_row(vertex, j, begin, vertex.size()); }
 
 /// Reads the rows of a graph one after the other and nothing of scene or random numbers, so that a path costs as little as
 /// its bytes. One belongs to one thread.

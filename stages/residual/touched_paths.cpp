@@ -28,21 +28,23 @@ void TouchedPaths::look_at_failed_light(std::size_t path, std::size_t j) {
         !reach_.old_places.empty() && (!reach_.bounded_lights || reach_.old_places.may_meet(p, reach_.lights));
     if (!may_be_freed && !reach_.any_emitter) return;
     const std::uint32_t in_block = std::uint32_t(path - begin_), vertex = std::uint32_t(j - first_vertex_);
+    const FailedLight light = failed_light(path, j, p);
+    if (reach_.emitters[light.emitter]) return sample_again(in_block, vertex);
+    if (!may_be_freed || !light.asked) return;
+    if (light.at_infinity ? reach_.old_places.may_meet(p, Vector3f(light.y)) : reach_.old_places.may_meet(p, light.y))
+        blocked_.add(light.at_infinity ? spawn_ray(p, paths_.ng(j), Vector3f(light.y)) : spawn_segment(p, paths_.ng(j), light.y), {in_block, vertex, false});
+}
+
+TouchedPaths::FailedLight TouchedPaths::failed_light(std::size_t path, std::size_t j, const Point3f& p) const {
     if (candidates_.tells()) {
         const auto& m = paths_.graph().misses;
         const std::size_t k = candidates_.miss_of(j);
-        if (reach_.emitters[m.emitter[k]]) return sample_again(in_block, vertex);
         const Point3f y{m.y[4 * k], m.y[4 * k + 1], m.y[4 * k + 2]};
         const bool at_infinity = m.y[4 * k + 3] == 0;
-        if (may_be_freed && (at_infinity ? reach_.old_places.may_meet(p, Vector3f(y)) : !(y == p) && reach_.old_places.may_meet(p, y)))
-            blocked_.add(at_infinity ? spawn_ray(p, paths_.ng(j), Vector3f(y)) : spawn_segment(p, paths_.ng(j), y), {in_block, vertex, false});
-        return;
+        return {m.emitter[k], y, at_infinity, at_infinity || !(y == p)};
     }
     const LightSample light = sample_light(paths_.scene(), p, paths_.sampler(path).pair(dimension(paths_.depth(path, j), Place::light)));
-    if (reach_.emitters[light.emitter]) return sample_again(in_block, vertex);
-    if (!may_be_freed || !(light.pdf_w > 0)) return;
-    if (light.at_infinity ? reach_.old_places.may_meet(p, light.wi) : reach_.old_places.may_meet(p, light.y))
-        blocked_.add(light.at_infinity ? spawn_ray(p, paths_.ng(j), light.wi) : spawn_segment(p, paths_.ng(j), light.y), {in_block, vertex, false});
+    return {light.emitter, light.at_infinity ? Point3f(light.wi) : light.y, light.at_infinity, light.pdf_w > 0};
 }
 
 void TouchedPaths::look_at(std::size_t path) {
@@ -153,18 +155,18 @@ void TouchedPaths::find(std::size_t begin, std::size_t end, std::uint8_t* touche
     const auto& edge_vertex = g.light_edges.vertex;
     begin_ = begin;
     first_vertex_ = first_vertex[begin];
-    next_edge_ = std::size_t(std::lower_bound(edge_vertex.begin(), edge_vertex.end(), first_vertex_) - edge_vertex.begin());
+    next_edge_ = first_row(edge_vertex, first_vertex_);
     touched_ = touched;
     cuts_.assign(end - begin, PathChange::never);
     repainted_.assign(end - begin, 0);
     again_.assign(first_vertex[end] - first_vertex_, 0);
     edges_.resize(end - begin);
-    const auto last_edge = std::lower_bound(edge_vertex.begin(), edge_vertex.end(), first_vertex[end]);
+    const std::size_t last_edge = first_row(edge_vertex, first_vertex[end], next_edge_);
     candidates_.find(begin, end, touched);
     for (std::size_t path = begin; path < end; ++path) {
         if (!touched[path - begin]) continue;
         touched[path - begin] = 0;
-        next_edge_ = std::size_t(std::lower_bound(edge_vertex.begin() + std::ptrdiff_t(next_edge_), last_edge, first_vertex[path]) - edge_vertex.begin());
+        next_edge_ = first_row(edge_vertex, first_vertex[path], next_edge_, last_edge);
         edges_[path - begin] = next_edge_;
         look_at(path);
         if (through_.rays.size() >= queue_size) answer(through_, reach_.new_places);

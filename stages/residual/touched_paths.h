@@ -63,6 +63,14 @@ class TouchedPaths {
             asked.push_back(what);
         }
     };
+    /// A light sample that was not seen: off the graph, or drawn once more.
+    struct FailedLight {
+        std::uint16_t emitter;
+        Point3f y;               // or the direction towards it
+        bool at_infinity, asked; // asked: a shadow ray may have been
+    };
+    /// Of a vertex at p.
+    FailedLight failed_light(std::size_t path, std::size_t vertex, const Point3f& p) const;
     void look_at(std::size_t path);
     void look_at_failed_light(std::size_t path, std::size_t vertex);
     void answer(Queue& queue, const Obstacles& obstacles);
