@@ -115,6 +115,7 @@ PathGraphInPieces render_graph(const Scene& scene, const PathOptions& path, cons
         parallel_chunks(n_paths, PathBatch::capacity, work.threads,
                         [&](std::uint64_t chunk, std::uint64_t begin, std::uint64_t end) {
                             GraphWorker& worker = workers.local();
+                            worker.records.keeps_misses = misses;
                             worker.ids.resize(end - begin);
                             for (std::uint64_t i = begin; i < end; ++i)
                                 worker.ids[i - begin] = {i % n_pixels, work.first_sample + i / n_pixels};

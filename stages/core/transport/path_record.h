@@ -92,6 +92,7 @@ struct PathRecords {
     std::vector<VertexRecord> vertices;
     std::vector<LightEdgeRecord> light_edges;
     std::vector<MissRecord> misses;
+    bool keeps_misses = false;  // else they are not recorded
 
     void start(std::size_t n_paths) {
         paths.assign(n_paths, {});
@@ -136,6 +137,7 @@ class PathRecorder {
 
   private:
     void keep(const MissRecord& miss) const {
+        if (!records_->keeps_misses) return;
         ++path().n_misses;
         records_->misses.emplace_back(miss).path = path_;
     }
