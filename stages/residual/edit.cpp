@@ -63,7 +63,10 @@ class Canon {
         const PluginSchema* schema = find_plugin(object.category, object.plugin);
         return schema ? schema->find(name) : nullptr;
     }
-    static std::string plugin(const Object& object) { return fmt::format("{} {}", name(object.category), object.plugin); }
+    /// With the dialect where it decides the meaning: what number a checkerboard gives.
+    static std::string plugin(const Object& object) {
+        return fmt::format("{} {}{}", name(object.category), object.plugin, object.legacy && object.plugin == "checkerboard" ? " 0.x" : "");
+    }
 
     /// Nine digits: the same place spelled as a matrix or as rotations counts as the same.
     static std::string number(double x) { return fmt::format("{:.9g}", x + 0.0); }

@@ -114,6 +114,23 @@ int find_relay_wall(const std::vector<ObjectPtr>& shapes) {
     return -1;
 }
 
+/// Of the field of view along x; without one, that of a lens of `focal_length` on 35 mm film (its diagonal).
+double tan_half_fov(const Object& o, double aspect) {
+    const double x_of_diagonal = aspect / std::sqrt(1 + aspect * aspect);
+    if (!o.has("fov")) {
+        const double focal_length_mm = std::strtod(o.get_string("focal_length", "50mm").c_str(), nullptr);
+        if (!(focal_length_mm > 0)) o.fail("focal_length", "expected a positive length such as 50mm");
+        return std::sqrt(36.0 * 36 + 24 * 24) / (2 * focal_length_mm) * x_of_diagonal;
+    }
+    const double fov = o.get_double("fov");
+    if (!(fov > 0 && fov < 180)) o.fail("fov", "the field of view must lie between 0 and 180 degrees");
+    const double t = std::tan(0.5 * fov * rad_per_deg);
+    std::string axis = o.get_string("fov_axis", "x");
+    if (axis == "smaller") axis = aspect > 1 ? "y" : "x";
+    if (axis == "larger") axis = aspect > 1 ? "x" : "y";
+    return axis == "y" ? t * aspect : axis == "diagonal" ? t * x_of_diagonal : t;
+}
+
 void build_sensor(const Object& root, const Object* relay_wall, Sensor& s, TransientFilm& transient) {
     const ObjectPtr o = relay_wall ? relay_wall->child(Category::sensor) : root.child(Category::sensor);
     if (!o) root.fail("", "the scene has no sensor");
@@ -151,25 +168,7 @@ void build_sensor(const Object& root, const Object* relay_wall, Sensor& s, Trans
             }
         }
     }
-    if (s.kind == SensorKind::perspective) {
-        const double aspect = double(s.width) / s.height;
-        if (!o->has("fov")) {
-            // Millimetres, for the diagonal of 35 mm film.
-            const double focal_length = std::strtod(o->get_string("focal_length", "50mm").c_str(), nullptr);
-            if (!(focal_length > 0)) o->fail("focal_length", "expected a positive length such as 50mm");
-            const double half_diagonal = std::sqrt(36.0 * 36 + 24 * 24) / (2 * focal_length);
-            s.tan_half_fov_x = half_diagonal * aspect / std::sqrt(1 + aspect * aspect);
-        } else {
-            const double fov = o->get_double("fov");
-            if (!(fov > 0 && fov < 180)) o->fail("fov", "the field of view must lie between 0 and 180 degrees");
-            const double t = std::tan(0.5 * fov * rad_per_deg);
-            std::string axis = o->get_string("fov_axis", "x");
-            if (axis == "smaller") axis = aspect > 1 ? "y" : "x";
-            if (axis == "larger") axis = aspect > 1 ? "x" : "y";
-            s.tan_half_fov_x = axis == "y" ? t * aspect
-                               : axis == "diagonal" ? t * aspect / std::sqrt(1 + aspect * aspect) : t;
-        }
-    }
+    if (s.kind == SensorKind::perspective) s.tan_half_fov_x = tan_half_fov(*o, double(s.width) / s.height);
     s.prepare();
 }
 
@@ -218,9 +217,7 @@ void build_emitter(const Object& o, Scene& scene, TextureCache& cache) {
         e.kind = EmitterKind::projector;
         e.radiance = o.get_rgb("irradiance", Spectrum(1)) * o.get_float("scale", 1.0f);
         e.position = to_point(world.point({0, 0, 0}));
-        const double fov = o.get_double("fov", 50.0);
-        if (!(fov > 0 && fov < 180)) o.fail("fov", "the field of view must lie between 0 and 180 degrees");
-        e.tan_x = e.tan_y = float(std::tan(0.5 * fov * rad_per_deg));
+        e.tan_x = e.tan_y = float(tan_half_fov(o, 1));
     } else if (o.plugin == "directional") {
         e.kind = EmitterKind::directional;
         e.radiance = o.get_rgb("irradiance", Spectrum(1));

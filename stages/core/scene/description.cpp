@@ -2,6 +2,8 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
+
 #include "stages/core/scene/ior.h"
 
 namespace loom {
@@ -144,6 +146,11 @@ std::vector<ObjectPtr> Object::children(Category wanted) const {
     for (const auto& [child, place] : nested)
         if (child->category == wanted) result.push_back(child);
     return result;
+}
+
+bool Object::has_child(Category wanted) const {
+    return std::any_of(nested.begin(), nested.end(),
+                       [wanted](const auto& child) { return child.first->category == wanted; });
 }
 
 ObjectPtr Object::child(Category wanted) const {

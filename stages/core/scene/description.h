@@ -1,6 +1,7 @@
 #pragma once
 // A scene file as a tree of objects, checked against the schema and written in one dialect, that of
-// Mitsuba 3, whichever the file used. No mesh or texture is opened here.
+// Mitsuba 3, whichever the file used: defaults that differ in the 0.x dialect are spelled out. No mesh or
+// texture is opened here.
 
 #include <cstddef>
 #include <cstdint>
@@ -60,6 +61,7 @@ class Object {
     std::string plugin;  // "roughplastic"
     std::string id;      // as written, or made from category and order in the file: "shape-3"
     bool has_own_id = false;
+    bool legacy = false;  // written in the 0.x dialect
     Location at;
     std::vector<Property> properties;                    // in the order of the file
     std::vector<std::pair<ObjectPtr, Location>> nested;  // children without a parameter name, in order
@@ -95,6 +97,7 @@ class Object {
     float get_ior(std::string_view name, std::string_view fallback) const;
 
     std::vector<ObjectPtr> children(Category category) const;
+    bool has_child(Category category) const;
     /// The only child of that kind; null when there is none.
     ObjectPtr child(Category category) const;
 

@@ -46,6 +46,7 @@ class Reader {
         try {
             read_file(std::move(main));
             resolve_references();
+            spell_out_defaults();
             check_cycles();
             for (std::size_t i = objects_.size(); i-- > 0;)
                 check_object(*objects_[i].object, *objects_[i].plugin);
@@ -77,10 +78,12 @@ class Reader {
         return std::filesystem::weakly_canonical(file).string();
     }
 
-    std::shared_ptr<Object> make_object(Category category, std::string_view type, const Location& at) {
+    std::shared_ptr<Object> make_object(Category category, std::string_view type, const Location& at,
+                                        bool legacy = false) {
         auto object = std::make_shared<Object>();
         object->category = category;
         object->plugin = type;
+        object->legacy = legacy;
         object->at = at;
         const int order = ++made_of_category_[int(category)];
         object->id = fmt::format("{}-{}", name(category), order);
@@ -200,7 +203,7 @@ class Reader {
         e.allow({"type", "id", "name"});
         const Text type = e.text("type");
         const PluginSchema& plugin = plugin_of(e, category, type);
-        const std::shared_ptr<Object> object = make_object(category, type.text, e.at());
+        const std::shared_ptr<Object> object = make_object(category, type.text, e.at(), e.file->legacy);
         if (e.has("id")) {
             const Text id = e.text("id");
             object->id = id.text;
@@ -367,6 +370,35 @@ class Reader {
             std::erase_if(made.object->nested, [](const auto& child) { return child.first == nullptr; });
     }
 
+    /// Adds what an object means without saying it, where that is not the default of its plugin in Mitsuba 3.
+    void spell_out_defaults() {
+        const std::size_t n = objects_.size();
+        for (std::size_t i = 0; i < n; ++i) {
+            const std::shared_ptr<Object> object = objects_[i].object;
+            const auto set = [&](std::string_view parameter, const char* value) {
+                if (!object->has(parameter))
+                    object->properties.push_back({std::string(parameter), std::string(value), object->at});
+            };
+            if (object->legacy && (object->plugin == "conductor" || object->plugin == "roughconductor")) {
+                set("material", "Cu");
+                set("ext_eta", "air");
+            }
+            if (object->category == Category::shape && object->has_child(Category::emitter) &&
+                !object->has_child(Category::bsdf))
+                object->nested.emplace_back(black_bsdf(object->at), object->at);
+        }
+    }
+
+    /// What an emitter without BSDF scatters: nothing, in both dialects.
+    ObjectPtr black_bsdf(const Location& at) {
+        if (!black_bsdf_) {
+            black_bsdf_ = make_object(Category::bsdf, "diffuse", at);
+            black_bsdf_->id = "emitter-without-bsdf";
+            black_bsdf_->properties.push_back({"reflectance", Spectrum(0.0f), at});
+        }
+        return black_bsdf_;
+    }
+
     void check_cycles() {
         std::map<const Object*, int> state;  // 1: on the way down, 2: done
         for (const Made& made : objects_) descend(*made.object, made.object->at, state);
@@ -388,6 +420,7 @@ class Reader {
     SceneDescription description_;
     std::shared_ptr<Object> scene_;
     std::vector<Made> objects_;  // parents before the objects nested in them
+    std::shared_ptr<Object> black_bsdf_;
     std::map<int, int> made_of_category_;
     std::map<std::string, std::shared_ptr<Object>> by_id_;
     std::map<std::string, Text> aliases_;

@@ -40,7 +40,7 @@ void set_conductor(const Object& o, BsdfModel& m) {
     }
     m.eta_c = o.get_rgb("eta", m.eta_c);
     m.k_c = o.get_rgb("k", m.k_c);
-    if (o.has("ext_eta") && name != "none") {
+    if (o.has("ext_eta")) {
         const float outside = o.get_ior("ext_eta", "air");
         m.eta_c = m.eta_c / outside;
         m.k_c = m.k_c / outside;
@@ -104,7 +104,7 @@ MaterialBuilder::Sides MaterialBuilder::build(const Object& o) {
     } else if (o.plugin == "mask") {
         const auto opacity = o.get_texture_or_float("opacity", 0.5f);
         const auto* map = std::get_if<ObjectPtr>(&opacity);
-        const int index = map ? texture(*map) : -1;
+        const int index = map ? scalar_texture(*map) : -1;
         const float constant = map ? 1.0f : clamp(std::get<float>(opacity), 0.0f, 1.0f);
         each([&](Material& m) {
             if (m.opacity >= 0 || m.model.opacity < 1) o.fail("", "'mask' inside 'mask' is not supported yet");
@@ -202,6 +202,14 @@ int MaterialBuilder::texture(const ObjectPtr& description) {
     return textures_[description.get()] = int(scene_.textures.size()) - 1;
 }
 
+int MaterialBuilder::scalar_texture(const ObjectPtr& description) {
+    const int index = texture(description);
+    const Texture& t = scene_.textures[std::size_t(index)];
+    if (t.kind == TextureKind::checkerboard && t.swaps_numbers && t.color0 != t.color1)
+        scene_.notes.push_back("texture '" + t.id + "' (checkerboard): as a number it has the value of color1 where its colour is color0, as in Mitsuba 3");
+    return index;
+}
+
 int MaterialBuilder::colour(const Object& o, const char* name, Spectrum& value) {
     const auto got = o.get_texture_or_rgb(name, value);
     if (const auto* map = std::get_if<ObjectPtr>(&got)) return texture(*map);
@@ -211,7 +219,7 @@ int MaterialBuilder::colour(const Object& o, const char* name, Spectrum& value) 
 
 int MaterialBuilder::roughness(const Object& o, const char* name, float& value) {
     const auto got = o.get_texture_or_float(name, value);
-    if (const auto* map = std::get_if<ObjectPtr>(&got)) return texture(*map);
+    if (const auto* map = std::get_if<ObjectPtr>(&got)) return scalar_texture(*map);
     value = std::max(std::get<float>(got), 1e-4f);
     return -1;
 }

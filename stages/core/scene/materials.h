@@ -27,6 +27,8 @@ class MaterialBuilder {
     Sides build(const Object& bsdf);
     Material build_plain(const Object& bsdf);
     int texture(const ObjectPtr& description);
+    /// A texture whose numbers count, not its colours.
+    int scalar_texture(const ObjectPtr& description);
     /// A reflectance-like parameter: a constant into `value`, or the index of a texture.
     int colour(const Object& bsdf, const char* name, Spectrum& value);
     int roughness(const Object& bsdf, const char* name, float& value);

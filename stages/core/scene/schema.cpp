@@ -69,7 +69,7 @@ void check_scene(const Object& scene) {
 }
 
 void check_conductor(const Object& object) {
-    if (object.has("material") && (object.has("eta") || object.has("k")))
+    if (!object.legacy && object.has("material") && (object.has("eta") || object.has("k")))
         object.fail("material", "give either 'material' or 'eta' and 'k', not both");
 }
 

@@ -105,9 +105,9 @@ Point2f transformed(const std::array<float, 6>& m, Point2f uv) {
     return {m[0] * uv.x + m[1] * uv.y + m[2], m[3] * uv.x + m[4] * uv.y + m[5]};
 }
 
-const Spectrum& checker(const Texture& texture, Point2f uv) {
+const Spectrum& checker(const Texture& texture, Point2f uv, bool swapped = false) {
     const bool right = uv.x - std::floor(uv.x) > 0.5f, low = uv.y - std::floor(uv.y) > 0.5f;
-    return right == low ? texture.color0 : texture.color1;
+    return (right == low) != swapped ? texture.color0 : texture.color1;
 }
 
 }  // namespace
@@ -131,7 +131,7 @@ void Texture::prefetch(Point2f uv) const {
 
 float Texture::eval_float(Point2f uv) const {
     uv = transformed(to_uv, uv);
-    if (kind == TextureKind::checkerboard) return luminance(checker(*this, uv));
+    if (kind == TextureKind::checkerboard) return luminance(checker(*this, uv, swaps_numbers));
     return look_up<float>(*this, uv, [](const auto& v) { return as_float(v); });
 }
 
@@ -162,6 +162,7 @@ Texture make_texture(const Object& o, TextureCache& cache) {
         texture.kind = TextureKind::checkerboard;
         texture.color0 = o.get_rgb("color0", texture.color0);
         texture.color1 = o.get_rgb("color1", texture.color1);
+        texture.swaps_numbers = !o.legacy;
         return texture;
     }
     const std::string wrap = o.get_string("wrap_mode", "repeat");

@@ -48,12 +48,13 @@ struct Texture {
     std::array<float, 6> to_uv{1, 0, 0, 0, 1, 0};  // rows of the 2x3 matrix applied to (u, v, 1)
     std::shared_ptr<const TextureImage> image;     // bitmap
     Spectrum color0{0.4f}, color1{0.2f};           // checkerboard
+    bool swaps_numbers = false;                    // checkerboard: eval_float() has color1 where eval() has color0
     std::string id;
 
     Spectrum eval(Point2f uv) const;
     /// Asks for the memory of the pixels that eval() will read.
     void prefetch(Point2f uv) const;
-    /// Luminance of a colour texture, the value of a grey one.
+    /// Luminance of a colour texture, the value of a grey one. [Mitsuba 3.8, checkerboard: eval_1 swaps the colours]
     float eval_float(Point2f uv) const;
     /// d eval_float / d(u, v) of the bilinear interpolant; 0 for `nearest` and the checkerboard.
     /// differs: Mitsuba 3.8 scales by the image size after a rotation in to_uv, we before it
