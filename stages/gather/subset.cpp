@@ -92,11 +92,12 @@ Spectrum SubsetGather::Worker::shared() {
 
 Spectrum SubsetGather::Worker::reconnected(std::uint32_t first) {
     const PathGraph& g = gather_.reader_.graph();
-    const RayEngine& rays = *gather_.options_.scene->rays;
+    const Scene& scene = *gather_.options_.scene;
+    const RayEngine& rays = *scene.rays;
     const int c = own_lane(), n = shading_.size();
     const float M = float(n - 1);
-    const Point3f from = position(g, first);
-    const Normal3f from_normal = geometric_normal(g, first);
+    const auto end_at = [&](std::size_t j) { return RayEnd{position(g, j), geometric_normal(g, j), scene.shapes[g.vertices.shape[j]].hit_error}; };
+    const RayEnd from = end_at(first);
 
     // What waits for the answer of a ray.
     std::array<Ray, 2 * max_lanes> segments;
@@ -116,7 +117,7 @@ Spectrum SubsetGather::Worker::reconnected(std::uint32_t first) {
         const float rho = M * shading_.pdf_bsdf(k) + shading_.pdf_bsdf(c);
         if (!(rho > 0)) continue;
         value[n_others] = shading_.f(c, 1 / rho) * rgb(gather_.radiance_.L, j + 1);
-        segments[n_others++] = spawn_segment(from, from_normal, y);
+        segments[n_others++] = spawn_segment(from, end_at(j + 1));
     }
     if (continues_shared(g, first)) {
         const Point3f y = position(g, first + 1);
@@ -127,7 +128,7 @@ Spectrum SubsetGather::Worker::reconnected(std::uint32_t first) {
             if (k == c || !(shading_.pdf_bsdf(k) > 0)) continue;
             const std::size_t j = shading_.vertex(k);
             other_pdf[n_back] = shading_.pdf_bsdf(k);
-            segments[n_others + n_back++] = spawn_segment(position(g, j), geometric_normal(g, j), y);
+            segments[n_others + n_back++] = spawn_segment(end_at(j), end_at(first + 1));
         }
     }
     const int n_rays = n_others + n_back;

@@ -15,13 +15,13 @@ bool FullPath::dynamic() const {
 Vector3f direction_to(const LightEnd& light, const Point3f& from) { return light.at_infinity ? Vector3f(light.y) : normalize(light.y - from); }
 
 Ray shadow_ray(const Vertex& v, const LightEnd& light) {
-    return light.at_infinity ? spawn_ray(v.at.p, v.at.ng, Vector3f(light.y)) : spawn_segment(v.at.p, v.at.ng, light.y);
+    return light.at_infinity ? spawn_ray(v.at.end(), Vector3f(light.y)) : spawn_segment(v.at.end(), light.end());
 }
 
 Segment segment_between(const DynamicScene& side, const Vertex& s, const Vertex& l, Crossings& crossings) {
     const Vector3f d = normalize(l.at.p - s.at.p);
     const auto first = std::uint32_t(crossings.all.size());
-    return {std::abs(dot(s.at.ng, d)), std::abs(dot(l.at.ng, d)), first, side.cross(spawn_segment(s.at.p, s.at.ng, l.at.p), crossings)};
+    return {std::abs(dot(s.at.ng, d)), std::abs(dot(l.at.ng, d)), first, side.cross(spawn_segment(s.at.end(), l.at.end()), crossings)};
 }
 
 Segment segment_to_light(const DynamicScene& side, const Vertex& v, const LightEnd& light, Crossings& crossings) {

@@ -83,9 +83,12 @@ struct LightEnd {
     Radiance Le;
     Point3f y;             // or the direction towards it
     Normal3f n;
+    float hit_error = 0;   // of its shape
     double pdf = 0;        // of next-event estimation from v_m, sr^-1 or a pmf; 0: it does not find it
     std::uint16_t emitter = 0;
     bool at_infinity = false, delta = false, changed = false;
+
+    RayEnd end() const { return {y, n, hit_error}; }
 };
 
 /// Vertices and segments in turn, from the sensor.

@@ -104,8 +104,8 @@ Vertex DynamicScene::vertex(const Ray& ray, const Hit& hit) const {
 void DynamicScene::aim(const Vertex& v, const Vector3f& wo, ShadingPoint& here) const {
     if (v.sided) {
         Hit hit = v.hit;
-        hit.t = 1;
-        here = shading_point(scene, scene.surface({v.at.p + wo, -wo}, hit), wo);
+        hit.t = 0;
+        here = shading_point(scene, scene.surface({v.at.p, -wo}, hit), wo);
         return;
     }
     here.wo = wo;
@@ -115,8 +115,8 @@ void DynamicScene::aim(const Vertex& v, const Vector3f& wo, ShadingPoint& here) 
 Vertex DynamicScene::vertex(const SitePoint& point, std::uint32_t shape, const Vector3f& wo) const {
     Hit hit = point.hit;
     hit.shape = shape;
-    hit.t = 1;
-    return vertex(Ray{point.p + wo, -wo}, hit);
+    hit.t = 0;
+    return vertex(Ray{point.p, -wo}, hit);
 }
 
 std::uint32_t DynamicScene::cross(const Ray& ray, Crossings& crossings) const {

@@ -150,11 +150,21 @@ std::optional<Matrix4d> rigid_motion(const Matrix4d& from, const Matrix4d& to) {
     return motion;
 }
 
+/// Places are compared by their distance from the origin, in whatever unit; what is left of a sum that cancels is 0.
 bool same_place(const Matrix4d& a, const Matrix4d& b) {
-    double scale = 0;
-    for (double x : a.m) scale = std::max(scale, std::abs(x));
-    for (std::size_t i = 0; i < a.m.size(); ++i)
-        if (!(std::abs(a.m[i] - b.m[i]) <= place_tolerance * scale)) return false;
+    constexpr double cancelled = 1e-14;
+    double size = 0, distance = 0;
+    for (int i = 0; i < 3; ++i) {
+        for (int k = 0; k < 3; ++k) size = std::max(size, std::abs(a(i, k)));
+        distance = std::max(distance, std::abs(a(i, 3)));
+    }
+    for (int i = 0; i < 3; ++i) {
+        for (int k = 0; k < 3; ++k)
+            if (!(std::abs(a(i, k) - b(i, k)) <= place_tolerance * size)) return false;
+        if (!(std::abs(a(i, 3) - b(i, 3)) <= place_tolerance * distance + cancelled * size)) return false;
+    }
+    for (int k = 0; k < 4; ++k)
+        if (a(3, k) != b(3, k)) return false;
     return true;
 }
 
@@ -386,7 +396,8 @@ class Lines {
 
 std::string motion_words(const Matrix4d& motion, const Point3<double>& centre, bool has_centre) {
     const auto triple = [](double x, double y, double z) {
-        const auto clean = [](double v) { return std::abs(v) < 1e-9 ? 0.0 : v; };
+        const double largest = std::max({std::abs(x), std::abs(y), std::abs(z)});
+        const auto clean = [&](double v) { return std::abs(v) < 1e-9 * largest ? 0.0 : v; };
         return fmt::format("({:.4g}, {:.4g}, {:.4g})", clean(x), clean(y), clean(z));
     };
     // Twice the sine of the angle times the axis; near half a turn the axis is in R + 1 instead.

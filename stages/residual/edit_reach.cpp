@@ -11,8 +11,13 @@ namespace {
 
 /// Part of their size by which obstacles are larger than their shapes; rounding of a ray is a hundredth of it.
 constexpr float margin = 1e-5f;
-/// How far off its surface a ray may start, of 1 + its largest coordinate; see offset_origin().
-constexpr float ray_offset = 1.2e-4f;
+/// How far (m) from its vertex a ray may start in a scene.
+float largest_offset(const Scene& scene) {
+    float error = 0;
+    for (const Shape& shape : scene.shapes) error = std::max(error, shape.hit_error);
+    const Point3f& c = scene.center;
+    return 2 * rounding_bound * (std::abs(c.x) + std::abs(c.y) + std::abs(c.z) + 2 * scene.radius) + error;
+}
 
 float largest(const Point3f& p) { return std::max({std::abs(p.x), std::abs(p.y), std::abs(p.z)}); }
 
@@ -128,7 +133,7 @@ Shape enlarged(const Shape& shape) {
 void Obstacles::add(const Shape& shape) {
     Box3f box = shape.bounds();
     if (!(box.lo.x <= box.hi.x)) return;  // a mesh without triangles
-    box.grow(margin * (1 + largest(box.lo) + largest(box.hi)));
+    box.grow(margin * (largest(box.lo) + largest(box.hi)));
     box_.add(box);
     boxes_.push_back(box);
     shapes_.push_back(enlarged(shape));
@@ -172,7 +177,7 @@ EditReach::EditReach(const Scene& old_scene, const Scene& new_scene, const Edit&
     }
     for (std::uint32_t j = 0; j < new_scene.shapes.size(); ++j)
         if (const ShapeEdit& shape = edit.new_shapes[j]; !stays(shape, shape.partner, j)) new_places.add(new_scene.shapes[j]);
-    const float around = ray_offset * (1 + largest(old_scene.center) + old_scene.radius);
+    const float around = std::max(largest_offset(old_scene), largest_offset(new_scene));
     old_places.finish(around);
     new_places.finish(around);
 

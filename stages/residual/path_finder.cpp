@@ -30,7 +30,7 @@ bool PathFinder::scatters(const Hit& hit) const { return hit && !side_.scene.mat
 
 Segment PathFinder::segment_to_sensor(const Vertex& v, const FilmPoint& film) {
     const auto first = std::uint32_t(crossings_.all.size());
-    return {1, std::abs(dot(v.at.ng, film.d)), first, side_.cross({film.from, film.d, film.t_min, film.t * (1 - shadow_epsilon)}, crossings_)};
+    return {1, std::abs(dot(v.at.ng, film.d)), first, side_.cross({film.from, film.d, film.t_min, film.t * (1 - point_epsilon)}, crossings_)};
 }
 
 std::optional<FilmPoint> PathFinder::on_film(const Point3f& p) const {
@@ -42,7 +42,7 @@ std::optional<FilmPoint> PathFinder::on_film(const Point3f& p) const {
 }
 
 bool PathFinder::hides_from_sensor(const Vertex& v, const FilmPoint& film) {
-    return occluded({offset_origin(v.at.p, v.at.ng, -film.d), -film.d, 0, film.t - film.t_min});
+    return occluded({spawn_ray(v.at.end(), -film.d).o, -film.d, 0, film.t - film.t_min});
 }
 
 LightEnd PathFinder::light_end(const LightSample& s) const {
@@ -50,6 +50,7 @@ LightEnd PathFinder::light_end(const LightSample& s) const {
     light.Le = Radiance(s.Li);
     light.y = s.at_infinity ? Point3f(s.wi) : s.y;
     light.n = s.n;
+    light.hit_error = s.hit_error;
     light.pdf = s.pdf_w;
     light.emitter = s.emitter;
     light.at_infinity = s.at_infinity;
@@ -80,7 +81,7 @@ bool PathFinder::step(Stop& from, Point2f u, Point2f u_lobe_roulette, Stop& next
     if (s.lobe == Lobe::none || is_black(s.weight)) return false;
     from.ahead = here.frame.to_world(s.wi);
     from.lobe = s.lobe;
-    const Ray ray = spawn_ray(from.v.at.p, from.v.at.ng, from.ahead);
+    const Ray ray = spawn_ray(from.v.at.end(), from.ahead);
     const Hit hit = intersect(ray);
     if (!scatters(hit)) return false;
     next.v = side_.vertex(ray, hit);
@@ -282,7 +283,7 @@ void PathFinder::find(Technique technique, Site site, const Numbers& numbers, co
             Vector3f local = sample_cosine_hemisphere(u_light);
             if (scatters_on_both_sides(scene, middle.v.here, middle.v) && u_choice.y >= 0.5f) local.z = -local.z;
             const Vector3f to_light_d = middle.v.here.frame.to_world(local);
-            const Ray ray = spawn_ray(point.p, point.ng, to_light_d);
+            const Ray ray = spawn_ray(middle.v.at.end(), to_light_d);
             const Hit hit = intersect(ray);
             if (!scatters(hit)) return;
             middle.back = to_light_d;
@@ -340,7 +341,7 @@ bool PathFinder::find_from_camera(PathId id, const Sampler& numbers, const Visit
     for (int depth = 1;; ++depth) {
         const Hit hit = intersect(ray);
         Ray upto = ray;
-        if (hit) upto.t_max = hit.t * (1 - shadow_epsilon);
+        if (hit) upto.t_max = hit.t * (1 - point_epsilon);
         touched = touched || crosses(upto);
         if (!hit) {
             escaped = true;
@@ -363,6 +364,7 @@ bool PathFinder::find_from_camera(PathId id, const Sampler& numbers, const Visit
             stop.met.Le = Radiance(emitted(scene, stop.v.at, stop.back));
             stop.met.y = stop.v.at.p;
             stop.met.n = stop.v.at.ng;
+            stop.met.hit_error = stop.v.at.hit_error;
             stop.met.emitter = std::uint16_t(emitter);
             stop.met.changed = side_.changed_emitter[std::size_t(emitter)];
             stop.met.pdf = depth > 1 ? pdf_light_w(scene, y_.back().v.at.p, stop.v.at) : 0.0f;
@@ -395,7 +397,7 @@ bool PathFinder::find_from_camera(PathId id, const Sampler& numbers, const Visit
             if (goes_on) {
                 stop.ahead = here.frame.to_world(s.wi);
                 stop.lobe = s.lobe;
-                ray = spawn_ray(here.p, here.ng, stop.ahead);
+                ray = spawn_ray(here.end(), stop.ahead);
             }
         }
         y_.push_back(stop);

@@ -52,7 +52,7 @@ void PathMapper::reconnect(const FullPath& path, std::size_t j) {
         };
         const auto join = [&](const Vertex& s, const Vertex& l, Segment& segment) {
             ++n_rays;
-            if (to_.scene.occluded(spawn_segment(s.at.p, s.at.ng, l.at.p))) return false;
+            if (to_.scene.occluded(spawn_segment(s.at.end(), l.at.end()))) return false;
             segment = segment_between(to_, s, l, crossings_);
             return true;
         };

@@ -124,7 +124,7 @@ void ResumedPaths::add(const StoredPaths& paths, const PathChange& change, std::
         if (along && std::uint32_t(depth) == change.cut) {
             along = false;
             resumes = true;
-            path.ray = spawn_ray(p, paths.ng(j), wi());
+            path.ray = spawn_ray(paths.end(j), wi());
         }
         beta *= s.weight * (1 / q);
         for (; k < e.vertex.size() && e.vertex[k] == j; ++k) {

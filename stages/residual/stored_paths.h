@@ -55,6 +55,13 @@ class StoredPaths {
         const auto& v = graph().vertices;
         return unit_vector<Normal3f>(v.ng.empty() ? v.ns : v.ng, vertex);
     }
+    RayEnd end(std::size_t vertex) const { return {position(vertex), ng(vertex), scene_.shapes[graph().vertices.shape[vertex]].hit_error}; }
+    /// All of a vertex, the very one that the tracer had.
+    ShadingPoint shading_point(std::size_t vertex) const {
+        ShadingPoint here = reader_.vertex(vertex);
+        here.hit_error = end(vertex).hit_error;
+        return here;
+    }
     /// Direction of the ray that found a vertex.
     Vector3f arrival(std::size_t vertex) const {
         const float* wo = graph().vertices.wo.data() + 3 * vertex;
@@ -66,8 +73,8 @@ class StoredPaths {
     }
     /// From a vertex along its BSDF sample.
     Ray sampled_ray(std::size_t path, std::size_t vertex) const {
-        const ShadingPoint here = reader_.vertex(vertex);
-        return spawn_ray(here.p, here.ng, here.frame.to_world(redraw(here, sampler(path), depth(path, vertex)).wi));
+        const ShadingPoint here = shading_point(vertex);
+        return spawn_ray(here.end(), here.frame.to_world(redraw(here, sampler(path), depth(path, vertex)).wi));
     }
 
   private:
@@ -94,7 +101,7 @@ class StoredVertex {
 
     /// All of it.
     const ShadingPoint& whole() {
-        if (!whole_) whole_ = paths_.reader().vertex(vertex_);
+        if (!whole_) whole_ = paths_.shading_point(vertex_);
         return *whole_;
     }
     Spectrum f_cos(const Vector3f& wi) {

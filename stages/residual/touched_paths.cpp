@@ -9,7 +9,7 @@ namespace {
 /// A segment ends this much behind the point that it leads to: a surface of the edit may lie in the very place of another.
 float beyond(float t, const Point3f& p) {
     constexpr float slack = 1e-5f;
-    return t * (1 + slack) + slack * (1 + std::max({std::abs(p.x), std::abs(p.y), std::abs(p.z)}));
+    return t * (1 + slack) + slack * std::max({std::abs(p.x), std::abs(p.y), std::abs(p.z)});
 }
 
 constexpr std::size_t queue_size = 1024;
@@ -32,7 +32,7 @@ void TouchedPaths::look_at_failed_light(std::size_t path, std::size_t j) {
     if (reach_.emitters[light.emitter]) return sample_again(in_block, vertex);
     if (!may_be_freed || !light.asked) return;
     if (light.at_infinity ? reach_.old_places.may_meet(p, Vector3f(light.y)) : reach_.old_places.may_meet(p, light.y))
-        blocked_.add(light.at_infinity ? spawn_ray(p, paths_.ng(j), Vector3f(light.y)) : spawn_segment(p, paths_.ng(j), light.y), {in_block, vertex, false});
+        blocked_.add(light.at_infinity ? spawn_ray(paths_.end(j), Vector3f(light.y)) : spawn_segment(paths_.end(j), {light.y}), {in_block, vertex, false});
 }
 
 TouchedPaths::FailedLight TouchedPaths::failed_light(std::size_t path, std::size_t j, const Point3f& p) const {
@@ -97,7 +97,7 @@ void TouchedPaths::look_at(std::size_t path) {
         const Asked arriving{in_block, number, true}, leaving{in_block, number + 1, true};
         if (!ahead.empty() && ahead.may_meet(from, p)) {
             const Vector3f d = paths_.arrival(j);
-            const Point3f o = j == first ? from : offset_origin(from, paths_.ng(j - 1), d);
+            const Point3f o = j == first ? from : spawn_ray(paths_.end(j - 1), d).o;
             through_.add({o, d, 0, beyond(dot(p - o, d), p)}, arriving);
         }
         bool light_found = false, hit_found = false;
@@ -108,13 +108,13 @@ void TouchedPaths::look_at(std::size_t path) {
             const Point3f y{e.y[4 * k], e.y[4 * k + 1], e.y[4 * k + 2]};
             const Asked asked = by_hit ? leaving : Asked{in_block, vertex, false};
             if (at_infinity) {
-                if (ahead.may_meet(p, Vector3f(y))) through_.add(spawn_ray(p, paths_.ng(j), Vector3f(y)), asked);
+                if (ahead.may_meet(p, Vector3f(y))) through_.add(spawn_ray(paths_.end(j), Vector3f(y)), asked);
             } else if (ahead.may_meet(p, y)) {
-                Ray ray = spawn_segment(p, paths_.ng(j), y);
+                Ray ray = spawn_segment(paths_.end(j), {y});
                 if (by_hit) {
                     // It lies in the direction of the ray from the vertex, not from where the ray started.
                     const float distance = length(y - p);
-                    ray = spawn_ray(p, paths_.ng(j), (y - p) / distance);
+                    ray = spawn_ray(paths_.end(j), (y - p) / distance);
                     ray.t_max = beyond(distance, y);
                 }
                 through_.add(ray, asked);

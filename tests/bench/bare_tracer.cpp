@@ -171,7 +171,7 @@ struct BareTracer::Impl {
             const Vector3f d{rh.ray.dir_x, rh.ray.dir_y, rh.ray.dir_z};
             Normal3f ng = normalize(Normal3f(rh.hit.Ng_x, rh.hit.Ng_y, rh.hit.Ng_z));
             if (dot(ng, d) > 0) ng = -ng;
-            const Point3f p = offset_origin(Point3f(rh.ray.org_x, rh.ray.org_y, rh.ray.org_z) + d * rh.ray.tfar, ng, Vector3f(ng));
+            const Point3f p = offset_origin(Point3f(rh.ray.org_x, rh.ray.org_y, rh.ray.org_z) + d * rh.ray.tfar, ng, 1e-5f * loom_scene.radius, Vector3f(ng));
             const float reflectance = albedos[rh.hit.geomID];
             radiance += beta * reflectance * inv_pi<float> * direct(p, ng, random);
             if (depth >= 5) {

@@ -22,6 +22,7 @@ void fill(MatteColumns& c, std::size_t n) {
         const Vector3f ng = octahedral_round(unit());
         c.p.set(i, unit() * 3.0f);
         c.ng.set(i, ng);
+        c.hit_error[i] = 1e-6f * u2().x;
         c.n.set(i, i % 3 == 0 ? Vector3f() : (ng + unit() * 0.3f) * 0.7f);
         c.side[i] = i % 3 == 0 ? 0.0f : i % 3 == 1 ? 1.0f : -1.0f;
         c.reflectance.set(i, i % 11 == 0 ? Spectrum(0) : colour());
@@ -36,6 +37,7 @@ void fill(MatteColumns& c, std::size_t n) {
         const bool at_infinity = i % 5 == 0;
         c.light_y.set(i, at_infinity ? unit() : unit() * 5.0f);
         c.light_n.set(i, unit());
+        c.light_hit_error[i] = 1e-6f * u2().x;
         c.light_Li.set(i, i % 13 == 0 ? Spectrum(0) : colour());
         c.light_area[i] = 0.1f + u2().x;
         c.light_pdf_w[i] = u2().x;
@@ -56,6 +58,7 @@ void expect_plain(const MatteColumns& c, std::size_t n, Roulette roulette, const
         here.p = c.p.get<Point3f>(i);
         here.wo = c.wo.get<Vector3f>(i);
         here.ng = c.ng.get<Normal3f>(i);
+        here.hit_error = c.hit_error[i];
         here.n_side = c.side[i] == 0 ? here.ng : smooth_normal(c.n.get<Vector3f>(i), c.side[i]);
         here.frame = Framef(here.n_side);
         here.wo_local = here.frame.to_local(here.wo);
@@ -76,6 +79,7 @@ void expect_plain(const MatteColumns& c, std::size_t n, Roulette roulette, const
         point.Li = c.light_Li.get<Spectrum>(i);
         point.y = c.light_y.get<Point3f>(i);
         point.n = c.light_n.get<Normal3f>(i);
+        point.hit_error = c.light_hit_error[i];
         point.area = c.light_area[i];
         point.pdf_w = c.light_pdf_w[i];
         point.pmf = c.light_pmf[i];
@@ -86,8 +90,8 @@ void expect_plain(const MatteColumns& c, std::size_t n, Roulette roulette, const
         ASSERT_EQ(c.asks_shadow(i), asks);
         if (asks) {
             ++asked;
-            const Ray ray = light.at_infinity ? spawn_ray(here.p, here.ng, light.wi)
-                                              : spawn_segment(here.p, here.ng, light.y);
+            const Ray ray = light.at_infinity ? spawn_ray(here.end(), light.wi)
+                                              : spawn_segment(here.end(), light.end());
             const float weight = power_heuristic(light.pdf_w, value.pdf_w * q) / light.pdf_w;
             ASSERT_EQ(c.contribution.get<Spectrum>(i), beta * value.f_cos * light.Li * weight);
             ASSERT_EQ(c.shadow_pdf_w[i], light.pdf_w);
@@ -103,7 +107,7 @@ void expect_plain(const MatteColumns& c, std::size_t n, Roulette roulette, const
         ASSERT_EQ(c.has_next(i), has_next);
         if (has_next && !c.roulette_ends(i)) {
             ++went_on;
-            const Ray ray = spawn_ray(here.p, here.ng, here.frame.to_world(s.wi));
+            const Ray ray = spawn_ray(here.end(), here.frame.to_world(s.wi));
             ASSERT_EQ(c.next_o.get<Point3f>(i), ray.o);
             ASSERT_EQ(c.next_d.get<Vector3f>(i), ray.d);
             ASSERT_EQ(c.next_beta.get<Spectrum>(i), beta * (s.weight * (1 / q)));

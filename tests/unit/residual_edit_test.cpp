@@ -93,6 +93,15 @@ class FindEdit : public SceneFolder {
 
 using Words = std::vector<std::string>;
 
+// Before: no move below 1e-7 m was found, whatever the size of the scene.
+TEST_F(FindEdit, MovesOfSmallThings) {
+    const std::string small = with({{R"(<scale value="0.2"/><translate x="0.5" z="0.2"/>)", R"(<scale value="2e-5"/><translate x="5e-5" z="2e-5"/>)"}});
+    const std::string moved = with({{"x=\"5e-5\"", "x=\"5.003e-5\""}}, small), rounded = with({{"x=\"5e-5\"", "x=\"5.0000000001e-5\""}}, small);
+    ASSERT_EQ(found(small, moved).changes.size(), 1u);
+    EXPECT_NE(found(small, moved).changes[0].find("by (3e-08, 0, 0)"), std::string::npos) << found(small, moved).changes[0];
+    EXPECT_TRUE(found(small, rounded).changes.empty());
+}
+
 TEST_F(FindEdit, NothingDiffersHoweverItIsWritten) {
     EXPECT_TRUE(found(base, base).nothing());
     // Another order of attributes and parameters, grey as a number, a matrix instead of its factors, 0.x spelling of the

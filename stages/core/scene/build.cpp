@@ -371,6 +371,7 @@ std::unique_ptr<Scene> build_scene(SceneDescription description) {
         }
         fill_shape(*shapes[i - 1], scene->shapes[i - 1], notes[i - 1]);
         record_triangles(scene->shapes[i - 1]);
+        scene->shapes[i - 1].hit_error = hit_error(scene->shapes[i - 1]);
     });
     for (std::size_t i = 0; i < shapes.size(); ++i) {
         Shape& shape = scene->shapes[i];

@@ -115,6 +115,7 @@ float one_minus_cos(const Cone& cone, float radius) {
 void sample_area_point(const Scene& scene, const Emitter& e, Point2f u, LightPoint& point) {
     Point2f uv;
     sample_area(scene, e, u, point.y, point.n, uv);
+    point.hit_error = scene.shapes[e.shape].hit_error;
     point.area = float(e.area);
     point.Li = e.texture < 0 ? e.radiance : e.radiance * scene.textures[e.texture].eval(uv);
 }
@@ -140,6 +141,7 @@ void sample_sphere_light(const Scene& scene, const Emitter& e, const Point3f& fr
     const Point3f on_ray = from + s.wi * t;
     s.n = Normal3f(normalize(on_ray - shape.center));
     s.y = shape.center + Vector3f(s.n) * shape.radius;
+    s.hit_error = shape.hit_error;
     s.wi = normalize(s.y - from);  // as a reader of the stored point computes it
     s.pdf_w = 1.0f / (two_pi * omc);
     s.Li = e.radiance;

@@ -9,6 +9,7 @@
 #include "stages/core/math/frame.h"
 #include "stages/core/math/vector.h"
 #include "stages/core/sampling/distribution.h"
+#include "stages/core/scene/ray.h"
 
 namespace loom {
 
@@ -71,9 +72,12 @@ struct LightSample {
     float pdf_w = 0;            // sr^-1 with the choice of the emitter; a pmf for delta lights
     Point3f y;                  // the light point; meaningless when at_infinity
     Normal3f n;                 // its normal (area lights)
+    float hit_error = 0;        // of its shape (area lights)
     bool at_infinity = false;
     bool delta = false;
     std::uint16_t emitter = 0;
+
+    RayEnd end() const { return {y, n, hit_error}; }
 };
 
 /// A point on an emitter, or a direction towards one, chosen without a look at what it will light.
@@ -81,6 +85,7 @@ struct LightPoint {
     Spectrum Li;         // that it sends to the side of n
     Point3f y;           // or the direction towards it, when at_infinity
     Normal3f n;          // unit, of the side that shines; meaningless when at_infinity
+    float hit_error = 0; // of its shape
     float area = 1;      // y is uniform over it, m^2
     float pdf_w = 0;     // of a direction, sr^-1; meaningless for a point
     float pmf = 1;       // of its emitter
@@ -101,6 +106,7 @@ inline LightSample seen_from(const LightPoint& point, const Point3f& from) {
     s.pdf_w = select(is_black(point.Li), 0.0f, select(point.at_infinity, point.pdf_w, by_area) * point.pmf);
     s.y = point.y;
     s.n = point.n;
+    s.hit_error = point.hit_error;
     s.at_infinity = point.at_infinity;
     s.emitter = point.emitter;
     return s;

@@ -40,6 +40,7 @@ NlosCapture::Point describe(const Scene& scene, const Ray& ray, const Hit& hit) 
     const SurfacePoint seen = scene.surface(ray, hit);
     at.p = seen.p;
     at.ng = at.flat = seen.ng;
+    at.hit_error = seen.hit_error;
     const Shape& shape = scene.shapes[hit.shape];
     if (shape.kind == ShapeKind::mesh) {
         const TriangleRecord& triangle = shape.triangles[hit.primitive];
@@ -62,10 +63,11 @@ void look_at_grid(const Object& wall, const Object& sensor, const Scene& scene, 
             if (!point_at_uv(shape.mesh, u, v, target))
                 wall.fail("", fmt::format("the relay wall has no point of texture coordinates ({:.4g}, {:.4g}), where grid point ({}, {}) is", u, v, i, j));
             target.shape = capture.relay_wall;
-            const Vector3f d = triangle_point(shape, target, false).p - capture.sensor_origin;
+            const TrianglePoint point = triangle_point(shape, target, false);
+            const Vector3f d = point.p - capture.sensor_origin;
             target.t = length(d);
-            const Ray ray{capture.sensor_origin, d / target.t, 0, target.t * (1 - shadow_epsilon)};
-            const Hit before = scene.intersect(ray);
+            const Ray ray{capture.sensor_origin, d / target.t};
+            const Hit before = scene.intersect(spawn_segment({capture.sensor_origin}, {point.p, point.ng, shape.hit_error}));
             capture.sensor_points.push_back(describe(scene, {ray.o, ray.d}, before ? before : target));
         }
 }
@@ -84,7 +86,7 @@ NlosCapture::LaserPoint aim(const Scene& scene, const Point3f& laser, const Nlos
     static_cast<NlosCapture::Point&>(point) = target;
     if (!target.hit) return point;
     point.beam = beam_along(normalize(target.p - laser));
-    point.lit = !scene.occluded(spawn_segment(target.p, target.ng, laser));
+    point.lit = !scene.occluded(spawn_segment(target.end(), {laser}));
     return point;
 }
 

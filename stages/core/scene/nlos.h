@@ -26,6 +26,9 @@ struct NlosCapture {
         Point3f p;
         Normal3f ng;  // geometric
         Normal3f flat;  // of the triangle itself: ng before it was rounded
+        float hit_error = 0;
+
+        RayEnd end() const { return {p, ng, hit_error}; }
     };
     struct LaserPoint : Point {
         Framef beam;       // the projector's axes when it aims here

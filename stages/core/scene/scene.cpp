@@ -109,6 +109,7 @@ SurfacePoint Scene::surface(const Ray& ray, const Hit& hit) const {
     SurfacePoint at;
     at.shape = hit.shape;
     at.primitive = hit.primitive;
+    at.hit_error = shape.hit_error;
     at.material = shape.material;
     Partials partials;
     const Vector3f wo = -ray.d;

@@ -14,6 +14,7 @@
 #include "stages/core/scattering/bsdf.h"
 #include "stages/core/scene/emitter.h"
 #include "stages/core/scene/mesh.h"
+#include "stages/core/scene/ray.h"
 #include "stages/core/scene/sensor.h"
 #include "stages/core/scene/texture.h"
 
@@ -21,14 +22,6 @@ namespace loom {
 
 class RayEngine;     // Embree, in embree.cpp
 struct NlosCapture;  // nlos.h
-
-/// Half-open segment of a ray; d is unit, so t is a distance (m).
-struct Ray {
-    Point3f o;
-    Vector3f d;
-    float t_min = 0;
-    float t_max = INFINITY;
-};
 
 /// Raw answer of the ray engine.
 struct Hit {
@@ -84,9 +77,14 @@ struct Shape {
     float radius = 1;
     Vector3f u_axis, v_axis, w_axis;
     bool flip_normals = false;
+    float hit_error = 0;  // m along the normal: how far a hit point may be off the plane that the ray engine tests, by the size of the
+                          // shape; what its distance from the origin adds is in surface_offset()
 
     Box3f bounds() const;  // world space
 };
+
+/// What Shape::hit_error is of a shape.
+float hit_error(const Shape& shape);
 
 /// A point on a surface, ready for shading. Normals as in Mitsuba: ng from the geometry's own
 /// orientation, ns interpolated, neither turned towards the viewer.
@@ -97,7 +95,10 @@ struct SurfacePoint {
     Frame<float> frame;  // of the BSDF
     Point2f uv;
     std::uint32_t shape = 0, primitive = 0, material = 0;
+    float hit_error = 0;  // Shape::hit_error
     bool perturbed = false;
+
+    RayEnd end() const { return {p, ng, hit_error}; }
 };
 
 /// What kinds of things a scene holds: stages switch on only what it calls for.
@@ -196,29 +197,6 @@ inline TrianglePoint triangle_point(const Shape& shape, const Hit& hit, bool wan
 /// Shading normal from the interpolated one, n: unit, turned when `side` is -1, rounded as the path graph stores it.
 inline Normal3f smooth_normal(const Vector3f& n, float side) {
     return Normal3f(octahedral_round(n * (side / std::sqrt(length2(n)))));
-}
-
-/// Origin of a ray that leaves p into direction d, moved off the surface.
-inline Point3f offset_origin(const Point3f& p, const Normal3f& ng, const Vector3f& d) {
-    constexpr float ray_epsilon = 0x1p-24f * 1500.0f;
-    const float largest = std::max(std::max(std::abs(p.x), std::abs(p.y)), std::abs(p.z));
-    const float magnitude = (1.0f + largest) * ray_epsilon;
-    return p + Vector3f(ng) * (dot(ng, d) >= 0 ? magnitude : -magnitude);
-}
-
-inline Ray spawn_ray(const Point3f& p, const Normal3f& ng, const Vector3f& d) {
-    return {offset_origin(p, ng, d), d, 0, INFINITY};
-}
-
-/// A shadow ray ends short of its light by this part of its length.
-inline constexpr float shadow_epsilon = 0x1p-24f * 15000.0f;
-
-/// The open segment from p (on a surface with normal ng) to q.
-inline Ray spawn_segment(const Point3f& p, const Normal3f& ng, const Point3f& q) {
-    const Point3f o = offset_origin(p, ng, q - p);
-    const Vector3f d = q - o;
-    const float distance = length(d);
-    return {o, d / distance, 0, distance * (1.0f - shadow_epsilon)};
 }
 
 }  // namespace loom

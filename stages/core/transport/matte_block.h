@@ -23,6 +23,7 @@ class MatteBlock {
             surface.textured = material.diffuse >= 0;
             surface.two_sided = model.two_sided ? 1.0f : 0.0f;
             surface.side = shape.flip_normals ? -1.0f : 1.0f;
+            surface.hit_error = shape.hit_error;
             surface.reflectance = model.diffuse;
             surface.vertex.describe(Bsdf<float>(model), scene.features);
             surface.vertex.shape = std::uint32_t(surfaces_.size() - 1);
@@ -53,6 +54,7 @@ class MatteBlock {
         rays_[m] = ray;
         c.p.set(m, at.p);
         c.ng.set(m, at.ng);
+        c.hit_error[m] = surface.hit_error;
         c.n.set(m, at.n);
         c.side[m] = length2(at.n) > 0 ? surface.side : 0.0f;
         c.reflectance.set(m, surface.textured ? scene_.diffuse(scene_.materials[shape.material], at.uv)
@@ -66,6 +68,7 @@ class MatteBlock {
         c.u_roulette[m] = u_roulette;
         c.light_y.set(m, light.y);
         c.light_n.set(m, light.n);
+        c.light_hit_error[m] = light.hit_error;
         c.light_Li.set(m, light.Li);
         c.light_area[m] = light.area;
         c.light_pdf_w[m] = light.pdf_w;
@@ -117,7 +120,7 @@ class MatteBlock {
     /// What `add` asks of a shape, in one place, and what all of its vertices have in common.
     struct Surface {
         bool matte = false, textured = false;
-        float two_sided = 0, side = 1;
+        float two_sided = 0, side = 1, hit_error = 0;
         Spectrum reflectance;
         VertexRecord vertex;
     };

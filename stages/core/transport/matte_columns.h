@@ -36,6 +36,7 @@ struct MatteColumns {
 
     // in: the surface, the path that arrives, random numbers
     Triples p, ng, n;      // n: interpolated, not of unit length
+    Numbers hit_error;
     Numbers side;          // turns n: 1 or -1; 0: shade with ng
     Triples reflectance;
     Numbers two_sided;     // 1 or 0
@@ -44,6 +45,7 @@ struct MatteColumns {
     Numbers u_direction_x, u_direction_y, u_roulette;
     // in: the light point; black: none
     Triples light_y, light_n, light_Li;
+    Numbers light_hit_error;
     Numbers light_area, light_pdf_w, light_pmf, light_at_infinity;
 
     // out: the vertex

@@ -10,7 +10,7 @@ namespace {
 /// Two points of one plane light each other only by rounding, which over their distance squared can be anything.
 bool in_one_plane(const Normal3f& n, const Vector3f& d, const Point3f& p) {
     constexpr double flat = 1e-5;
-    const double size = 1 + std::max({std::abs(p.x), std::abs(p.y), std::abs(p.z)});
+    const double size = std::max({std::abs(p.x), std::abs(p.y), std::abs(p.z)});
     return std::abs(dot(Vector3<double>(n), Vector3<double>(d))) < flat * std::max(length(Vector3<double>(d)), flat * size);
 }
 
@@ -41,6 +41,7 @@ class NlosPath {
         Spectrum Li;
         Point3f y;
         Normal3f n;
+        RayEnd end;  // of its shadow ray
     };
     static constexpr int no_limit = 1 << 30;
 
@@ -109,7 +110,7 @@ class NlosPath {
         const BsdfValue<float> value = delta ? BsdfValue<float>{} : f_cos_pdf(here, wi);
         if (!delta && is_black(value.f_cos)) return end(Ending::invalid_sample);
 
-        ray_ = spawn_ray(here.p, here.ng, wi);
+        ray_ = spawn_ray(here.end(), wi);
         if (aims) {
             // At the very point, though the ray starts beside the vertex; then as if from the vertex itself. Along wi
             // the points that are met would lie closer together than those that are sampled.
@@ -165,7 +166,7 @@ class NlosPath {
         const Spectrum f_cos = f_cos_pdf(here, light.wi).f_cos;
         if (is_black(f_cos) || is_black(light.Li)) return;
         ++result_.n_rays;
-        if (scene_.occluded(spawn_segment(here.p, here.ng, light.y))) return;
+        if (scene_.occluded(spawn_segment(here.end(), light.end))) return;
         result_.L += beta_ * f_cos * light.Li;
         if constexpr (recording) {
             LightEdgeRecord edge;
@@ -189,6 +190,7 @@ class NlosPath {
         light.y = projector_.position;
         light.wi = normalize(light.y - here.p);
         light.n = laser_.beam.n;
+        light.end = {light.y};
         return true;
     }
 
@@ -217,6 +219,7 @@ class NlosPath {
         const SurfacePoint at = scene_.surface({here.p, light.wi}, spot.hit);
         const ShadingPoint lit = shading_point(scene_, at, -light.wi);
         light.n = at.ng;
+        light.end = spot.end();
         const Vector3f to_laser = normalize(projector_.position - spot.p);
         const float cos_l = std::abs(dot(at.ng, light.wi));
         light.Li = f_cos_pdf(lit, to_laser).f_cos * E * (cos_l / (r * r));

@@ -48,6 +48,7 @@ inline ShadingPoint shading_point(const Scene& scene, const SurfacePoint& at, co
     here.frame = at.frame;
     here.wo_local = at.frame.to_local(wo);
     here.ng = at.ng;
+    here.hit_error = at.hit_error;
     here.n_side = at.ns_smooth;
     here.perturbed = at.perturbed;
     here.bsdf = scene.bsdf(at);
@@ -109,7 +110,7 @@ bool sample_next_event(const Scene& scene, const PathState& path, const ShadingP
     const float pdf_bsdf = light.delta ? 0.0f : value.pdf_w * q;
     const float weight = power_heuristic(light.pdf_w, pdf_bsdf) / light.pdf_w;
     shadow.contribution = path.beta * value.f_cos * light.Li * weight;
-    shadow.ray = light.at_infinity ? spawn_ray(here.p, here.ng, light.wi) : spawn_segment(here.p, here.ng, light.y);
+    shadow.ray = light.at_infinity ? spawn_ray(here.end(), light.wi) : spawn_segment(here.end(), light.end());
     if constexpr (recording) {
         LightEdgeRecord& edge = shadow.edge;
         edge = {};
@@ -248,7 +249,7 @@ template <bool recording>
         if (scene.features.dielectric && model.kind != BsdfKind::thin_dielectric)
             path.media.cross(shape, s.wi.z < 0, model.int_ior, model.ext_ior);
     }
-    path.ray = spawn_ray(here.p, here.ng, wi);
+    path.ray = spawn_ray(here.end(), wi);
     if constexpr (recording) {
         record.last().lobe = s.lobe;
         record.last().pdf_w = path.pdf_w;

@@ -105,7 +105,7 @@ struct PathBatch::Impl {
         }
         if (touched) return;
         Ray segment = paths[i].ray;
-        if (hit) segment.t_max = hit.t * (1 - shadow_epsilon);
+        if (hit) segment.t_max = hit.t * (1 - point_epsilon);
         watch_segment(i, segment);
     }
     void watch_segment(std::uint32_t i, const Ray& segment) {

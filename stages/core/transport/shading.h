@@ -4,6 +4,7 @@
 
 #include "stages/core/math/frame.h"
 #include "stages/core/scattering/bsdf.h"
+#include "stages/core/scene/ray.h"
 
 namespace loom {
 
@@ -13,9 +14,12 @@ struct ShadingPoint {
     Vector3f wo_local;   // the same in `frame`
     Framef frame;
     Normal3f ng;
+    float hit_error = 0; // of its shape, m; what lies between the point and its rays' origins
     Normal3f n_side;     // shading normal before a bump or normal map; equals frame.n without one
     bool perturbed = false;
     Bsdf<float> bsdf;
+
+    RayEnd end() const { return {p, ng, hit_error}; }
 };
 
 /// Shadowing of a bump or normal map for light from wi, so that the darkening at the terminator of the

@@ -75,12 +75,12 @@ void aim_at_light(MatteColumns& c, std::size_t i) {
     const auto p = c.p.get<Point3f>(i), y = c.light_y.get<Point3f>(i);
     const auto wi = c.light_wi.get<Vector3f>(i);
     const bool at_infinity = c.light_at_infinity[i] != 0;
-    const Point3f o = offset_origin(p, c.ng.get<Normal3f>(i), select(at_infinity, wi, y - p));
-    const Vector3f segment = y - o;
+    const Point3f o = offset_origin(p, c.ng.get<Normal3f>(i), c.hit_error[i], select(at_infinity, wi, y - p));
+    const Vector3f segment = offset_end(y, c.light_n.get<Normal3f>(i), c.light_hit_error[i], o) - o;
     const float distance = length(segment);
     c.shadow_o.set(i, o);
     c.shadow_d.set(i, select(at_infinity, wi, segment / distance));
-    c.shadow_t_max[i] = select(at_infinity, float(INFINITY), distance * (1.0f - shadow_epsilon));
+    c.shadow_t_max[i] = select(at_infinity, float(INFINITY), distance * (1 - surface_epsilon));
 }
 
 void choose_direction(MatteColumns& c, std::size_t i) {
@@ -99,7 +99,7 @@ void scatter(MatteColumns& c, std::size_t i) {
 }
 
 void leave_surface(MatteColumns& c, std::size_t i) {
-    c.next_o.set(i, offset_origin(c.p.get<Point3f>(i), c.ng.get<Normal3f>(i), c.next_d.get<Vector3f>(i)));
+    c.next_o.set(i, offset_origin(c.p.get<Point3f>(i), c.ng.get<Normal3f>(i), c.hit_error[i], c.next_d.get<Vector3f>(i)));
 }
 
 }  // namespace
