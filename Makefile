@@ -4,6 +4,7 @@
 .DELETE_ON_ERROR:
 .PHONY: demo image edit edit-techniques transient chart chart-transient chart-edit-graph chart-edit-cost chart-all report table table-edit edit-pictures choices test test-full stability asan bench peers peers-transient oidn tools build stages clean help
 SHELL := /bin/sh
+include pipelines/variables.mk
 
 BUILD ?= build
 JOBS ?= $(shell nproc)
@@ -17,6 +18,7 @@ PEER_PACKAGES := python3-venv
 # A browser to test reports in; without it make test-full leaves that test out.
 BROWSER_PACKAGES := chromium
 
+python = $(call quote,$(PEERS_PYTHON))
 STAGES := $(patsubst stages/%/main.cpp,loom-%,$(wildcard stages/*/main.cpp))
 
 # $(call install,PACKAGES): asks for root only when a package is missing. All output of tools and
@@ -48,7 +50,7 @@ compile = unset MAKEFLAGS MFLAGS; \
 demo: stages ## (default) install, build, trace a small scene, show where the results lie; takes SCENE= too
 	@$(MAKE) --no-print-directory -f pipelines/still.mk demo
 	@$(MAKE) --no-print-directory -f pipelines/transient.mk demo SCENE=scenes/flash.xml DEFINES= TRACE= SPP=8 PASSES=4 \
-		$(if $(strip $(OUT)),OUT=$(strip $(OUT))/flash)
+		$(if $(OUT),OUT=$(OUT)/flash)
 
 image: stages ## render SCENE; with -s the only line on stdout is the path of the EXR
 	@$(MAKE) --no-print-directory -f pipelines/still.mk image
@@ -110,16 +112,16 @@ bench: build ## measure throughput against a bare Embree loop
 	$(BUILD)/bin/loom-bench
 
 peers: stages ## (optional) Mitsuba 3 on SCENE, fetched from PyPI into a virtual environment; charts and reports then show it
-	@[ -n '$(PEERS_PYTHON)' ] || { $(call install,$(PEER_PACKAGES) libllvm16); }
-	@[ -n '$(PEERS_PYTHON)' ] || [ -e $(BUILD)/peers/ready ] || { python3 -m venv $(BUILD)/peers && \
+	@[ -n $(python) ] || { $(call install,$(PEER_PACKAGES) libllvm16); }
+	@[ -n $(python) ] || [ -e $(BUILD)/peers/ready ] || { python3 -m venv $(BUILD)/peers && \
 		$(BUILD)/peers/bin/pip install -q mitsuba==3.8.0 >&2 && touch $(BUILD)/peers/ready; }
-	@$(MAKE) --no-print-directory -f pipelines/peers.mk peers PYTHON=$(or $(PEERS_PYTHON),$(BUILD)/peers/bin/python)
+	@$(MAKE) --no-print-directory -f pipelines/peers.mk peers PYTHON=$(if $(PEERS_PYTHON),$(python),$(BUILD)/peers/bin/python)
 
 peers-transient: stages ## (optional) mitransient on SCENE, fetched from PyPI: paths per second of both, and whether their cubes agree
-	@[ -n '$(PEERS_PYTHON)' ] || { $(call install,$(PEER_PACKAGES) libllvm16); }
-	@[ -n '$(PEERS_PYTHON)' ] || [ -e $(BUILD)/peers/ready-transient ] || { python3 -m venv $(BUILD)/peers && \
+	@[ -n $(python) ] || { $(call install,$(PEER_PACKAGES) libllvm16); }
+	@[ -n $(python) ] || [ -e $(BUILD)/peers/ready-transient ] || { python3 -m venv $(BUILD)/peers && \
 		$(BUILD)/peers/bin/pip install -q mitsuba==3.8.0 mitransient==1.3.1 h5py >&2 && touch $(BUILD)/peers/ready-transient; }
-	@$(MAKE) --no-print-directory -f pipelines/peers-transient.mk peers-transient PYTHON=$(or $(PEERS_PYTHON),$(BUILD)/peers/bin/python)
+	@$(MAKE) --no-print-directory -f pipelines/peers-transient.mk peers-transient PYTHON=$(if $(PEERS_PYTHON),$(python),$(BUILD)/peers/bin/python)
 
 oidn: ## (optional) Open Image Denoise for loom-denoise, fetched from PyPI into a folder beside the build's bin/
 	@[ -e $(BUILD)/oidn/libOpenImageDenoise.so.2 ] || { $(call install,$(PEER_PACKAGES)); }
@@ -164,5 +166,5 @@ help: ## list targets and variables
 	@sed -n 's/^# *\([A-Z_]*\)=  *## \(.*\)/\1=\t\2/p' pipelines/chart-edit-cost.mk | awk -F'\t' '{printf "  %-28s %s\n", $$1, $$2}'
 	@echo 'Variables of the build:'
 	@printf '  %-28s %s\n' 'BUILD=$(BUILD)' 'build folder' 'JOBS=$(JOBS)' 'compilations at a time' \
-		'PEERS_PYTHON=$(PEERS_PYTHON)' 'an interpreter that has mitsuba, for peers'
+		PEERS_PYTHON=$(python) 'an interpreter that has mitsuba, for peers'
 	@echo 'Example: make image SCENE=scenes/cornell-box.xml METHOD=pt SPP=64 DEFINES="resx=320 resy=320"'

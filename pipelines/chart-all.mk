@@ -9,8 +9,9 @@
 
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
-.PHONY: chart-all FORCE
+.PHONY: chart-all
 .DEFAULT_GOAL := chart-all
+include pipelines/variables.mk
 
 # SCENES=  ## scene files (the shared ones where they are, else some of the project's own)
 # REFERENCES=  ## folder of NAME_ref.exr and NAME_var.exr
@@ -20,34 +21,32 @@
 BUILD ?= build
 shared := $(sort $(wildcard $(foreach s,scene_v3 scene_glossy_v3 scene_area_v3,../shared/scenes/*/$(s).xml)))
 own := $(addprefix scenes/,cornell-box.xml glossy-box.xml caustic.xml textured.xml)
-SCENES := $(or $(strip $(SCENES)),$(shared),$(wildcard $(own)))
-REFERENCES := $(or $(strip $(REFERENCES)),../shared/oracles/scenes)
-METHODS := $(or $(strip $(METHODS)),pt west pathgraph)
-SPPS := $(or $(strip $(SPPS)),1 4 16)
-REPLICATES := $(or $(strip $(REPLICATES)),3)
-COST := $(or $(strip $(COST)),render_s)
-ERROR := $(or $(strip $(ERROR)),relmse)
-SIZE := $(or $(strip $(SIZE)),128)
-OUT := $(or $(strip $(OUT)),out/chart-all)
+SCENES ?= $(or $(shared),$(wildcard $(own)))
+REFERENCES ?= ../shared/oracles/scenes
+METHODS ?= pt west pathgraph
+SPPS ?= 1 4 16
+REPLICATES ?= 3
+COST ?= render_s
+ERROR ?= relmse
+SIZE ?= 128
+OUT ?= out/chart-all
+include pipelines/words.mk
 
 chart := $(BUILD)/bin/loom-chart
-inspect := $(BUILD)/bin/loom-inspect
-# ../shared/scenes/cornell-box/scene_glossy_v3.xml -> cornell-box_glossy, scenes/mirror.xml -> mirror
-name = $(shell echo '$(1)' | sed -E 's/[.]xml$$//; s,.*/([^/]+)/scene(_[a-z]+)?_v3$$,\1\2,; s,.*/,,')
-names := $(foreach s,$(SCENES),$(call name,$(s)))
+names := $(foreach s,$(SCENES),$(call row_name,$(s)))
 
 # A scene by chart.mk, which knows what there is to do. All variables are named: none of this file's reaches it else.
 define one
-.PHONY: $(call name,$(1))
-$(call name,$(1)):
-	@echo '$(call name,$(1))' >&2
-	@set -e; ref='$(REFERENCES)/$(call name,$(1))_ref.exr'; var='$(REFERENCES)/$(call name,$(1))_var.exr'; \
+.PHONY: $(call row_name,$(1))
+$(call row_name,$(1)):
+	@echo '$(call row_name,$(1))' >&2
+	@set -e; ref='$(REFERENCES)/$(call row_name,$(1))_ref.exr'; var='$(REFERENCES)/$(call row_name,$(1))_var.exr'; \
 	if [ -f "$$$$ref" ]; then \
 		size=$$$$($(inspect) --quiet --json "$$$$ref" | tr -d ' \n' | \
 			sed -E 's/.*"dataWindow":"x0to([0-9]+),y0to([0-9]+)".*/\1 \2/' | awk '{ print "resx=" $$$$1 + 1, "resy=" $$$$2 + 1 }'); \
 		[ -f "$$$$var" ] || var=; \
 	else size='resx=$(SIZE) resy=$(SIZE)'; ref=; var=; fi; \
-	$(MAKE) -s --no-print-directory -f pipelines/chart.mk BUILD=$(BUILD) SCENE='$(1)' NAME='$(call name,$(1))' OUT=$(OUT)/$(call name,$(1)) \
+	$(MAKE) -s --no-print-directory -f pipelines/chart.mk BUILD=$(BUILD) SCENE='$(1)' NAME='$(call row_name,$(1))' OUT=$(OUT)/$(call row_name,$(1)) \
 		METHODS='$(METHODS)' SPPS='$(SPPS)' REPLICATES=$(REPLICATES) COST=$(COST) ERROR=$(ERROR) \
 		REFERENCE="$$$$ref" REFERENCE_VARIANCE="$$$$var" DEFINES="$$$$size" chart
 endef
@@ -68,6 +67,3 @@ ifneq ($(strip $(DOCS)),)
 		! [ -e $(OUT)/$(n)/$$c.svg ] || cp $(OUT)/$(n)/$$c.svg $(DOCS)/charts/$(n)-$$c.svg; done;)
 endif
 	@echo $(OUT)/all.png
-
-$(chart) $(inspect) &:
-	$(MAKE) --no-print-directory -f Makefile stages

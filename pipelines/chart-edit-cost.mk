@@ -10,8 +10,9 @@
 
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
-.PHONY: chart-edit-cost FORCE
+.PHONY: chart-edit-cost
 .DEFAULT_GOAL := chart-edit-cost
+include pipelines/variables.mk
 
 # SPP=  ## samples per pixel of the graphs (16)
 # SIZE=  ## longer side of the pictures (256)
@@ -19,17 +20,11 @@
 # ROWS=  ## edits to do (all)
 # DOCS=  ## folder into whose edits.md the table goes
 BUILD ?= build
-SPP := $(or $(strip $(SPP)),16)
-SIZE := $(or $(strip $(SIZE)),256)
-REPLICATES := $(or $(strip $(REPLICATES)),3)
-OUT := $(or $(strip $(OUT)),out/chart-edit-cost)
+SPP ?= 16
+SIZE ?= 256
+REPLICATES ?= 3
+OUT ?= out/chart-edit-cost
 include pipelines/words.mk
-ifneq ($(shell printf '%s\n' $(SPP) $(SIZE) $(REPLICATES) | grep -cxE '[1-9][0-9]{0,8}'),3)
-$(error SPP=$(SPP) SIZE=$(SIZE) REPLICATES=$(REPLICATES): must be whole numbers from 1)
-endif
-ifneq ($(words $(OUT)),1)
-$(error OUT=$(OUT): make cannot handle blanks in the names of what it makes)
-endif
 trace := $(BUILD)/bin/loom-trace
 residual := $(BUILD)/bin/loom-residual
 chart := $(BUILD)/bin/loom-chart
@@ -75,8 +70,16 @@ words_of = $(patsubst %,$(2) '%',$(subst +, ,$(1)))
 both = $(call words_of,$(size.$(call field,1,$(1))) $(call field,3,$(1)),-D)
 # Edits of one scene share its graph.
 graph = $(OUT)/graph/$(shell printf '%s' '$(call old,$(1)) $(call both,$(1)) $(SPP)' | cksum | cut -d' ' -f1).h5
+# $(call old_stamp,ROW), $(call new_stamp,ROW): what the scenes are; one that is written here is looked at again once it is.
+old_stamp = $(patsubst %.h5,%.stamp,$(call graph,$(1)))
+new_stamp = $(OUT)/$(1).stamp
+define scene_stamp
+$(2): $(filter $(OUT)/%,$(3))
+$(call stamp,$(2),--scene $(3) $(call both,$(1)) $(4))
+endef
 define graph_rule
-$(call graph,$(1)): $(call old,$(1)) $(trace)
+$(call scene_stamp,$(1),$(call old_stamp,$(1)),$(call old,$(1)))
+$(call graph,$(1)): $(call old_stamp,$(1)) $(trace)
 	@mkdir -p $$(@D)
 	$(trace) --quiet $(call old,$(1)) $(call both,$(1)) --spp $(SPP) --seed 1 --misses -o $$@
 endef
@@ -86,7 +89,8 @@ $(foreach g,$(sort $(foreach w,$(ROWS),$(call graph,$(w)))),$(eval $(call graph_
 run = $(residual) --quiet $(call old,$(1)) $(call new,$(1)) $(call both,$(1)) $(call words_of,$(call field,4,$(1)),--new-define) $(2) -o $(OUT)/run.exr && \
 	awk -F'[:,]' '/"cpu_s"/ { c = $$$$2 } /"load_s"/ { l = $$$$2 } /"samples"/ { s = $$$$2 } /"rays"/ { r = $$$$2 } END { print "$(1)", "$(3)", c - l, s, r }' $(OUT)/run.exr.cost.json
 define row
-$(OUT)/$(1).runs: $(call old,$(1)) $(call new,$(1)) $(call graph,$(1)) $(residual) $(OUT)/cost.parameters
+$(call scene_stamp,$(1),$(call new_stamp,$(1)),$(call new,$(1)),$(call words_of,$(call field,4,$(1)),-D))
+$(OUT)/$(1).runs: $(call old_stamp,$(1)) $(call new_stamp,$(1)) $(call graph,$(1)) $(residual) $(OUT)/cost.parameters
 	@echo $(1) >&2
 	@for i in $$$$(seq $(REPLICATES)); do $(call run,$(1),--method correlated --spp $(SPP),full) && $(call run,$(1),--old-graph $(call graph,$(1)),graph) || exit 1; done >$$@
 endef
@@ -119,7 +123,3 @@ $(OUT)/cost.md: $(OUT)/runs.tsv
 	@awk -F'\t' 'NR == 1 { print "$(SPP) samples per pixel, longer side $(SIZE) px, the fastest of $(REPLICATES) runs in turn, scenes not counted.\n"; \
 			print "| scene | edit | paths touched | rays | full, CPU s | from the graph | of it |\n|---|---|--:|--:|--:|--:|--:|" } \
 		$$3 == "old graph" { printf "| %s | %s | %.3g %% | %.3g %% | %.3g | %.3g | %.3g %% |\n", $$1, $$2, 100 * $$4, 100 * $$5, $$6, $$7, 100 * $$8 }' $< >$@
-
-# Run alone on a tree that is not built yet.
-$(trace) $(residual) $(chart) &:
-	$(MAKE) --no-print-directory -f Makefile stages

@@ -9,8 +9,9 @@
 
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
-.PHONY: chart-edit-graph FORCE
+.PHONY: chart-edit-graph
 .DEFAULT_GOAL := chart-edit-graph
+include pipelines/variables.mk
 
 OLD ?= scenes/cornell-box.xml
 # NEW=  ## scene after the edit, or NEW_DEFINES
@@ -20,10 +21,11 @@ SPPS ?= 4 16 64
 REPLICATES ?= 6
 REFERENCE_SPP ?= 16384
 BUILD ?= build
-NEW := $(or $(strip $(NEW)),$(OLD))
+NEW ?= $(OLD)
 include pipelines/words.mk
 name := $(call scene_name,$(NEW))
-OUT := $(or $(strip $(OUT)),out/$(name)/chart-edit-graph)
+OUT ?= out/$(name)/chart-edit-graph
+OUT := $(OUT)
 compare := $(BUILD)/bin/loom-compare
 chart := $(BUILD)/bin/loom-chart
 merge := $(BUILD)/bin/loom-merge
@@ -64,7 +66,3 @@ $(OUT)/error.svg: $(OUT)/parts.tsv $(chart)
 	@cat $(@:.svg=.txt)
 $(OUT)/bias-variance.svg: $(OUT)/parts.tsv $(chart)
 	$(chart) $< -o $@ --kind parts >/dev/null
-
-# Run alone on a tree that is not built yet.
-$(compare) $(chart) $(merge) &:
-	$(MAKE) --no-print-directory -f Makefile stages

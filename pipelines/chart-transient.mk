@@ -12,8 +12,9 @@
 
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
-.PHONY: chart-transient FORCE
+.PHONY: chart-transient
 .DEFAULT_GOAL := chart-transient
+include pipelines/variables.mk
 
 SCENE ?= scenes/flash.xml
 DEFINES ?= resx=32 resy=32
@@ -23,20 +24,17 @@ DEFINES ?= resx=32 resy=32
 # REFERENCE_SPP=  ## samples per pixel of the reference, a multiple of 1024 (16384)
 # ERROR=  ## column of loom-compare that is the error: rmse, mse, relmse (rmse)
 BUILD ?= build
-SAMPLERS := $(or $(strip $(SAMPLERS)),independent sobol)
-SPPS := $(or $(strip $(SPPS)),4 16 64 256)
-REPLICATES := $(or $(strip $(REPLICATES)),3)
-REFERENCE_SPP := $(or $(strip $(REFERENCE_SPP)),16384)
-ERROR := $(or $(strip $(ERROR)),rmse)
+SAMPLERS ?= independent sobol
+SPPS ?= 4 16 64 256
+REPLICATES ?= 3
+REFERENCE_SPP ?= 16384
+ERROR ?= rmse
 
 include pipelines/words.mk
-ifneq ($(shell printf '%s\n' $(SPPS) $(REPLICATES) $(REFERENCE_SPP) | grep -cvxE '[1-9][0-9]{0,8}'),0)
-$(error SPPS=$(SPPS) REPLICATES=$(REPLICATES) REFERENCE_SPP=$(REFERENCE_SPP): must be whole numbers from 1)
-endif
 ifneq ($(shell printf '%s\n' $(call quote,$(SAMPLERS)) | tr ' ' '\n' | grep -cvxE '(sobol|independent)([+][1-9][0-9]{0,2})?'),0)
 $(error SAMPLERS=$(SAMPLERS): must be of sobol, independent, sobol+K and independent+K)
 endif
-ifeq ($(shell test -f $(call quote,$(SCENE)) && echo there),)
+ifeq ($(call exists,$(SCENE)),)
 $(error SCENE=$(SCENE): no such file)
 endif
 # A graph of more samples is traced in passes, each of which goes once it is binned.
@@ -45,10 +43,8 @@ pass_spp = $(shell [ $(1) -lt $(pass) ] && echo $(1) || echo $(pass))
 $(foreach s,$(SPPS) $(REFERENCE_SPP),$(if $(shell [ $(s) -lt $(pass) ] || [ $$(($(s) % $(pass))) = 0 ] || echo no),$(error \
 	$(s) samples: must be below $(pass) or a multiple of it)))
 name := $(call scene_name,$(SCENE))
-OUT := $(or $(strip $(OUT)),out/$(name)/chart-transient)
-ifneq ($(words $(OUT)),1)
-$(error OUT=$(OUT): make cannot handle blanks in the names of what it makes)
-endif
+OUT ?= out/$(name)/chart-transient
+OUT := $(OUT)
 compare := $(BUILD)/bin/loom-compare
 chart := $(BUILD)/bin/loom-chart
 
@@ -84,7 +80,3 @@ $(eval $(call parameter,$(OUT)/chart.parameters,$(ERROR)))
 $(OUT)/error-samples.svg $(OUT)/error-cost.svg: $(OUT)/error-%.svg: $(OUT)/errors.tsv $(OUT)/chart.parameters $(chart)
 	$(chart) $< -o $@ --x $(if $(filter cost,$*),cpu_s,samples) --y $(ERROR) >$(@:.svg=.txt)
 	@cat $(@:.svg=.txt)
-
-# Run alone on a tree that is not built yet.
-$(compare) $(chart) &:
-	$(MAKE) --no-print-directory -f Makefile stages

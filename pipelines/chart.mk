@@ -13,8 +13,9 @@
 
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
-.PHONY: chart FORCE
+.PHONY: chart
 .DEFAULT_GOAL := chart
+include pipelines/variables.mk
 
 SCENE ?= scenes/cornell-box.xml
 # METHODS=  ## what to compare (pt graph), the first with all others; each a METHOD of make image, with settings: pathgraph+K8+ITERATIONS2
@@ -28,32 +29,27 @@ SCENE ?= scenes/cornell-box.xml
 # COST=  ## column that is the cost: cpu_s, wall_s, rays, or render_s: cpu_s but for reading the scene, which small pictures drown in (cpu_s)
 # ERROR=  ## column that is the error: relmse, relmse_trimmed, relmse_net, mse, mape (relmse)
 BUILD ?= build
-METHODS := $(or $(strip $(METHODS)),pt graph)
-SPPS := $(or $(strip $(SPPS)),1 4 16)
-REPLICATES := $(or $(strip $(REPLICATES)),3)
-PASS := $(or $(strip $(PASS)),4)
-REFERENCE_SPP := $(or $(strip $(REFERENCE_SPP)),1024)
-COST := $(or $(strip $(COST)),cpu_s)
-ERROR := $(or $(strip $(ERROR)),relmse)
+METHODS ?= pt graph
+SPPS ?= 1 4 16
+REPLICATES ?= 3
+PASS ?= 4
+REFERENCE_SPP ?= 1024
+COST ?= cpu_s
+ERROR ?= relmse
 
 include pipelines/words.mk
-ifneq ($(shell printf '%s\n' $(SPPS) $(REPLICATES) $(PASS) $(REFERENCE_SPP) | grep -cvxE '[1-9][0-9]{0,8}'),0)
-$(error SPPS=$(SPPS) REPLICATES=$(REPLICATES) PASS=$(PASS) REFERENCE_SPP=$(REFERENCE_SPP): must be whole numbers from 1)
-endif
-ifeq ($(shell test -f $(call quote,$(SCENE)) && echo there),)
-$(error SCENE=$(SCENE): no such file)
+missing := $(foreach v,SCENE REFERENCE REFERENCE_VARIANCE,$(if $($(v)),$(if $(call exists,$($(v))),,$(v)=$($(v)))))
+ifneq ($(strip $(missing)),)
+$(error $(strip $(missing)): no such file)
 endif
 name := $(or $(NAME),$(call scene_name,$(SCENE)))
-OUT := $(or $(strip $(OUT)),out/$(name)/chart)
-ifneq ($(words $(OUT)),1)
-$(error OUT=$(OUT): make cannot handle blanks in the names of what it makes)
-endif
+OUT ?= out/$(subst $(space),_,$(name))/chart
+OUT := $(OUT)
 
 compare := $(BUILD)/bin/loom-compare
 chart := $(BUILD)/bin/loom-chart
-inspect := $(BUILD)/bin/loom-inspect
-reference := $(if $(strip $(REFERENCE)),$(call quote,$(REFERENCE)),$(OUT)/reference/image.exr)
-reference_file := $(if $(strip $(REFERENCE)),$(subst $(space),\$(space),$(REFERENCE)),$(reference))
+reference := $(if $(REFERENCE),$(call quote,$(REFERENCE)),$(OUT)/reference/image.exr)
+reference_made := $(if $(REFERENCE),$(OUT)/given.stamp,$(reference))
 reference_pass := $(shell [ $(REFERENCE_SPP) -lt 64 ] && echo $(REFERENCE_SPP) || echo 64)
 reference_passes := $(shell echo $$(($(REFERENCE_SPP) / $(reference_pass))))
 ifneq ($(shell echo $$(($(REFERENCE_SPP) % $(reference_pass)))),0)
@@ -104,7 +100,7 @@ $(OUT)/.warm-up-%:
 	@$(foreach m,$(METHODS),$(call still,$(m),$(firstword $(SPPS)),0,$@.partial/$(m)) image >/dev/null &&) rm -rf $@.partial
 	@touch $@
 
-ifeq ($(strip $(REFERENCE)),)
+ifeq ($(REFERENCE),)
 $(OUT)/reference/image.exr: FORCE
 	@$(MAKE) -s --no-print-directory -f pipelines/still.mk METHOD=pt SPP=$(reference_pass) PASSES=$(reference_passes) \
 		SEED=$(call seed,reference) OUT=$(@D) KEEP= image >/dev/null
@@ -116,13 +112,17 @@ $(eval $(call parameter,$(OUT)/chart.parameters,$(COST) $(ERROR)))
 # What make peers left: pictures of other renderers, by name as ours.
 peers := $(filter-out $(runs:%=$(OUT)/peers/%/image.exr),$(wildcard $(OUT)/peers/*/image.exr))
 labelled = $(foreach r,$(runs),$(call part,1,$(r))=$(OUT)/$(r)/image.exr) \
-	$(foreach p,$(peers),$(call part,1,$(notdir $(patsubst %/,%,$(dir $(p)))))=$(p))
-variance = $(if $(strip $(REFERENCE_VARIANCE)),--reference-variance $(call quote,$(REFERENCE_VARIANCE)))
-$(OUT)/errors.tsv: $(images) $(peers) $(reference_file) $(OUT)/compare.parameters $(compare)
-	$(compare) $(labelled) --reference $(reference) $(variance) --scene $(name) --cost --tsv >$@
+	$(foreach p,$(peers),$(call quote,$(call part,1,$(notdir $(patsubst %/,%,$(dir $(p)))))=$(p)))
+variance = $(if $(REFERENCE_VARIANCE),--reference-variance $(call quote,$(REFERENCE_VARIANCE)))
+# Pictures that are not made here: by their contents.
+given_files := $(foreach p,$(peers),$(call quote,$(p))) $(foreach v,REFERENCE REFERENCE_VARIANCE,$(if $($(v)),$(call quote,$($(v)))))
+given_stamp := $(if $(strip $(given_files)),$(OUT)/given.stamp)
+$(if $(given_stamp),$(eval $(call stamp,$(given_stamp),$(given_files))))
+$(OUT)/errors.tsv: $(images) $(given_stamp) $(reference_made) $(OUT)/compare.parameters $(compare)
+	$(compare) $(labelled) --reference $(reference) $(variance) --scene $(call quote,$(name)) --cost --tsv >$@
 
-$(OUT)/costs.tsv: $(images) $(peers) $(OUT)/compare.parameters $(compare)
-	$(compare) $(labelled) --scene $(name) --cost --tsv >$@
+$(OUT)/costs.tsv: $(images) $(given_stamp) $(OUT)/compare.parameters $(compare)
+	$(compare) $(labelled) --scene $(call quote,$(name)) --cost --tsv >$@
 
 $(OUT)/error-cost.svg: $(OUT)/errors.tsv $(OUT)/chart.parameters $(chart)
 	$(chart) $< -o $@ --x $(COST) --y $(ERROR) >$(OUT)/error-cost.txt
@@ -146,7 +146,3 @@ $(OUT)/convergence.svg: $(OUT)/iterations.tsv $(chart)
 	else echo 'no light is refined here: paths end after their first vertex' >&2; \
 		printf '%s\n' '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 800 60"><text x="20" y="36">No light is refined here: paths end after their first vertex.</text></svg>' >$@; \
 	fi
-
-# Run alone on a tree that is not built yet.
-$(compare) $(chart) $(inspect) &:
-	$(MAKE) --no-print-directory -f Makefile stages

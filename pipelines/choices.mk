@@ -14,17 +14,19 @@
 .NOTPARALLEL:
 .PHONY: choices
 .DEFAULT_GOAL := choices
+include pipelines/variables.mk
 
 # CHOICES=  ## gathers, pools or directs (gathers)
 # SCENES=  ## scene files (five of the shared ones where they are, else two of the project's own)
 # REFERENCES=  ## folder of NAME_ref.exr and NAME_var.exr
 BUILD ?= build
-CHOICES := $(or $(strip $(CHOICES)),gathers)
+CHOICES ?= gathers
 shared := $(wildcard $(foreach s,cornell-box dining-room staircase classroom sponza,../shared/scenes/$(s)/scene_v3.xml))
-SCENES := $(or $(strip $(SCENES)),$(shared),scenes/cornell-box.xml scenes/glossy-box.xml)
-REFERENCES := $(or $(strip $(REFERENCES)),../shared/oracles/scenes)
-REFERENCE_SPP := $(or $(strip $(REFERENCE_SPP)),4096)
-OUT := $(or $(strip $(OUT)),out/$(CHOICES))
+SCENES ?= $(or $(shared),scenes/cornell-box.xml scenes/glossy-box.xml)
+REFERENCES ?= ../shared/oracles/scenes
+REFERENCE_SPP ?= 4096
+OUT ?= out/$(CHOICES)
+include pipelines/words.mk
 
 # name|variables of still.mk
 define gathers
@@ -65,19 +67,19 @@ $(error CHOICES=$(CHOICES): must be gathers, pools or directs)
 endif
 
 compare := $(BUILD)/bin/loom-compare
-name = $(shell echo '$(1)' | sed -E 's/[.]xml$$//; s,.*/([^/]+)/scene(_[a-z]+)?_v3$$,\1\2,; s,.*/,,')
-tables := $(foreach s,$(SCENES),$(OUT)/$(call name,$(s))/table.tsv)
+tables := $(foreach s,$(SCENES),$(OUT)/$(call row_name,$(s))/table.tsv)
 $(shell mkdir -p $(OUT))
 $(file >$(OUT)/choices.txt,$($(CHOICES)))
 
 # still.mk with what it does not find in this make's variables.
-picture = $(MAKE) --no-print-directory -s -f pipelines/still.mk BUILD=$(BUILD) SCENE=$< OUT=$(@D)/$(1) $(2) image >/dev/null 2>&1
+picture = $(MAKE) --no-print-directory -s -f pipelines/still.mk BUILD=$(BUILD) SCENE=$(scene) OUT=$(@D)/$(1) $(2) image >/dev/null 2>&1
 
 define table
-$(OUT)/$(call name,$(1))/table.tsv: $(1) pipelines/choices.mk pipelines/still.mk $(wildcard $(BUILD)/bin/loom-*)
+$(call scene_row,$(OUT)/$(call row_name,$(1))/table.tsv,$(1))
+$(OUT)/$(call row_name,$(1))/table.tsv: pipelines/choices.mk pipelines/still.mk $(wildcard $(BUILD)/bin/loom-*)
 	@mkdir -p $$(@D)
-	@echo '$(call name,$(1))' >&2
-	@set -e; ref='$(REFERENCES)/$(call name,$(1))_ref.exr'; var='$(REFERENCES)/$(call name,$(1))_var.exr'; size='resx=256 resy=256'; \
+	@echo '$(call row_name,$(1))' >&2
+	@set -e; ref='$(REFERENCES)/$(call row_name,$(1))_ref.exr'; var='$(REFERENCES)/$(call row_name,$(1))_var.exr'; size='resx=256 resy=256'; \
 	if [ -f "$$$$ref" ]; then \
 		size=$$$$($(BUILD)/bin/loom-inspect --quiet --json "$$$$ref" | tr -d ' \n' | \
 			sed -E 's/.*"dataWindow":"x0to([0-9]+),y0to([0-9]+)".*/\1 \2/' | awk '{ print "resx=" $$$$1 + 1, "resy=" $$$$2 + 1 }'); \
@@ -96,7 +98,7 @@ $(OUT)/$(call name,$(1))/table.tsv: $(1) pipelines/choices.mk pipelines/still.mk
 		cp $$(@D)/passes/image.png "$$(@D)/$$$$way.png"; \
 	done <$(OUT)/choices.txt; \
 	rm -rf $$(@D)/passes; \
-	awk -F'\t' -v OFS='\t' -v load="$$$$load" -v scene='$(call name,$(1))' \
+	awk -F'\t' -v OFS='\t' -v load="$$$$load" -v scene='$(call row_name,$(1))' \
 		'FNR == 1 { for (i = 1; i <= NF; ++i) at[$$$$i] = i; next } \
 		{ e = $$$$at["relmse_trimmed"] - $$$$at["reference_noise"]; cost = $$$$at["cpu_s"] - load } \
 		$$$$2 ~ /^pt-/ { ++n; x[n] = log(cost); y[n] = log(e); next } \

@@ -8,21 +8,13 @@
 # out:  found, a residual
 
 graph_work := $(OUT)/graph
-PASSES := $(or $(strip $(PASSES)),4)
-ITERATIONS := $(or $(strip $(ITERATIONS)),6)
-UNBIASED := $(or $(strip $(UNBIASED)),0)
-ifeq ($(strip $(K)),)
-K := $(shell awk 'BEGIN { k = int(16 * sqrt("$(SPP)")); print (k < 1 ? 1 : k > 128 ? 128 : k) }')
-endif
-K := $(strip $(K))
-ifneq ($(shell printf '%s\n' $(call quote,$(K)) $(call quote,$(ITERATIONS)) $(call quote,$(PASSES)) | grep -cxE '[1-9][0-9]{0,8}'),3)
-$(error K=$(K) ITERATIONS=$(ITERATIONS) PASSES=$(PASSES): must be whole numbers from 1)
-endif
+PASSES ?= 4
+ITERATIONS ?= 6
+UNBIASED ?= 0
+K ?= $(default_k)
+K := $(K)
 ifeq ($(PASSES),1)
 $(error PASSES=1: the variance of a difference of path graphs is the spread between passes; at least 2)
-endif
-ifneq ($(shell printf '%s\n' $(call quote,$(UNBIASED)) | grep -cxE '0|1'),1)
-$(error UNBIASED=$(UNBIASED): must be 0 or 1)
 endif
 # A quarter of the passes correct the others, at least two, and those that are left are none or at least two.
 corrected := $(shell n=$(PASSES); m=$$((n / 4)); [ $$m -ge 2 ] || m=2; [ $$((n - m)) != 1 ] || m=$$n; echo $$m)
@@ -47,13 +39,11 @@ graph_parameters = --spp $(SPP) --seed $(graph_seed)
 .SECONDARY: $(graphs) $(call in_pass,clusters.h5) $(call in_pass,radiance.h5)
 $(eval $(call parameter,$(graph_work)/trace.parameters,$(old_scene_parameters) $(new_scene_parameters) $(graph_parameters)))
 define traced
-$(numbers:%=$(graph_work)/$(1)-%.h5) &: $(call scene,$(2)) $(graph_work)/trace.parameters $(trace)
-	$(LAUNCH) $(trace) $($(1)_scene_parameters) $(graph_parameters) --passes $(PASSES)$(threads) --depfile $(graph_work)/$(1).d \
+$(numbers:%=$(graph_work)/$(1)-%.h5) &: $($(1)_stamp) $(graph_work)/trace.parameters $(trace)
+	$(LAUNCH) $(trace) $($(1)_scene_parameters) $(graph_parameters) --passes $(PASSES)$(threads) \
 		-o $(graph_work)/$(1)-%.h5
 endef
-$(eval $(call traced,old,$(OLD)))
-$(eval $(call traced,new,$(NEW)))
--include $(wildcard $(sides:%=$(graph_work)/%.d))
+$(foreach s,$(sides),$(eval $(call traced,$(s))))
 
 cluster_parameters = --k $(K)$(if $(CLUSTER), $(CLUSTER))
 $(eval $(call parameter,$(graph_work)/cluster.parameters,$(cluster_parameters)))
@@ -79,6 +69,3 @@ $(eval $(call parameter,$(graph_work)/merge.parameters,$(PASSES) $(merge_paramet
 $(found): $(pictures) $(graph_work)/merge.parameters $(OUT)/edit.parameters $(merge)
 	$(LAUNCH) $(merge) $(numbers:%=$(graph_work)/new-%.exr) $(numbers:%=--minus $(graph_work)/old-%.exr) $(merge_parameters) -o $@
 	$(if $(filter-out 0,$(KEEP)),,rm -f $(graphs) $(call in_pass,clusters.h5) $(call in_pass,radiance.h5))
-
-$(cluster) $(refine) $(gather) $(merge) &:
-	$(MAKE) --no-print-directory -f Makefile stages

@@ -6,8 +6,9 @@
 # GRAPH stores OLD's paths in BASE, too, 300 to 500 bytes per sample, and each edit traces only those that it touches.
 
 .DELETE_ON_ERROR:
-.PHONY: edit edit-techniques FORCE
+.PHONY: edit edit-techniques
 .DEFAULT_GOAL := edit
+include pipelines/variables.mk
 
 OLD ?= scenes/cornell-box.xml  ## scene before the edit
 # NEW=  ## scene after the edit (OLD, with NEW_DEFINES)
@@ -38,7 +39,7 @@ BASE_SPP ?= 64  ## samples per pixel of OLD's picture
 # LAUNCH=  ## put before each stage
 BUILD ?= build
 OLD := $(strip $(OLD))
-NEW := $(or $(strip $(NEW)),$(OLD))
+NEW ?= $(OLD)
 METHOD := $(strip $(METHOD))
 SPP := $(strip $(SPP))
 BASE_SPP := $(strip $(BASE_SPP))
@@ -48,12 +49,7 @@ include pipelines/words.mk
 ifeq ($(filter auto correlated independent dynamic graph,$(METHOD)),)
 $(error METHOD=$(METHOD): must be auto, correlated, independent, dynamic or graph)
 endif
-ifneq ($(shell printf '%s\n' $(call quote,$(SPP)) $(call quote,$(BASE_SPP)) | grep -cxE '[1-9][0-9]{0,8}'),2)
-$(error SPP=$(SPP) BASE_SPP=$(BASE_SPP): must be whole numbers from 1)
-endif
-OLD_PICTURE := $(strip $(OLD_PICTURE))
-GRAPH := $(strip $(GRAPH))
-ifneq ($(filter-out 1 same,$(GRAPH))$(word 2,$(GRAPH)),)
+ifneq ($(filter-out 1 same,$(GRAPH)),)
 $(error GRAPH=$(GRAPH): must be 1 or same)
 endif
 ifneq ($(and $(GRAPH),$(filter-out auto correlated,$(METHOD))),)
@@ -62,32 +58,30 @@ endif
 ifneq ($(and $(filter same,$(GRAPH)),$(OLD_PICTURE)),)
 $(error GRAPH=same OLD_PICTURE=$(OLD_PICTURE): that picture is a sum, of more samples than a graph's; take GRAPH=1)
 endif
-missing := $(foreach v,OLD NEW $(if $(OLD_PICTURE),OLD_PICTURE),$(if $(shell test -f $(call quote,$($(v))) && echo there),,$(v)=$($(v))))
+missing := $(foreach v,OLD NEW $(if $(OLD_PICTURE),OLD_PICTURE),$(if $(call exists,$($(v))),,$(v)=$($(v))))
 ifneq ($(strip $(missing)),)
 $(error $(strip $(missing)): no such file)
 endif
 
-base_seed := $(or $(strip $(BASE_SEED)),$(strip $(SEED)))
-defines = $(foreach d,$(2), $(1) $(call quote,$(d)))
+base_seed := $(or $(BASE_SEED),$(SEED))
 of_old = $(call quote,$(OLD))$(call defines,-D,$(DEFINES) $(OLD_DEFINES))
 old_parameters = $(of_old) --spp $(BASE_SPP)$(if $(base_seed), --seed $(base_seed))
-graph_seed = $(or $(strip $(GRAPH_SEED)),$(shell echo $$(($(or $(base_seed),0) + 1))))
+graph_seed = $(or $(GRAPH_SEED),$(shell echo $$(($(or $(base_seed),0) + 1))))
 graph_parameters = $(if $(filter same,$(GRAPH)),$(old_parameters),$(of_old) --spp $(SPP) --seed $(graph_seed)) --misses
 edit_parameters = $(scene_parameters) --method $(METHOD)$(if $(filter 0,$(MAP)), --no-map)$(if $(filter 0,$(CONTROL)), --no-control) \
-	$(if $(GRAPH),--old-graph $(BASE)/graph.h5,--spp $(SPP)$(if $(SEED), --seed $(SEED))) --old $(picture)
+	$(if $(GRAPH),--old-graph $(BASE)/graph.h5,--spp $(SPP)$(if $(SEED), --seed $(SEED))) --old $(call quote,$(picture))
 
 # A base with other values lies in another folder.
-OUT := $(or $(strip $(OUT)),out/$(call scene_name,$(NEW))/edit)
-BASE := $(or $(strip $(BASE)),out/$(call scene_name,$(OLD))/base-$(shell printf '%s' $(call quote,$(old_parameters)) | cksum | cut -d' ' -f1))
+OUT ?= out/$(call scene_name,$(NEW))/edit
+OUT := $(OUT)
+BASE ?= out/$(call scene_name,$(OLD))/base-$(shell printf '%s' $(call quote,$(old_parameters)) | cksum | cut -d' ' -f1)
+BASE := $(BASE)
 picture := $(or $(OLD_PICTURE),$(BASE)/old.exr)
-ifneq ($(words $(OUT) $(BASE) $(picture)),3)
-$(error OUT=$(OUT) BASE=$(BASE) OLD_PICTURE=$(OLD_PICTURE): make cannot handle blanks in the names of what it makes)
-endif
 ifneq ($(OLD_PICTURE),)
 ifeq ($(METHOD),graph)
 $(error METHOD=graph OLD_PICTURE=$(OLD_PICTURE): the bias of path graphs would add up unseen; take another METHOD, or OLD without OLD_PICTURE)
 endif
-ifeq ($(abspath $(OLD_PICTURE)),$(abspath $(OUT)/new.exr))
+ifeq ($(shell realpath -m $(call quote,$(OLD_PICTURE))),$(shell realpath -m $(OUT)/new.exr))
 $(error OLD_PICTURE=$(OLD_PICTURE): is what this edit makes; give another OUT)
 endif
 endif
@@ -98,34 +92,41 @@ found := $(OUT)/$(if $(denoised),noisy,residual).exr
 trace := $(BUILD)/bin/loom-trace
 denoise := $(BUILD)/bin/loom-denoise
 residual := $(BUILD)/bin/loom-residual
-inspect := $(BUILD)/bin/loom-inspect
 threads = $(if $(THREADS), --threads $(THREADS))
-scene = $(subst $(space),\$(space),$(1))
 
 edit: $(OUT)/new.exr $(OUT)/new.png
 	@echo $<
 
+# The contents of both scenes, and of a picture that is given, whose scene BASE need not have.
+base_stamp := $(BASE)/old.stamp
+old_stamp := $(if $(OLD_PICTURE),$(OUT),$(BASE))/old.stamp
+new_stamp := $(OUT)/new.stamp
+picture_made := $(if $(OLD_PICTURE),$(OUT)/picture.stamp,$(BASE)/old.exr)
+$(foreach s,$(sort $(base_stamp) $(old_stamp)),$(eval $(call stamp,$(s),--scene $(of_old))))
+$(eval $(call stamp,$(new_stamp),--scene $(call quote,$(NEW))$(call defines,-D,$(DEFINES) $(NEW_DEFINES))))
+$(if $(OLD_PICTURE),$(eval $(call stamp,$(OUT)/picture.stamp,$(call quote,$(OLD_PICTURE)))))
+
 $(eval $(call parameter,$(BASE)/old.parameters,$(old_parameters)))
-$(BASE)/old.exr: $(call scene,$(OLD)) $(BASE)/old.parameters $(trace)
-	$(LAUNCH) $(trace) $(old_parameters)$(threads) --depfile $(BASE)/old.d -o $@
+$(BASE)/old.exr: $(base_stamp) $(BASE)/old.parameters $(trace)
+	$(LAUNCH) $(trace) $(old_parameters)$(threads) -o $@
 
 ifneq ($(GRAPH),)
 $(eval $(call parameter,$(BASE)/graph.parameters,$(graph_parameters)))
-$(BASE)/graph.h5: $(call scene,$(OLD)) $(BASE)/graph.parameters $(trace)
-	$(LAUNCH) $(trace) $(graph_parameters)$(threads) --depfile $(BASE)/graph.d -o $@
+$(BASE)/graph.h5: $(base_stamp) $(BASE)/graph.parameters $(trace)
+	$(LAUNCH) $(trace) $(graph_parameters)$(threads) -o $@
 endif
 
 scene_parameters = $(call quote,$(OLD)) $(call quote,$(NEW))$(call defines,-D,$(DEFINES))$(call defines,--old-define,$(OLD_DEFINES))$(call defines,--new-define,$(NEW_DEFINES))
-edited := $(call scene,$(OLD)) $(call scene,$(NEW)) $(picture) $(GRAPH:%=$(BASE)/graph.h5)
+edited := $(old_stamp) $(new_stamp) $(picture_made) $(GRAPH:%=$(BASE)/graph.h5)
 $(eval $(call parameter,$(OUT)/edit.parameters,$(if $(filter graph,$(METHOD)),graph,$(edit_parameters))$(denoised:%= denoised)))
 ifeq ($(METHOD),graph)
 include pipelines/edit-graph.mk
 else ifneq ($(denoised),)
 $(found): $(edited) $(OUT)/edit.parameters $(residual)
-	$(LAUNCH) $(residual) $(edit_parameters)$(threads) --depfile $(OUT)/found.d -o $@
+	$(LAUNCH) $(residual) $(edit_parameters)$(threads) -o $@
 else
 $(OUT)/new.exr $(found) &: $(edited) $(OUT)/edit.parameters $(residual)
-	$(LAUNCH) $(residual) $(edit_parameters)$(threads) --depfile $(OUT)/edit.d \
+	$(LAUNCH) $(residual) $(edit_parameters)$(threads) \
 		-o $(found) --residual-png $(OUT)/residual.png --new $(OUT)/new.exr
 endif
 ifneq ($(denoised),)
@@ -133,8 +134,8 @@ $(OUT)/residual.exr: $(found) $(denoise)
 	$(LAUNCH) $(denoise) $< -o $@$(threads)
 endif
 ifneq ($(denoised)$(filter graph,$(METHOD)),)
-$(OUT)/new.exr: $(OUT)/residual.exr $(picture) $(OUT)/edit.parameters $(residual)
-	$(LAUNCH) $(residual) $(scene_parameters) --residual $(OUT)/residual.exr --old $(picture) --depfile $(OUT)/edit.d \
+$(OUT)/new.exr: $(OUT)/residual.exr $(picture_made) $(OUT)/edit.parameters $(residual)
+	$(LAUNCH) $(residual) $(scene_parameters) --residual $(OUT)/residual.exr --old $(call quote,$(picture)) \
 		--residual-png $(OUT)/residual.png --new $(OUT)/new.exr
 endif
 
@@ -144,16 +145,10 @@ $(OUT)/new.png: $(OUT)/new.exr $(OUT)/preview.parameters $(inspect)
 
 # What each technique of dynamic paths finds by itself, weighted against the others and raw, in false colours.   [RP] Fig. 3
 technique_parameters = $(scene_parameters) --method dynamic --spp $(SPP)$(if $(SEED), --seed $(SEED))$(threads)
-edit-techniques: $(call scene,$(OLD)) $(call scene,$(NEW)) $(residual)
+edit-techniques: $(residual)
 	@mkdir -p $(OUT)/techniques
 	@names=$$($(residual) --quiet $(technique_parameters) --technique list) && for name in $$names; do for how in weighted raw; do \
 		picture=$(OUT)/techniques/$$name-$$how; raw=; [ $$how = weighted ] || raw=--raw; \
 		$(LAUNCH) $(residual) $(technique_parameters) --technique $$name $$raw -o $$picture.exr --residual-png $$picture.png || exit; \
 		echo $$picture.png; done; done
 
-# Run alone on a tree that is not built yet.
-$(trace) $(residual) $(denoise) $(inspect) &:
-	$(MAKE) --no-print-directory -f Makefile stages
-
-# Files that the scenes include: meshes, textures, other scene files.
--include $(wildcard $(BASE)/old.d $(BASE)/graph.d $(OUT)/edit.d $(OUT)/found.d)

@@ -5,6 +5,7 @@
 #
 # PYTHON=  an interpreter that has mitsuba; make peers puts one into the build folder.
 
+include pipelines/variables.mk
 include pipelines/chart.mk
 .DEFAULT_GOAL := peers
 .PHONY: peers
@@ -13,7 +14,7 @@ include pipelines/chart.mk
 export DRJIT_LIBLLVM_PATH ?= $(wildcard /usr/lib/x86_64-linux-gnu/libLLVM-16.so.1)
 
 peers:
-	$(PYTHON) tests/peers/throughput.py $(call quote,$(SCENE)) --trace $(BUILD)/bin/loom-trace --out $(OUT) \
+	$(call quote,$(PYTHON)) tests/peers/throughput.py $(call quote,$(SCENE)) --trace $(BUILD)/bin/loom-trace --out $(OUT) \
 		$(if $(SPP),--spp $(SPP)) $(if $(THREADS),--threads $(THREADS)) --pictures '$(SPPS)' \
-		--replicates $(REPLICATES) $(foreach d,$(DEFINES),-D $(call quote,$(d)))
+		--replicates $(REPLICATES) $(call defines,-D,$(DEFINES))
 	@echo $(OUT)/peers.tsv

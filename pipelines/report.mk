@@ -4,31 +4,31 @@
 #   into a page, and what `make peers` has left in OUT where it has.
 
 .PHONY: report
+include pipelines/variables.mk
 
 # LONGEST_SIDE=  ## of the pictures in the page, px; larger ones are reduced (512)
-METHODS := $(or $(strip $(METHODS)),pt west pathgraph)
+METHODS ?= pt west pathgraph
 export METHODS
 
 include pipelines/chart.mk
 .DEFAULT_GOAL := report
 
 page := $(BUILD)/bin/loom-report
-LONGEST_SIDE := $(or $(strip $(LONGEST_SIDE)),512)
+LONGEST_SIDE ?= 512
 shown = $(OUT)/$(1)-$(lastword $(SPPS))-0/image.exr
-again = make report SCENE=$(SCENE) METHODS="$(METHODS)" SPPS="$(SPPS)" REPLICATES=$(REPLICATES)$(if \
-	$(strip $(DEFINES)), DEFINES="$(DEFINES)")$(if $(strip $(REFERENCE)), REFERENCE=$(REFERENCE))
+# As it may be typed again: quotes only where they are needed.
+typed = $(if $(or $(word 2,$(1)),$(call any_of,$(signs_of_make),$(1))),$(call quote,$(1)),$(1))
+again = make report SCENE=$(call typed,$(SCENE)) METHODS=$(call typed,$(METHODS)) SPPS=$(call typed,$(SPPS)) REPLICATES=$(REPLICATES)$(if \
+	$(DEFINES), DEFINES=$(call typed,$(DEFINES)))$(if $(REFERENCE), REFERENCE=$(call typed,$(REFERENCE)))
 
 $(eval $(call parameter,$(OUT)/report.parameters,$(LONGEST_SIDE) $(again)))
-$(OUT)/report.html: $(foreach m,$(METHODS),$(call shown,$(m))) $(reference_file) $(OUT)/errors.tsv \
+$(OUT)/report.html: $(foreach m,$(METHODS),$(call shown,$(m))) $(reference_made) $(OUT)/errors.tsv \
 		$(OUT)/error-cost.svg $(charts) $(OUT)/report.parameters $(wildcard $(OUT)/peers.tsv) $(page)
 	$(page) $(foreach m,$(METHODS),$(m)=$(call shown,$(m))) --reference $(reference) --errors $(OUT)/errors.tsv \
 		--equal-cost $(OUT)/error-cost.equal-cost.tsv --equal-error $(OUT)/error-cost.equal-error.tsv \
 		--chart $(OUT)/error-cost.svg $(charts) $(if $(wildcard $(OUT)/peers.tsv),--peers $(OUT)/peers.tsv) \
-		--title $(name) --made-by $(call quote,$(again)) --longest-side $(LONGEST_SIDE) -o $@
+		--title $(call quote,$(name)) --made-by $(call quote,$(again)) --longest-side $(LONGEST_SIDE) -o $@
 
 report: $(OUT)/report.html
 	@rm -rf $(OUT)/.warm-up*
 	@echo $<
-
-$(page):
-	$(MAKE) --no-print-directory -f Makefile stages

@@ -10,8 +10,9 @@
 # machines or made again alone. Parameters are prerequisites: a change of one remakes what depends on it.
 
 .DELETE_ON_ERROR:
-.PHONY: image demo FORCE
+.PHONY: image demo
 .DEFAULT_GOAL := image
+include pipelines/variables.mk
 
 SCENE ?= scenes/cornell-box.xml  ## scene file, Mitsuba XML
 METHOD ?= pathgraph  ## pathgraph, west, graph, or pt: path tracing without a graph
@@ -38,14 +39,10 @@ BUILD ?= build
 SCENE := $(strip $(SCENE))
 METHOD := $(strip $(METHOD))
 refined := $(filter pathgraph west,$(METHOD))
-SPP := $(or $(strip $(SPP)),$(if $(filter pt,$(METHOD)),16,4))
-PASSES := $(or $(strip $(PASSES)),$(if $(refined),4,1))
+SPP ?= $(if $(filter pt,$(METHOD)),16,4)
+PASSES ?= $(if $(refined),4,1)
+BATCH := $(strip $(BATCH))
 ITERATIONS := $(strip $(ITERATIONS))
-
-ifeq ($(strip $(K)),)
-K := $(shell awk 'BEGIN { k = int(16 * sqrt("$(SPP)")); print (k < 1 ? 1 : k > 128 ? 128 : k) }')
-endif
-K := $(strip $(K))
 
 ifeq ($(filter pathgraph west graph pt,$(METHOD)),)
 $(error METHOD=$(METHOD): must be pathgraph, west, graph or pt)
@@ -54,16 +51,14 @@ folder := $(METHOD)
 kind := $(if $(filter pt,$(METHOD)),exr,h5)
 made := exr
 include pipelines/passes.mk
-ifneq ($(shell printf '%s\n' $(call quote,$(K)) $(call quote,$(ITERATIONS)) | grep -cxE '[1-9][0-9]{0,8}'),2)
-$(error K=$(K) ITERATIONS=$(ITERATIONS): must be whole numbers from 1)
-endif
+K ?= $(default_k)
+K := $(K)
 
 cluster := $(BUILD)/bin/loom-cluster
 refine := $(BUILD)/bin/loom-refine
 denoise := $(BUILD)/bin/loom-denoise
 gather := $(BUILD)/bin/loom-gather
 merge := $(BUILD)/bin/loom-merge
-inspect := $(BUILD)/bin/loom-inspect
 passes := $(numbers:%=$(work)/pass-%.exr)
 graphs := $(numbers:%=$(work)/pass-%.h5)
 clusters := $(if $(filter pathgraph,$(METHOD)),$(numbers:%=$(work)/pass-%.clusters.h5))
@@ -108,14 +103,17 @@ endif
 
 # Direct light by itself, of samples that no pass has: another seed. A blend takes four passes. How many samples is
 # said by the passes, if not by DIRECT; where none pay the file is empty.
-DIRECT := $(or $(strip $(DIRECT)),auto)
+DIRECT ?= auto
+ifeq ($(filter auto 0,$(DIRECT))$(call is_whole,$(DIRECT)),)
+$(error DIRECT=$(DIRECT): must be auto or a whole number from 0)
+endif
 direct := $(if $(refined),$(if $(filter 0,$(DIRECT))$(filter --no-blend,$(MERGE)),,$(shell [ $(PASSES) -ge 4 ] && echo $(work)/direct.exr)))
 direct_samples := $(work)/direct.samples
 direct_parameters = $(common_parameters) --max-depth 2 --seed $(shell echo $$(($(or $(SEED),0) + 1000003)))
 $(eval $(call parameter,$(work)/direct.parameters,$(if $(direct),$(direct_parameters) --spp $(DIRECT))))
 $(direct_samples): $(passes) $(work)/direct.parameters $(merge)
 	$(if $(filter auto,$(DIRECT)),$(LAUNCH) $(merge) $(passes) --plan-direct >$@,echo $(DIRECT) >$@)
-$(work)/direct.exr: $(scene_prerequisite) $(direct_samples) $(trace)
+$(work)/direct.exr: $(scene_stamp) $(direct_samples) $(trace)
 	n=$$(cat $(direct_samples)); if [ $$n = 0 ]; then : >$@; else $(LAUNCH) $(trace) $(direct_parameters) --spp $$n$(threads) -o $@; fi
 
 $(eval $(call parameter,$(OUT)/image.parameters,$(METHOD) $(PASSES)$(if $(MERGE), $(MERGE))$(if $(direct), $(DIRECT))))
@@ -128,7 +126,3 @@ $(OUT)/clean.exr: $(OUT)/image.exr $(denoise)
 $(eval $(call parameter,$(OUT)/preview.parameters,$(EXPOSURE)))
 $(OUT)/image.png $(OUT)/clean.png: $(OUT)/%.png: $(OUT)/%.exr $(OUT)/preview.parameters $(inspect)
 	$(LAUNCH) $(inspect) $< --png $@$(if $(EXPOSURE), --exposure $(EXPOSURE))
-
-# Run alone on a tree that is not built yet.
-$(trace) $(cluster) $(refine) $(gather) $(merge) $(denoise) $(inspect) &:
-	$(MAKE) --no-print-directory -f Makefile stages

@@ -27,8 +27,9 @@
 
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
-.PHONY: table-edit edit-pictures FORCE
+.PHONY: table-edit edit-pictures
 .DEFAULT_GOAL := table-edit
+include pipelines/variables.mk
 
 # ROWS=  ## edits, by name (all)
 # METHODS=  ## each a METHOD of make edit, with settings after +: graph+SPP4 (correlated auto)
@@ -43,33 +44,26 @@
 # PICTURE_SPP=  ## of edit-pictures: samples of the old picture and pairs of the residual, by correlated paths (64)
 # DOCS=  ## folder whose edits.md takes the tables
 BUILD ?= build
-METHODS := $(or $(strip $(METHODS)),correlated auto)
-SPP := $(or $(strip $(SPP)),32)
-SPPS := $(or $(strip $(SPPS)),8 32 128)
-REPLICATES := $(or $(strip $(REPLICATES)),3)
-SIZE := $(or $(strip $(SIZE)),128)
-BASE_SPP := $(or $(strip $(BASE_SPP)),256)
-REFERENCE_SPP := $(or $(strip $(REFERENCE_SPP)),512)
-REFERENCE_METHOD := $(or $(strip $(REFERENCE_METHOD)),correlated)
-PICTURE_SIZE := $(or $(strip $(PICTURE_SIZE)),320)
-PICTURE_SPP := $(or $(strip $(PICTURE_SPP)),64)
-OUT := $(or $(strip $(OUT)),out/table-edit)
+METHODS ?= correlated auto
+SPP ?= 32
+SPPS ?= 8 32 128
+REPLICATES ?= 3
+SIZE ?= 128
+BASE_SPP ?= 256
+REFERENCE_SPP ?= 512
+REFERENCE_METHOD ?= correlated
+PICTURE_SIZE ?= 320
+PICTURE_SPP ?= 64
+OUT ?= out/table-edit
 shared := ../shared/scenes
 
 include pipelines/words.mk
-ifneq ($(shell printf '%s\n' $(SPP) $(SPPS) $(REPLICATES) $(SIZE) $(BASE_SPP) $(REFERENCE_SPP) $(PICTURE_SIZE) $(PICTURE_SPP) | grep -cvxE '[1-9][0-9]{0,8}'),0)
-$(error SPP SPPS REPLICATES SIZE BASE_SPP REFERENCE_SPP PICTURE_SIZE PICTURE_SPP: must be whole numbers from 1)
-endif
 ifneq ($(shell printf '%s\n' $(METHODS) $(REFERENCE_METHOD) | grep -cvxE '[a-z]+([+][A-Z_]+[0-9]{1,8})*'),0)
 $(error METHODS=$(METHODS): each must be a METHOD, with settings after +, such as SPP4)
-endif
-ifneq ($(words $(OUT)),1)
-$(error OUT=$(OUT): make cannot handle blanks in the names of what it makes)
 endif
 
 compare := $(BUILD)/bin/loom-compare
 merge := $(BUILD)/bin/loom-merge
-inspect := $(BUILD)/bin/loom-inspect
 residual := $(BUILD)/bin/loom-residual
 
 # table|row|times better in the paper|OLD|NEW|values of both|values of NEW; - for none, + between values
@@ -230,7 +224,3 @@ $(OUT)/pictures/$(1)-residual.png: $(OUT)/pictures/$(1)/new.exr
 	@cp $$(<D)/residual.png $$@
 endef
 $(foreach w,$(ROWS),$(eval $(call shown,$(w))))
-
-# Run alone on a tree that is not built yet.
-$(compare) $(merge) $(inspect) $(residual) &:
-	$(MAKE) --no-print-directory -f Makefile stages

@@ -16,6 +16,7 @@
 .NOTPARALLEL:
 .PHONY: table
 .DEFAULT_GOAL := table
+include pipelines/variables.mk
 
 # SCENES=  ## scene files (the shared ones where they are, else a few of the project's own)
 # REFERENCES=  ## folder of NAME_ref.exr and NAME_var.exr
@@ -23,32 +24,32 @@
 # REFERENCE_SPP=  ## samples per pixel of a reference that is path traced (4096)
 BUILD ?= build
 shared := $(wildcard ../shared/scenes/*/scene_v3.xml ../shared/scenes/*/scene_glossy_v3.xml ../shared/scenes/*/scene_area_v3.xml)
-SCENES := $(or $(strip $(SCENES)),$(shared),scenes/cornell-box.xml scenes/glossy-box.xml)
-REFERENCES := $(or $(strip $(REFERENCES)),../shared/oracles/scenes)
-REFERENCE_SPP := $(or $(strip $(REFERENCE_SPP)),4096)
-REPLICATES := $(or $(strip $(REPLICATES)),1)
+SCENES ?= $(or $(shared),scenes/cornell-box.xml scenes/glossy-box.xml)
+REFERENCES ?= ../shared/oracles/scenes
+REFERENCE_SPP ?= 4096
+REPLICATES ?= 1
+include pipelines/words.mk
 seeds := $(shell seq 0 $$(($(REPLICATES) - 1)))
-OUT := $(or $(strip $(OUT)),out/table)
+OUT ?= out/table
 
 compare := $(BUILD)/bin/loom-compare
-# ../shared/scenes/cornell-box/scene_glossy_v3.xml -> cornell-box_glossy, scenes/mirror.xml -> mirror
-name = $(shell echo '$(1)' | sed -E 's/[.]xml$$//; s,.*/([^/]+)/scene(_[a-z]+)?_v3$$,\1\2,; s,.*/,,')
-rows := $(foreach s,$(SCENES),$(OUT)/$(call name,$(s))/row.tsv)
+rows := $(foreach s,$(SCENES),$(OUT)/$(call row_name,$(s))/row.tsv)
 
 # $(call picture,FOLDER,VARIABLES)
-picture = $(MAKE) --no-print-directory -s -f pipelines/still.mk BUILD=$(BUILD) SCENE=$< OUT=$(@D)/$(1) $(2) image >/dev/null
+picture = $(MAKE) --no-print-directory -s -f pipelines/still.mk BUILD=$(BUILD) SCENE=$(scene) OUT=$(@D)/$(1) $(2) image >/dev/null
 # $(call seconds,FOLDER,STAGE): CPU seconds per sample
 seconds = $$($(compare) --quiet --tsv --cost $(@D)/$(1)/image.exr | awk -F'\t' '$$6 ~ /^$(2)$$/ { s += $$9 } END { print s + 0 }')
 
 define row
-$(OUT)/$(call name,$(1))/row.tsv: $(1) pipelines/table.mk pipelines/still.mk $(wildcard $(BUILD)/bin/loom-*)
+$(call scene_row,$(OUT)/$(call row_name,$(1))/row.tsv,$(1))
+$(OUT)/$(call row_name,$(1))/row.tsv: pipelines/table.mk pipelines/still.mk $(wildcard $(BUILD)/bin/loom-*)
 	@mkdir -p $$(@D)
-	@echo '$(call name,$(1))' >&2
+	@echo '$(call row_name,$(1))' >&2
 	@$$(call picture,load,METHOD=pt SPP=1 DEFINES="resx=16 resy=16")
 	@$$(call picture,cost-pt,METHOD=pt SPP=4)
 	@$$(call picture,cost-pathgraph,METHOD=pathgraph SPP=4 PASSES=4 DIRECT=0)
 	@$$(call picture,cost-direct,METHOD=pt SPP=16 TRACE="--max-depth 2")
-	@set -e; ref='$(REFERENCES)/$(call name,$(1))_ref.exr'; var='$(REFERENCES)/$(call name,$(1))_var.exr'; \
+	@set -e; ref='$(REFERENCES)/$(call row_name,$(1))_ref.exr'; var='$(REFERENCES)/$(call row_name,$(1))_var.exr'; \
 	load=$$(call seconds,load,loom-trace); \
 	plain=$$(call seconds,cost-pt,loom-trace); trace=$$(call seconds,cost-pathgraph,loom-trace); \
 	cluster=$$(call seconds,cost-pathgraph,loom-cluster); refine=$$(call seconds,cost-pathgraph,loom-refine); \
@@ -72,7 +73,7 @@ $(OUT)/$(call name,$(1))/row.tsv: $(1) pipelines/table.mk pipelines/still.mk $(w
 	for s in $(seeds); do $$(call picture,pt-equal-$$$$s,METHOD=pt SPP=$$$$equal SEED=$$$$s DEFINES="$$$$size"); done; \
 	$(compare) --quiet --tsv --reference "$$$$ref" $$$${var:+$$$$([ -f "$$$$var" ] && echo --reference-variance "$$$$var")} \
 		$$(foreach p,pt-1 pathgraph-1 pt-16 pathgraph-16 pt-equal,$$(foreach s,$(seeds),$$(p)=$$(@D)/$$(p)-$$(s)/image.exr)) >$$(@D)/errors.tsv; \
-	awk -F'\t' -v OFS='\t' -v scene='$(call name,$(1))' -v load="$$$$load" -v plain="$$$$plain" -v trace="$$$$trace" \
+	awk -F'\t' -v OFS='\t' -v scene='$(call row_name,$(1))' -v load="$$$$load" -v plain="$$$$plain" -v trace="$$$$trace" \
 		-v cluster="$$$$cluster" -v refine="$$$$refine" -v gather="$$$$gather" -v merge="$$$$merge" -v direct="$$$$direct" -v n="$$$$n" -v R=$(REPLICATES) -v ratio="$$$$ratio" -v equal="$$$$equal" \
 		'NR == 1 { for (i = 1; i <= NF; ++i) at[$$$$i] = i; next } \
 		{ net = $$$$at["relmse_net"]; e[$$$$2] += net / R; e2[$$$$2] += net * net / R; \

@@ -10,8 +10,9 @@
 # [i SPP, (i+1) SPP) of every pixel: as in still.mk.
 
 .DELETE_ON_ERROR:
-.PHONY: transient cube demo FORCE
+.PHONY: transient cube demo
 .DEFAULT_GOAL := transient
+include pipelines/variables.mk
 
 SCENE ?= scenes/flash.xml  ## scene file, Mitsuba XML; a transient_hdr_film says the window
 # PASSES=  ## graphs to trace (4)
@@ -37,8 +38,9 @@ KEEP ?= 1  ## 0: bin each graph by itself, and keep its cube instead
 # LAUNCH=  ## put before each stage: LAUNCH="srun -c8"
 BUILD ?= build
 SCENE := $(strip $(SCENE))
-SPP := $(or $(strip $(SPP)),16)
-PASSES := $(or $(strip $(PASSES)),4)
+SPP ?= 16
+PASSES ?= 4
+BATCH := $(strip $(BATCH))
 SAMPLER := $(strip $(SAMPLER))
 override TRACE := --sampler $(SAMPLER)$(if $(strip $(TRACE)), $(strip $(TRACE)))
 keep := $(filter-out 0,$(strip $(KEEP)))
@@ -47,10 +49,6 @@ kind := h5
 made := $(if $(keep),h5,cube.h5)
 include pipelines/passes.mk
 
-K := $(strip $(K))
-ifneq ($(shell printf '%s\n' $(call quote,$(or $(K),1)) | grep -cxE '[1-9][0-9]{0,8}'),1)
-$(error K=$(K): must be a whole number from 1)
-endif
 ifneq ($(if $(keep),,$(K)),)
 $(error K=$(K) KEEP=0: graphs that share light within are samples of each other; they are binned together)
 endif
@@ -59,7 +57,6 @@ cluster := $(BUILD)/bin/loom-cluster
 bin := $(BUILD)/bin/loom-transient
 merge := $(BUILD)/bin/loom-merge
 draw := $(BUILD)/bin/loom-frames
-inspect := $(BUILD)/bin/loom-inspect
 graphs := $(numbers:%=$(work)/pass-%.h5)
 clusters := $(if $(K),$(numbers:%=$(work)/pass-%.clusters.h5))
 
@@ -76,7 +73,11 @@ demo: $(OUT)/cube.h5 $(OUT)/strip.png
 
 cube_parameters = $(strip $(if $(UNIT),--unit $(UNIT)) $(if $(BINS),--bins $(BINS)) $(if $(START),--start $(START)) \
 	$(if $(WIDTH),--width $(WIDTH)) $(if $(PULSE),--pulse $(PULSE)) $(if $(LENGTH),--pulse-length $(LENGTH)) $(TRANSIENT))
+# Files that options name: the table of a pulse.
+option_files := $(wildcard $(subst =, ,$(TRANSIENT)))
+cube_parameter_files := $(work)/cube.parameters $(if $(option_files),$(work)/cube.stamp)
 $(eval $(call parameter,$(work)/cube.parameters,$(cube_parameters)))
+$(if $(option_files),$(eval $(call stamp,$(work)/cube.stamp,$(option_files))))
 $(eval $(call parameter,$(OUT)/passes.parameters,$(PASSES) $(if $(keep),together,merged)$(if $(K), $(K))))
 ifneq ($(keep),)
 $(eval $(call parameter,$(work)/cluster.parameters,--k $(K)$(if $(CLUSTER), $(CLUSTER))))
@@ -85,13 +86,13 @@ $(eval $(call parameter,$(work)/cluster.parameters,--k $(K)$(if $(CLUSTER), $(CL
 $(clusters): $(work)/pass-%.clusters.h5: $(work)/pass-%.h5 $(work)/cluster.parameters $(cluster)
 	$(LAUNCH) $(cluster) $< --k $(K)$(if $(CLUSTER), $(CLUSTER)) --seed $* -o $@$(threads)
 
-$(OUT)/cube.h5: $(graphs) $(clusters) $(work)/cube.parameters $(OUT)/passes.parameters $(bin)
+$(OUT)/cube.h5: $(graphs) $(clusters) $(cube_parameter_files) $(OUT)/passes.parameters $(bin)
 	$(LAUNCH) $(bin) $(graphs)$(if $(K), --clusters $(clusters)) $(cube_parameters) -o $@$(threads)
 else
 cubes := $(graphs:.h5=.cube.h5)
 # Secondary: that a graph is gone does not make it be traced again.
 .SECONDARY: $(graphs) $(cubes)
-$(cubes): %.cube.h5: %.h5 $(work)/cube.parameters $(bin)
+$(cubes): %.cube.h5: %.h5 $(cube_parameter_files) $(bin)
 	$(LAUNCH) $(bin) $< $(cube_parameters) -o $@$(threads)
 	rm -f $<
 
@@ -102,7 +103,3 @@ endif
 $(eval $(call parameter,$(OUT)/frames.parameters,$(FRAMES)))
 $(OUT)/strip.png: $(OUT)/cube.h5 $(OUT)/frames.parameters $(draw)
 	$(LAUNCH) $(draw) $< -o $@ --movie $(OUT)/movie.mp4 $(FRAMES)
-
-# Run alone on a tree that is not built yet.
-$(trace) $(cluster) $(bin) $(merge) $(draw) $(inspect) &:
-	$(MAKE) --no-print-directory -f Makefile stages

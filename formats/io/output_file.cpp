@@ -87,7 +87,8 @@ void OutputFile::commit(Sync sync) {
     if (sync == Sync::yes) sync_path(folder_of(path_), O_RDONLY | O_DIRECTORY);
 }
 
-void write_text_file(const std::filesystem::path& path, std::string_view text) {
+void write_text_file(const std::filesystem::path& path, std::string_view text,
+                     std::optional<std::filesystem::file_time_type> modified) {
     OutputFile output(path);
     {
         std::ofstream stream(output.partial(), std::ios::binary);
@@ -98,6 +99,7 @@ void write_text_file(const std::filesystem::path& path, std::string_view text) {
                 fmt::format("{}: cannot write: {}", path.native(), std::strerror(errno)));
         }
     }
+    if (modified) std::filesystem::last_write_time(output.partial(), *modified);
     output.commit();
 }
 

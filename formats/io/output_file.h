@@ -1,5 +1,6 @@
 #pragma once
 #include <filesystem>
+#include <optional>
 #include <string_view>
 
 namespace loom {
@@ -34,6 +35,8 @@ class OutputFile {
 void check_output_path(const std::filesystem::path& path);
 
 /// Writes a small text file by write-then-rename.
-void write_text_file(const std::filesystem::path& path, std::string_view text);
+/// in:      modified  its modification time; none: now
+void write_text_file(const std::filesystem::path& path, std::string_view text,
+                     std::optional<std::filesystem::file_time_type> modified = std::nullopt);
 
 }  // namespace loom

@@ -7,11 +7,14 @@
 #include "formats/io/error.h"
 #include "formats/io/output_file.h"
 #include "stages/core/app/command.h"
+#include "stages/core/app/input_stamp.h"
+#include "stages/core/scene/build.h"
+#include "stages/core/scene/description.h"
 
 namespace loom::inspect {
 
 void declare(app::Command& command, Options& options) {
-    command.file("file", options.file,
+    command.files("file", options.files,
                  "any HDF5 or EXR file; a path_graph for --path and --obj, an image for --png");
     command.flag("--json", options.json, "print JSON instead of a table");
     command.option("--path", options.path,
@@ -25,6 +28,10 @@ void declare(app::Command& command, Options& options) {
                    app::Range<double>{-50, 50, "EV"});
     command.file("--graph", options.graph, "the path graph of a clusters file, for radii and normal spread");
     command.flag("--iterations", options.iterations, "print the steps of the refinement of a radiance file as TSV");
+    command.output("--stamp", options.stamp, "write the content hashes of the files, of any kind, for make to depend on; a stamp that has them already is left alone");
+    command.file("--scene", options.scene, "with --stamp: also those of a scene file (Mitsuba XML) and of all files that it names");
+    command.option("-D,--define", options.defines, "with --scene: NAME=VALUE of a scene parameter $NAME");
+    command.flag("--check", options.check, "with --stamp: compare only; exit code 1 when contents differ");
     command.flag("--formats", options.formats, "print the documentation of all formats");
     command.example("loom-inspect graph.h5 --path 320:180,0");
 }
@@ -36,23 +43,41 @@ std::string iterations_tsv(const Radiance& radiance) {
     return text;
 }
 
-void run(const Options& options, app::Report& report) {
+namespace {
+
+int stamp(const Options& options) {
+    std::vector<std::string> files;
+    if (!options.scene.empty()) files = read_scene(options.scene, parse_defines(options.defines)).files;
+    files.insert(files.end(), options.files.begin(), options.files.end());
+    if (files.empty()) throw InputError("--stamp: no file is named");
+    if (options.check) return app::stamp_matches(options.stamp, files) ? app::exit_done : app::exit_no;
+    app::update_stamp(options.stamp, files);
+    return app::exit_done;
+}
+
+}  // namespace
+
+int run(const Options& options, app::Report& report) {
     if (options.formats) {
         report.answer(formats_markdown());
-        return;
+        return app::exit_done;
     }
-    if (options.file.empty()) throw InputError("no file is named; loom-inspect FILE, or --help");
+    if (!options.stamp.empty()) return stamp(options);
+    if (options.check || !options.scene.empty() || !options.defines.empty()) throw InputError("--scene, --define, --check: only with --stamp");
+    if (options.files.empty()) throw InputError("no file is named; loom-inspect FILE, or --help");
+    if (options.files.size() > 1) throw InputError(fmt::format("{}: one file at a time, but for --stamp", options.files[1]));
+    const std::string& file = options.files[0];
     if (options.iterations) {
-        report.answer(iterations_tsv(read_radiance(options.file)));
-        return;
+        report.answer(iterations_tsv(read_radiance(file)));
+        return app::exit_done;
     }
     if (options.path.empty() && options.obj.empty() && options.png.empty()) {
-        const Survey survey = survey_file(options.file);
-        report.answer(options.json ? json_of(survey, options.file, options.graph)
-                                   : text_of(survey, options.file, options.graph));
+        const Survey survey = survey_file(file);
+        report.answer(options.json ? json_of(survey, file, options.graph)
+                                   : text_of(survey, file, options.graph));
     }
     if (!options.path.empty() || !options.obj.empty()) {
-        const PathGraph graph = read_path_graph(options.file);
+        const PathGraph graph = read_path_graph(file);
         if (!options.path.empty()) report.answer(path_text(graph, options.path));
         if (!options.obj.empty()) {
             write_text_file(options.obj, obj_text(graph, options.max_paths));
@@ -61,9 +86,10 @@ void run(const Options& options, app::Report& report) {
         }
     }
     if (!options.png.empty()) {
-        const std::size_t n_bad = write_png(read_image(options.file), options.png, options.exposure_ev);
-        if (n_bad > 0) report.warn("{}: {} pixels hold a NaN or an infinity", options.file, n_bad);
+        const std::size_t n_bad = write_png(read_image(file), options.png, options.exposure_ev);
+        if (n_bad > 0) report.warn("{}: {} pixels hold a NaN or an infinity", file, n_bad);
     }
+    return app::exit_done;
 }
 
 }  // namespace loom::inspect

@@ -3,6 +3,7 @@
 
 #include <cstdint>
 #include <string>
+#include <vector>
 
 #include "formats/path_graph.h"
 #include "formats/radiance.h"
@@ -16,7 +17,7 @@ class Report;
 namespace loom::inspect {
 
 struct Options {
-    std::string file;                // any HDF5 or EXR file
+    std::vector<std::string> files;  // one HDF5 or EXR file; of a stamp, any files
     bool json = false;               // print JSON instead of a table
     std::string path;                // "PIXEL,SAMPLE": print this path of a graph
     std::string obj;                 // write the paths of a graph as lines to this file
@@ -25,15 +26,19 @@ struct Options {
     double exposure_ev = 0;          // of the preview, in stops
     std::string graph;               // path graph of the clusters in `file`, for their radii
     bool iterations = false;         // print how the refinement of a radiance file converged, as TSV
+    std::string stamp;               // write the content hashes of the files to this file
+    std::string scene;               // of a stamp: a scene, with all files that it names
+    std::vector<std::string> defines;  // of the scene, "NAME=VALUE"
+    bool check = false;              // of a stamp: only compare
     bool formats = false;            // print the documentation of all formats
 };
 
 /// Binds the options to the command line; `options` must outlive `command`.
 void declare(app::Command& command, Options& options);
 
-/// Does what the options ask for; answers go to stdout through `report`.
+/// Does what the options ask for; answers go to stdout through `report`. Returns an app::Exit.
 /// throws:  InputError
-void run(const Options& options, app::Report& report);
+int run(const Options& options, app::Report& report);
 
 /// Text of a survey: what the file is, its lineage, a table of its datasets, and for a path graph counts,
 /// endings and bytes per vertex by column; for clusters their sizes and, with the graph that they were made from,

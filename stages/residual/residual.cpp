@@ -10,7 +10,6 @@
 #include "formats/io/cost.h"
 #include "formats/io/error.h"
 #include "stages/core/app/command.h"
-#include "stages/core/app/depfile.h"
 #include "stages/core/scene/build.h"
 #include "stages/residual/chain_of_edits.h"
 #include "stages/residual/old_graph.h"
@@ -178,7 +177,6 @@ void declare(app::Command& command, Options& options) {
     command.option("--seed", options.seed, "seed of all random numbers; with the same seed those of loom-trace are others, and those of each edit after an edit");
     command.option("--max-depth", options.max_depth, "longest path in edges, in both scenes; -1: no limit", app::Range<int>{-1, 1 << 20});
     command.threads(options.threads);
-    command.output("--depfile", options.depfile, "also write a make rule that names all files read");
     command.flag("--plan", options.plan, "print the edit and what it calls for, and stop");
     command.example("loom-residual old.xml new.xml --old old.exr --spp 8 -o residual.exr --new new.exr");
 }
@@ -336,12 +334,12 @@ void run(const Options& options, app::Report& report) {
     cost.plan = residual.provenance.plan;
     cost.sources = {old_name};
     if (new_name != old_name) cost.sources.push_back(new_name);
-    std::vector<std::string> outputs;
+    std::string last_output;
     const auto write = [&](const Image& image, const std::string& file) {
         write_image(image, file);
         cost.bytes_written = std::filesystem::file_size(file);
         write_cost(cost, file);
-        outputs.push_back(file);
+        last_output = file;
     };
     if (!options.output.empty()) {
         for (const std::string& file : options.old_graph) cost.parents.push_back(parent_of(options.output, file));
@@ -362,14 +360,7 @@ void run(const Options& options, app::Report& report) {
         write(sum, options.new_picture);
         if (!options.png.empty()) write_png(sum, options.png);
     }
-    if (!options.depfile.empty()) {
-        std::vector<std::string> files = old_scene->dependencies;
-        files.insert(files.end(), new_scene->dependencies.begin(), new_scene->dependencies.end());
-        std::sort(files.begin(), files.end());
-        files.erase(std::unique(files.begin(), files.end()), files.end());
-        app::write_depfile(options.depfile, outputs, files);
-    }
-    report.done("{}: {} pairs of paths, {} vertices, {} rays, {} samples not finite", file_name(outputs.back()), cost.samples, counts.vertices, counts.rays,
+    report.done("{}: {} pairs of paths, {} vertices, {} rays, {} samples not finite", file_name(last_output), cost.samples, counts.vertices, counts.rays,
                 counts.nonfinite);
 }
 

@@ -38,7 +38,6 @@ struct Options {
     std::uint64_t seed = 0;
     std::optional<int> max_depth;      // of the scene files when unset
     int threads = 0;                   // 0: all
-    std::string depfile;
     bool plan = false;                 // print the edit, and stop
 };
 

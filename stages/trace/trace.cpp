@@ -11,7 +11,6 @@
 #include "formats/io/error.h"
 #include "formats/path_graph.h"
 #include "stages/core/app/command.h"
-#include "stages/core/app/depfile.h"
 #include "stages/core/scene/build.h"
 #include "stages/core/scene/nlos.h"
 #include "stages/core/transport/film.h"
@@ -155,7 +154,6 @@ void declare(app::Command& command, Options& options) {
                    {{"unit", LaserSpot::unit_area}, {"true", LaserSpot::true_area}});
     command.flag("--misses", options.misses, "graph: also keep what found no light, a tenth more bytes, with which loom-residual --old-graph finds what an edit touches several times faster");
     command.threads(options.threads);
-    command.output("--depfile", options.depfile, "also write a make rule that names all files read");
     command.flag("--plan", options.plan, "print what the scene calls for, and stop");
     command.option("--replay", options.replay, "X,Y,SAMPLE: trace that path alone and print it");
     command.example("loom-trace scenes/cornell-box.xml --spp 4 -o graph.h5");
@@ -259,10 +257,6 @@ void run(const Options& options, app::Report& report) {
         report.done("{}: {} paths, {} vertices, {} rays, {} samples not finite", std::filesystem::path(output).filename().string(),
                     samples, counts.vertices, counts.rays, counts.nonfinite);
     }
-    if (options.depfile.empty()) return;
-    std::vector<std::string> outputs;
-    for (std::uint64_t pass = 0; pass < options.passes; ++pass) outputs.push_back(output_of_pass(options, pass));
-    app::write_depfile(options.depfile, outputs, scene->dependencies);
 }
 
 }  // namespace loom::trace

@@ -30,7 +30,6 @@ struct Options {
     Roulette roulette = Roulette::albedo;
     std::optional<int> rr_depth;       // of the scene file when unset
     std::optional<int> max_depth;      // of the scene file when unset; -1: no limit
-    std::string depfile;               // make rules for all files that were read
     LaserSpot laser_spot = LaserSpot::unit_area;
     bool misses = false;               // of a graph: keep what found no light, too
     bool plan = false;                 // print the plan and stop

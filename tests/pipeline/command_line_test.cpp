@@ -62,7 +62,7 @@ TEST_F(CommandLine, wrong_command_lines_are_2) {
     expect_failure(2, stage("trace") + " " + box + o + " --spp 0");
     expect_failure(2, stage("trace") + " " + box + o + " --sampler none");
     expect_failure(2, stage("trace") + " " + box + o + " -D nobody=1");
-    expect_failure(2, stage("trace") + " " + box + o + " --depfile " + in("no/folder/x.d"));
+    expect_failure(2, stage("inspect") + " --scene scenes/cornell-box.xml --stamp " + in("no/folder/x.stamp"));
 }
 
 // OpenImageIO and the 150 libraries that it brings cost 0.3 s of every process that loads them.
@@ -161,16 +161,6 @@ TEST_F(CommandLine, plan_and_replay_answer_and_write_nothing) {
     EXPECT_EQ(replay.code, 0) << replay.err;
     EXPECT_NE(replay.out, "");
     EXPECT_EQ(files(), before);
-}
-
-TEST_F(CommandLine, depfile_names_what_was_read) {
-    const std::string graph = in("x.h5");
-    ASSERT_EQ(sh(stage("trace") + " scenes/textured.xml --depfile " + in("x.d") + " -o " + graph).code, 0);
-    const std::string rules = bytes_of(folder / "x.d");
-    EXPECT_EQ(rules.find(graph + ":"), 0u) << rules;
-    EXPECT_NE(rules.find("scenes/textured.xml"), std::string::npos) << rules;
-    // A rule without prerequisites for each input, so that make can go on when an input is gone.
-    EXPECT_NE(rules.find("scenes/textures/patches.png:"), std::string::npos) << rules;
 }
 
 }  // namespace

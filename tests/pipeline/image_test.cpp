@@ -117,21 +117,6 @@ TEST_F(MakeImage, direct_light_is_planned_from_the_passes) {
     EXPECT_NE(few.err.find("only a blend takes direct light: 4 or more parts"), std::string::npos) << few.err;
 }
 
-TEST_F(MakeImage, a_changed_texture_traces_again) {
-    fs::create_directories(folder / "my scene/textures");
-    fs::copy(LOOM_SOURCE_DIR "/scenes/textured.xml", folder / "my scene/textured.xml");
-    fs::copy(LOOM_SOURCE_DIR "/scenes/textures/patches.png", folder / "my scene/textures/patches.png");
-    const std::string variables = "SCENE='" + (folder / "my scene/textured.xml").string() + "' SPP=1";
-    image("x", variables);
-    EXPECT_TRUE(up_to_date("x", variables));
-    for (const char* input : {"my scene/textures/patches.png", "my scene/textured.xml"}) {
-        fs::last_write_time(folder / input, fs::file_time_type::clock::now());
-        EXPECT_FALSE(up_to_date("x", variables)) << input;
-        image("x", variables);
-        EXPECT_TRUE(up_to_date("x", variables)) << input;
-    }
-}
-
 TEST_F(MakeImage, wrong_variables_are_refused) {
     for (const char* wrong : {"METHOD=none", "SPP=0", "SPP=x", "PASSES=0", "PASSES=1.5", "SCENE=missing.xml",
                               "OUT='two words'", "DEFINES=nobody=1"}) {

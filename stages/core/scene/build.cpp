@@ -350,7 +350,6 @@ std::unique_ptr<Scene> build_scene(SceneDescription description) {
     auto scene = std::make_unique<Scene>();
     scene->notes = std::move(description.notes);
     scene->notes.insert(scene->notes.end(), description.warnings.begin(), description.warnings.end());
-    scene->dependencies = description.files;
     const auto shapes = root.children(Category::shape);
     const int relay_wall = find_relay_wall(shapes);
     const View view = read_view(root);
@@ -396,7 +395,7 @@ std::unique_ptr<Scene> build_scene(SceneDescription description) {
 
     std::string identity;
     for (const auto& [name, value] : description.parameters) identity += name + "=" + value + "\n";
-    for (const std::string& name : scene->dependencies) identity += file_content_hash(name) + "\n";
+    for (const std::string& name : description.files) identity += file_content_hash(name) + "\n";
     scene->content_hash = content_hash(std::as_bytes(std::span(identity)));
     return scene;
 }

@@ -137,7 +137,6 @@ struct Scene {
     Point3f center;
     float radius = 1;  // bounding sphere of all shapes
     std::uint64_t content_hash = 0;           // of the scene file, its overrides and all it refers to
-    std::vector<std::string> dependencies;    // files read, in order
     std::vector<std::string> notes;
     std::shared_ptr<const RayEngine> rays;
 

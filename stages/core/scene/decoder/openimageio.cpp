@@ -2,13 +2,30 @@
 #include <OpenImageIO/imageio.h>
 #include <fmt/format.h>
 
+#include <filesystem>
+#include <memory>
+
 #include "stages/core/scene/image_decoder.h"
+
+namespace {
+
+/// ImageInput::open, which takes what follows a ? in a name for options.
+std::unique_ptr<OIIO::ImageInput> open(const std::string& file, const OIIO::ImageSpec& wanted) {
+    if (file.find('?') == std::string::npos) return OIIO::ImageInput::open(file, &wanted);
+    const std::string extension = std::filesystem::path(file).extension();
+    auto input = OIIO::ImageInput::create(extension.empty() ? file : extension.substr(1));
+    OIIO::ImageSpec spec;
+    if (input && !input->open(file, spec, wanted)) input.reset();
+    return input;
+}
+
+}  // namespace
 
 extern "C" __attribute__((visibility("default"))) std::string loom_image_decoder(const std::string& file,
                                                                                  loom::DecodedImage& image) {
     OIIO::ImageSpec wanted;
     wanted.attribute("oiio:UnassociatedAlpha", 1);  // colours as stored, not multiplied by alpha
-    const auto input = OIIO::ImageInput::open(file, &wanted);
+    const auto input = open(file, wanted);
     if (!input) return fmt::format("not a readable image: {}", OIIO::geterror());
     const OIIO::ImageSpec& spec = input->spec();
     constexpr std::int64_t most_pixels = std::int64_t(1) << 30;
