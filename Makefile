@@ -10,42 +10,26 @@ BUILD ?= build
 JOBS ?= $(shell nproc)
 # The variables of a picture (SCENE METHOD SPP ...) go through to pipelines/still.mk, which has their defaults.
 
-# Debian packages: what the build needs, then what only some other targets need.
-PACKAGES := g++ cmake ninja-build ccache pkg-config \
-	libembree-dev libopenexr-dev libopenimageio-dev libhdf5-dev libflann-dev libpugixml-dev libcli11-dev \
-	libtbb-dev libfmt-dev libspdlog-dev zlib1g-dev libpng-dev libgtest-dev gnuplot-nox
-PEER_PACKAGES := python3-venv
-# A browser to test reports in; without it make test-full leaves that test out.
-BROWSER_PACKAGES := chromium
-
 python = $(call quote,$(PEERS_PYTHON))
 STAGES := $(patsubst stages/%/main.cpp,loom-%,$(wildcard stages/*/main.cpp))
 
-# $(call install,PACKAGES): asks for root only when a package is missing. All output of tools and
-# compilers goes to stderr: stdout is for results.
-install = have=" $$(dpkg-query -W -f='$${db:Status-Status} $${Package}\n' $(1) 2>/dev/null \
-		| sed -n 's/^installed //p' | tr '\n' ' ') "; \
-	missing=$$(for p in $(1); do case "$$have" in (*" $$p "*) ;; (*) printf '%s ' $$p ;; esac; done); \
-	if [ -n "$$missing" ] && command -v apt-get >/dev/null; then \
-		echo "installing: $$missing" >&2; \
-		root=$$([ $$(id -u) = 0 ] || echo sudo); \
-		$$root apt-get update -qq >&2 && \
-		$$root env DEBIAN_FRONTEND=noninteractive apt-get install -y -q --no-install-recommends $$missing >&2; \
-	elif [ -n "$$missing" ]; then \
-		echo "no apt-get here; the build needs the equivalents of: $$missing" >&2; \
-	fi
+# $(call packages,install,SETS): what is missing of sets of Debian packages. All output of tools and compilers goes to stderr: stdout
+# is for results.
+packages = BUILD=$(BUILD) sh pipelines/packages.sh $(1) $(2) >&2
 
 # Without the sloppiness ccache leaves alone whatever uses a precompiled header (the tests).
 launcher := env;CCACHE_SLOPPINESS=pch_defines,time_macros;ccache
 
-# $(call compile,FOLDER,OPTIONS,TARGETS): configures once, with Ninja and ccache where they are, and builds.
+# $(call compile,FOLDER,OPTIONS,TARGETS): configures once, with Ninja and ccache where they are, and builds. Packages are looked at
+# before the first time and when something fails: a tree that is built needs none.
 # Variables of this make (OUT, DEFINES, ...) are none of the compiler's business, hence `unset`.
 compile = unset MAKEFLAGS MFLAGS; \
 	if ! [ -f $(1)/build.ninja ] && ! [ -f $(1)/Makefile ]; then \
+		$(call packages,install,build) || told=yes; \
 		cmake --fresh -S . -B $(1) $(2) \
 			$$(command -v ninja >/dev/null && echo -G Ninja) \
 			$$(command -v ccache >/dev/null && echo '-DCMAKE_CXX_COMPILER_LAUNCHER=$(launcher)') >&2; \
-	fi && cmake --build $(1) --parallel $(JOBS) $(if $(3),--target $(3)) >&2
+	fi && cmake --build $(1) --parallel $(JOBS) $(if $(3),--target $(3)) >&2 || { [ -n "$$told" ] || $(call packages,missing,build); exit 1; }
 
 demo: stages ## (default) install, build, trace a small scene, show where the results lie; takes SCENE= too
 	@$(MAKE) --no-print-directory -f pipelines/still.mk demo
@@ -98,13 +82,13 @@ test: build ## install, build and run all tests
 	cd $(BUILD) && ctest --output-on-failure --no-tests=error
 
 test-full: build ## the tests with the longer statistical runs, and the report in a browser
-	@$(call install,$(BROWSER_PACKAGES))
+	@$(call packages,install,browser) || echo "without a browser the test of reports in one is left out" >&2
 	cd $(BUILD) && LOOM_TEST_FULL=1 ctest --output-on-failure --no-tests=error
 
 stability: build ## scenes that are hard on path graphs, edits that are hard on residuals, and fifty edits in a row, at full length
 	LOOM_TEST_FULL=1 $(BUILD)/test_statistical --gtest_filter='Stability*:Blend*'
 
-asan: tools ## unit and formats tests under AddressSanitizer and UndefinedBehaviorSanitizer
+asan: ## unit and formats tests under AddressSanitizer and UndefinedBehaviorSanitizer
 	@$(call compile,$(BUILD)-asan,-DCMAKE_BUILD_TYPE=Debug -DLOOM_SANITIZE=ON,test_unit test_formats)
 	cd $(BUILD)-asan && ctest --output-on-failure --no-tests=error -R '^(unit|formats)$$'
 
@@ -112,31 +96,28 @@ bench: build ## measure throughput against a bare Embree loop
 	$(BUILD)/bin/loom-bench
 
 peers: stages ## (optional) Mitsuba 3 on SCENE, fetched from PyPI into a virtual environment; charts and reports then show it
-	@[ -n $(python) ] || { $(call install,$(PEER_PACKAGES) libllvm16); }
-	@[ -n $(python) ] || [ -e $(BUILD)/peers/ready ] || { python3 -m venv $(BUILD)/peers && \
+	@[ -n $(python) ] || [ -e $(BUILD)/peers/ready ] || { $(call packages,install,peers mitsuba) && python3 -m venv $(BUILD)/peers && \
 		$(BUILD)/peers/bin/pip install -q mitsuba==3.8.0 >&2 && touch $(BUILD)/peers/ready; }
 	@$(MAKE) --no-print-directory -f pipelines/peers.mk peers PYTHON=$(if $(PEERS_PYTHON),$(python),$(BUILD)/peers/bin/python)
 
 peers-transient: stages ## (optional) mitransient on SCENE, fetched from PyPI: paths per second of both, and whether their cubes agree
-	@[ -n $(python) ] || { $(call install,$(PEER_PACKAGES) libllvm16); }
-	@[ -n $(python) ] || [ -e $(BUILD)/peers/ready-transient ] || { python3 -m venv $(BUILD)/peers && \
+	@[ -n $(python) ] || [ -e $(BUILD)/peers/ready-transient ] || { $(call packages,install,peers mitsuba) && python3 -m venv $(BUILD)/peers && \
 		$(BUILD)/peers/bin/pip install -q mitsuba==3.8.0 mitransient==1.3.1 h5py >&2 && touch $(BUILD)/peers/ready-transient; }
 	@$(MAKE) --no-print-directory -f pipelines/peers-transient.mk peers-transient PYTHON=$(if $(PEERS_PYTHON),$(python),$(BUILD)/peers/bin/python)
 
 oidn: ## (optional) Open Image Denoise for loom-denoise, fetched from PyPI into a folder beside the build's bin/
-	@[ -e $(BUILD)/oidn/libOpenImageDenoise.so.2 ] || { $(call install,$(PEER_PACKAGES)); }
-	@[ -e $(BUILD)/oidn/libOpenImageDenoise.so.2 ] || { python3 -m venv $(BUILD)/oidn && \
+	@[ -e $(BUILD)/oidn/libOpenImageDenoise.so.2 ] || { $(call packages,install,peers) && python3 -m venv $(BUILD)/oidn && \
 		$(BUILD)/oidn/bin/pip install -q --no-deps pyoidn==2.5.1.0 >&2 && cd $(BUILD)/oidn && \
 		ln -s lib/python3*/site-packages/pyoidn/oidn/lib/libOpenImageDenoise.so.2 .; }
 	@echo $(BUILD)/oidn/libOpenImageDenoise.so.2
 
 tools: ## install the Debian packages that are missing
-	@$(call install,$(PACKAGES))
+	@$(call packages,install,build convenience)
 
-build: tools ## compile everything, tests included
+build: ## compile everything, tests included
 	@$(call compile,$(BUILD),-DCMAKE_BUILD_TYPE=Release)
 
-stages: tools # what a picture needs, without the tests
+stages: # what a picture needs, without the tests
 	@$(call compile,$(BUILD),-DCMAKE_BUILD_TYPE=Release,$(STAGES))
 
 clean: ## remove build folders and out/

@@ -328,5 +328,50 @@ TEST_F(MakeVariables, keep_what_they_may_be) {
         EXPECT_EQ(sh("make -s -f " + in("all.mk") + " " + wrong).code, 2) << wrong;
 }
 
+class MakePackages : public Make {
+  protected:
+    /// A folder for the front of PATH: nobody is root, sudo does not work, these packages are not installed.
+    std::string without(const std::string& packages) const {
+        fs::create_directories(folder / "fake");
+        write("fake/id", "#!/bin/sh\necho 1000\n");
+        write("fake/sudo", "#!/bin/sh\necho 'sudo: command not found' >&2; exit 127\n");
+        write("fake/apt-get", "#!/bin/sh\necho 'apt-get without root' >&2; exit 100\n");
+        write("fake/cmake", "#!/bin/sh\necho 'cmake without packages' >&2; exit 1\n");
+        write("fake/dpkg-query", "#!/bin/sh\nshift 2; for p in \"$@\"; do case ' " + packages + " ' in *\" $p \"*) ;; *) echo \"installed $p\" ;; esac; done\n");
+        for (const char* name : {"id", "sudo", "apt-get", "cmake", "dpkg-query"}) fs::permissions(folder / "fake" / name, fs::perms::owner_all);
+        return "PATH=" + in("fake") + ":$PATH ";
+    }
+};
+
+TEST_F(MakePackages, a_built_tree_needs_none) {
+    const std::string path = without("ccache gnuplot-nox ninja-build ffmpeg");
+    fs::remove(folder / "fake/cmake");
+    const Outcome outcome = sh(path + "make -s image BUILD=" + build_folder() + " METHOD=pt SPP=1 DEFINES='resx=8 resy=8' OUT=" + in("x"));
+    EXPECT_EQ(outcome.code, 0) << outcome.err;
+    EXPECT_EQ(outcome.out, in("x/image.exr") + "\n");
+    for (const char* word : {"sudo", "installing", "apt-get"}) EXPECT_EQ(outcome.err.find(word), std::string::npos) << outcome.err;
+}
+
+TEST_F(MakePackages, what_is_missing_is_named) {
+    // With a configured tree or without: what is missing, what it is for, what to do; once.
+    const std::string path = without("libembree-dev ccache");
+    fs::create_directories(folder / "configured");
+    write("configured/build.ninja", "");
+    for (const char* tree : {"configured", "new"}) {
+        const Outcome outcome = sh(path + "make -s stages JOBS=1 BUILD=" + in(tree) + " </dev/null");
+        EXPECT_EQ(outcome.code, 2);
+        EXPECT_EQ(outcome.out, "");
+        for (const std::string& word : {std::string("libembree-dev"), std::string("rays and meshes"), std::string("apt-get install libembree-dev"), "cmake -S . -B " + in(tree)})
+            EXPECT_NE(outcome.err.find(word), std::string::npos) << word << "\n" << outcome.err;
+        EXPECT_EQ(outcome.err.find("command not found"), std::string::npos) << outcome.err;
+        EXPECT_EQ(outcome.err.find("rays and meshes"), outcome.err.rfind("rays and meshes")) << outcome.err;
+    }
+    EXPECT_EQ(sh(path + "sh pipelines/packages.sh install build </dev/null").code, 1);
+    // Packages of convenience alone are no reason.
+    const Outcome convenience = sh(without("ccache gnuplot-nox") + "sh pipelines/packages.sh install build </dev/null");
+    EXPECT_EQ(convenience.code, 0);
+    EXPECT_EQ(convenience.out + convenience.err, "");
+}
+
 }  // namespace
 }  // namespace loom::pipeline
