@@ -96,17 +96,17 @@ bench: build ## measure throughput against a bare Embree loop
 	$(BUILD)/bin/loom-bench
 
 peers: stages ## (optional) Mitsuba 3 on SCENE, fetched from PyPI into a virtual environment; charts and reports then show it
-	@[ -n $(python) ] || [ -e $(BUILD)/peers/ready ] || { $(call packages,install,peers mitsuba) && python3 -m venv $(BUILD)/peers && \
+	@[ -n $(python) ] || [ -e $(BUILD)/peers/ready ] || { $(call packages,install,peers mitsuba); python3 -m venv $(BUILD)/peers && \
 		$(BUILD)/peers/bin/pip install -q mitsuba==3.8.0 >&2 && touch $(BUILD)/peers/ready; }
 	@$(MAKE) --no-print-directory -f pipelines/peers.mk peers PYTHON=$(if $(PEERS_PYTHON),$(python),$(BUILD)/peers/bin/python)
 
 peers-transient: stages ## (optional) mitransient on SCENE, fetched from PyPI: paths per second of both, and whether their cubes agree
-	@[ -n $(python) ] || [ -e $(BUILD)/peers/ready-transient ] || { $(call packages,install,peers mitsuba) && python3 -m venv $(BUILD)/peers && \
+	@[ -n $(python) ] || [ -e $(BUILD)/peers/ready-transient ] || { $(call packages,install,peers mitsuba); python3 -m venv $(BUILD)/peers && \
 		$(BUILD)/peers/bin/pip install -q mitsuba==3.8.0 mitransient==1.3.1 h5py >&2 && touch $(BUILD)/peers/ready-transient; }
 	@$(MAKE) --no-print-directory -f pipelines/peers-transient.mk peers-transient PYTHON=$(if $(PEERS_PYTHON),$(python),$(BUILD)/peers/bin/python)
 
 oidn: ## (optional) Open Image Denoise for loom-denoise, fetched from PyPI into a folder beside the build's bin/
-	@[ -e $(BUILD)/oidn/libOpenImageDenoise.so.2 ] || { $(call packages,install,peers) && python3 -m venv $(BUILD)/oidn && \
+	@[ -e $(BUILD)/oidn/libOpenImageDenoise.so.2 ] || { $(call packages,install,peers); python3 -m venv $(BUILD)/oidn && \
 		$(BUILD)/oidn/bin/pip install -q --no-deps pyoidn==2.5.1.0 >&2 && cd $(BUILD)/oidn && \
 		ln -s lib/python3*/site-packages/pyoidn/oidn/lib/libOpenImageDenoise.so.2 .; }
 	@echo $(BUILD)/oidn/libOpenImageDenoise.so.2

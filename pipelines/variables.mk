@@ -6,16 +6,16 @@ commands := LAUNCH
 files := SCENE OLD NEW OLD_PICTURE REFERENCE REFERENCE_VARIANCE PYTHON PEERS_PYTHON
 folders := OUT BASE BUILD REFERENCES DOCS
 scene_lists := SCENES
-wholes := SPP PASSES BATCH K ITERATIONS BINS THREADS JOBS BASE_SPP REFERENCE_SPP PICTURE_SPP PASS REPLICATES SIZE PICTURE_SIZE LONGEST_SIDE
+wholes := SPP PASSES BATCH K ITERATIONS BINS JOBS BASE_SPP REFERENCE_SPP PICTURE_SPP PASS REPLICATES SIZE PICTURE_SIZE LONGEST_SIDE
 whole_lists := SPPS
-seeds := SEED BASE_SEED GRAPH_SEED
+wholes_from_0 := SEED BASE_SEED GRAPH_SEED THREADS
 switches := KEEP DENOISE MAP CONTROL UNBIASED
 numbers := START WIDTH LENGTH EXPOSURE
 words := METHOD REFERENCE_METHOD SAMPLER DIRECT GRAPH UNIT PULSE CHOICES COST ERROR
 word_lists := METHODS SAMPLERS ROWS NAME
 option_lists := TRACE CLUSTER REFINE GATHER MERGE TRANSIENT FRAMES
 define_lists := DEFINES OLD_DEFINES NEW_DEFINES
-kinds := commands files folders scene_lists wholes whole_lists seeds switches numbers words word_lists option_lists define_lists
+kinds := commands files folders scene_lists wholes whole_lists wholes_from_0 switches numbers words word_lists option_lists define_lists
 
 empty :=
 space := $(empty) $(empty)
@@ -44,7 +44,7 @@ spread = $(if $(1),$(call spread,$(wordlist 2,$(words $(1)),$(1)),$(subst $(firs
 # $(call in_digits,ZERO,LIMIT,TEXT): TEXT when it is a whole number of fewer than LIMIT digits without leading zeros; ZERO: 0 may be.
 in_digits = $(if $(or $(call without,$(digits),$(3)),$(word $(2),$(call spread,$(digits),$(3))),$(filter 0%,$(filter-out $(1),$(3)))),,$(3))
 is_whole = $(call in_digits,,10,$(1))
-is_seed = $(call in_digits,0,19,$(1))
+is_whole_from_0 = $(call in_digits,0,19,$(1))
 
 # $(call wrong_KIND,TEXT): what is wrong with a value that is not empty.
 one = $(if $(word 2,$(1)),,$(1))
@@ -52,7 +52,7 @@ not = $(if $(1),,$(2))
 all = $(if $(strip $(foreach w,$(2),$(if $(call $(1),$w),,no))),,yes)
 wrong_wholes = $(call not,$(and $(call one,$(1)),$(call is_whole,$(1))),must be a whole number from 1)
 wrong_whole_lists = $(call not,$(call all,is_whole,$(1)),must be whole numbers from 1)
-wrong_seeds = $(call not,$(and $(call one,$(1)),$(call is_seed,$(1))),must be a whole number from 0)
+wrong_wholes_from_0 = $(call not,$(and $(call one,$(1)),$(call is_whole_from_0,$(1))),must be a whole number from 0)
 wrong_switches = $(call not,$(and $(call one,$(1)),$(filter 0 1,$(1))),must be 0 or 1)
 wrong_numbers = $(if $(or $(word 2,$(1)),$(call without,$(digits) . e E + -,$(1))),must be a number)
 wrong_words = $(if $(or $(word 2,$(1)),$(call without,$(letters) $(digits) _,$(1))),must be a word of letters$(comma) digits and _)
