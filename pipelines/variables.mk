@@ -62,7 +62,7 @@ wrong_define_lists = $(or $(call not,$(call all,is_define,$(1)),must be NAME=VAL
 is_define = $(findstring =,$(patsubst =%,,$(1)))
 wrong_signs = $(if $(call any_of,$(1),$(2)),must not have $(firstword $(call any_of,$(1),$(2))) in it)
 wrong_scene_lists = $(call wrong_signs,$(signs_of_make),$(1))
-wrong_folders = $(or $(if $(word 2,$(1)),must not have blanks in it: make cannot handle them in the names of what it makes),$(call wrong_signs,$(signs_of_make),$(1)))
+wrong_folders = $(or $(if $(word 2,$(1)),must not have blanks in it: make cannot handle them in the names of what it makes),$(if $(filter -%,$(1)),must not start with -),$(call wrong_signs,$(signs_of_make),$(1)))
 wrong_files =
 
 given = $(filter command environment,$(firstword $(origin $(1))))
@@ -77,7 +77,7 @@ $(if $(findstring $(newline),$(value $(2))),$(call refuse,$(2),must not have a n
 text := $(if $(filter files,$(1)),$$(value $(2)),$$(strip $$(value $(2))))
 $$(if $$(text),$$(if $$(call wrong_$(1),$$(text)),$$(call refuse,$(2),$$(call wrong_$(1),$$(text)))))
 ifneq ($$(or $$(text),$(filter option_lists define_lists,$(1))),)
-override $(2) := $(if $(filter files folders,$(1)),$$(call no_option,$$(text)),$$(text))
+override $(2) := $(if $(filter files,$(1)),$$(call no_option,$$(text)),$$(text))
 else
 override undefine $(2)
 endif

@@ -320,11 +320,11 @@ TEST_F(MakeVariables, reach_no_shell_unchecked) {
 TEST_F(MakeVariables, keep_what_they_may_be) {
     write("all.mk", "include pipelines/variables.mk\nSPP ?= 4\nTRACE ?= --x\nall: ; @printf '%s|' $(call quote,$(SCENE)) $(OUT) $(SPP) $(SPPS) $(SEED) $(START) $(call quote,$(DEFINES)) $(call quote,$(TRACE)) $(EXPOSURE)\n");
     const auto values = [&](const std::string& variables) { return sh("make -s -f " + in("all.mk") + " " + variables).out; };
-    EXPECT_EQ(values(R"(SCENE="a  b's \"c\".xml" OUT=-out/ä SPP=999999999 SPPS='1 4  16' SEED=0 THREADS=0 START=-1.5e3 DEFINES=' a=1  b=#ff0000,2 ' TRACE='--roulette off' EXPOSURE=-2)"),
-              "a  b's \"c\".xml|./-out/ä|999999999|1|4|16|0|-1.5e3|a=1 b=#ff0000,2|--roulette off|-2|");
+    EXPECT_EQ(values(R"(SCENE="a  b's \"c\".xml" OUT=out/ä SPP=999999999 SPPS='1 4  16' SEED=0 THREADS=0 START=-1.5e3 DEFINES=' a=1  b=#ff0000,2 ' TRACE='--roulette off' EXPOSURE=-2)"),
+              "a  b's \"c\".xml|out/ä|999999999|1|4|16|0|-1.5e3|a=1 b=#ff0000,2|--roulette off|-2|");
     // Nothing is not given, but for texts, of which it is the empty one.
     EXPECT_EQ(values("SCENE=-x.xml OUT= SPP= TRACE="), "./-x.xml|4|||");
-    for (const char* wrong : {"SPP=0", "SPP=01", "SPP=1.5", "SPP=1000000000", "SPPS='1 0'", "SEED=-1", "SEED=1234567890123456789", "KEEP=yes", "START=one", "DEFINES=a", "DEFINES==1"})
+    for (const char* wrong : {"OUT=-x", "SPP=0", "SPP=01", "SPP=1.5", "SPP=1000000000", "SPPS='1 0'", "SEED=-1", "SEED=1234567890123456789", "KEEP=yes", "START=one", "DEFINES=a", "DEFINES==1"})
         EXPECT_EQ(sh("make -s -f " + in("all.mk") + " " + wrong).code, 2) << wrong;
 }
 
