@@ -70,6 +70,19 @@ TEST_F(MeshFile, NonUniformScaleMovesNormalsByTheInverseTranspose) {
     expect_normal(m.normals[1], 0, 0, 1);
 }
 
+TEST_F(MeshFile, ByteOrderMarksAndOpenCorners) {
+    write("m.obj", "\xEF\xBB\xBFv 0 0 0\r\nv\t1 0 0\r\nv 0 1 0\r\nvt 0.25 0.5\r\nf 1/1/ 2/1/ 3//\r\nf 1/ 2/1 \\\r\n 3/1/\r\n");
+    const Mesh m = load_obj(path("m.obj"));
+    ASSERT_EQ(m.positions.size(), 5u);
+    EXPECT_EQ(m.positions[1], Point3f(1, 0, 0));
+    EXPECT_EQ(m.indices, (std::vector<std::uint32_t>{0, 1, 2, 3, 1, 4}));
+    EXPECT_FLOAT_EQ(m.uvs[0].x, 0.25f);
+    EXPECT_TRUE(m.normals.empty());
+    write("m.ply", "\xEF\xBB\xBFply\r\nformat ascii 1.0\r\nelement vertex 3\r\nproperty float x\r\nproperty float y\r\nproperty float z\r\n"
+                   "element face 1\r\nproperty list uchar int vertex_indices\r\nend_header\r\n0 0 0\r\n+1\t0 0\r\n0 1 0\r\n3 0 1 2\r\n");
+    EXPECT_EQ(load_ply(path("m.ply")).positions[1], Point3f(1, 0, 0));
+}
+
 TEST_F(MeshFile, VerticesAreSharedByEqualIndicesOnly) {
     write("m.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 1\nvt .2 .3\nvt .5 .5\nf 1/1 2/1 3/1\nf 2/2 4/1 3/1\n");
     const Mesh m = load_obj(path("m.obj"));

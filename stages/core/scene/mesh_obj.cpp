@@ -12,6 +12,7 @@
 
 #include "formats/io/error.h"
 #include "formats/io/mapped_file.h"
+#include "stages/core/scene/byte_order_mark.h"
 #include "stages/core/scene/mesh.h"
 
 namespace loom {
@@ -118,15 +119,18 @@ class ObjReader {
         return std::uint32_t(position);
     }
 
+    /// False between two slashes and behind the last: some programs write v/vt/ and v//.
+    bool has_index() const { return at_ < end_ && *at_ != '/' && *at_ != '\n' && !is_blank(*at_); }
+
     std::uint32_t corner() {
         const std::uint32_t p = index(points_.size(), "vertex");
         std::uint32_t t = none, n = none;
         if (at_ < end_ && *at_ == '/') {
             ++at_;
-            if (at_ < end_ && *at_ != '/') t = index(texture_points_.size(), "texture coordinate");
+            if (has_index()) t = index(texture_points_.size(), "texture coordinate");
             if (at_ < end_ && *at_ == '/') {
                 ++at_;
-                n = index(directions_.size(), "normal");
+                if (has_index()) n = index(directions_.size(), "normal");
             }
         }
         return vertex(p, t, n);
@@ -191,7 +195,7 @@ class ObjReader {
 Mesh load_obj(const std::filesystem::path& file, bool flip_tex_coords) {
     const MappedFile mapped(file);
     const std::string_view text(reinterpret_cast<const char*>(mapped.bytes().data()), mapped.bytes().size());
-    Mesh mesh = ObjReader(text, file.string(), flip_tex_coords).read();
+    Mesh mesh = ObjReader(without_byte_order_mark(text), file.string(), flip_tex_coords).read();
     check_mesh(mesh, file.string());
     return mesh;
 }

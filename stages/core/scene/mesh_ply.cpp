@@ -8,6 +8,7 @@
 
 #include "formats/io/error.h"
 #include "formats/io/mapped_file.h"
+#include "stages/core/scene/byte_order_mark.h"
 #include "stages/core/scene/mesh.h"
 
 namespace loom {
@@ -187,6 +188,7 @@ class PlyReader {
         const auto blank = [](char c) { return c == ' ' || c == '\t' || c == '\r' || c == '\n'; };
         while (at_ < bytes_.size() && blank(bytes_[at_])) ++at_;
         if (at_ >= bytes_.size()) fail(fmt::format("truncated at byte {}", bytes_.size()));
+        if (bytes_[at_] == '+') ++at_;  // from_chars takes none
         double value = 0;
         const char* start = bytes_.data() + at_;
         const auto [end, error] = std::from_chars(start, bytes_.data() + bytes_.size(), value);
@@ -294,7 +296,7 @@ class PlyReader {
 Mesh load_ply(const std::filesystem::path& file, bool flip_tex_coords) {
     const MappedFile mapped(file);
     const std::string_view bytes(reinterpret_cast<const char*>(mapped.bytes().data()), mapped.bytes().size());
-    Mesh mesh = PlyReader(bytes, file.string()).read(flip_tex_coords);
+    Mesh mesh = PlyReader(without_byte_order_mark(bytes), file.string()).read(flip_tex_coords);
     check_mesh(mesh, file.string());
     return mesh;
 }

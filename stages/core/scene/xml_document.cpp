@@ -8,11 +8,10 @@
 #include <iterator>
 
 #include "formats/io/error.h"
+#include "stages/core/scene/byte_order_mark.h"
 
 namespace loom {
 namespace {
-
-constexpr std::string_view byte_order_mark = "\xEF\xBB\xBF";
 
 std::string read_text(const std::filesystem::path& file, const std::string& name) {
     std::error_code error;
@@ -22,8 +21,7 @@ std::string read_text(const std::filesystem::path& file, const std::string& name
     std::ifstream in(file, std::ios::binary);
     std::string text{std::istreambuf_iterator<char>(in), {}};
     if (!in) throw InputError(name + ": cannot be read");
-    if (text.starts_with(byte_order_mark)) text.erase(0, byte_order_mark.size());
-    return text;
+    return std::string(without_byte_order_mark(text));
 }
 
 bool is_blank(char c) {
