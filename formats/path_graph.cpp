@@ -149,14 +149,16 @@ std::string bad_capture(const PathGraph& g) {
     const auto& c = g.nlos;
     for (std::size_t i = 0; g.emitters.position.empty() && i < g.emitters.kind.size(); ++i)
         if (g.emitters.kind[i] >= std::uint8_t(EmitterKind::projector)) return fmt::format("emitters/position: is missing for row {}", i);
-    if ((g.sensor.kind == "nlos_capture_meter") != !c.capture.empty())
-        return fmt::format("nlos/capture: is {}there, but sensor/kind is {}", c.capture.empty() ? "not " : "", g.sensor.kind);
+    const bool scans = g.sensor.kind == "nlos_capture_meter";
+    if (scans && c.capture.empty()) return "nlos/capture: is not there, but sensor/kind is nlos_capture_meter";
     if (c.capture.empty()) return {};
+    if (!scans && c.capture[0] != 0) return fmt::format("nlos/capture: is {}, but sensor/kind {} takes single captures (0)", c.capture[0], g.sensor.kind);
     if (c.capture[0] > 2) return fmt::format("nlos/capture: is {}, not 0, 1 or 2", c.capture[0]);
     if (c.grids.empty() || c.laser.empty() || c.true_area.empty()) return "nlos: grids, laser or true_area is missing";
     const std::size_t n_sensor = std::size_t(c.grids[0]) * c.grids[1], n_laser = std::size_t(c.grids[2]) * c.grids[3];
-    if (c.sensor_points.size() != 3 * n_sensor || c.sensor_normals.size() != 3 * n_sensor)
-        return fmt::format("nlos/sensor_points, sensor_normals: not {} rows, as nlos/grids says", n_sensor);
+    const std::size_t n_points = scans ? n_sensor : 0;
+    if (c.sensor_points.size() != 3 * n_points || c.sensor_normals.size() != 3 * n_points)
+        return fmt::format("nlos/sensor_points, sensor_normals: not {} rows, as {}", n_points, scans ? "nlos/grids says" : "the sensor is a camera");
     if (c.laser_points.size() != 3 * n_laser || c.laser_normals.size() != 3 * n_laser)
         return fmt::format("nlos/laser_points, laser_normals: not {} rows, as nlos/grids says", n_laser);
     if (g.n_pixels() != (c.capture[0] == 2 ? n_sensor * n_laser : n_sensor))

@@ -347,7 +347,8 @@ void PathGraphOf<ColumnOf>::fields(Self& g, Visitor& v) {
     v.optional("nlos/true_area", c.true_area, 1, "film", "1",
                "0: a laser spot has unit area, 1: that of the beam's section");
     v.optional("nlos/laser", c.laser, 3, "film,xyz", "m", "where the laser stands");
-    v.optional("nlos/sensor_points", c.sensor_points, 3, "sensor_point,xyz", "m", "what the sensor looks at");
+    v.optional("nlos/sensor_points", c.sensor_points, 3, "sensor_point,xyz", "m",
+               "what an nlos_capture_meter looks at; absent for a camera");
     v.optional("nlos/sensor_normals", c.sensor_normals, 3, "sensor_point,xyz", "1", "its geometric normal");
     v.optional("nlos/laser_points", c.laser_points, 3, "laser_point,xyz", "m", "what the laser lights");
     v.optional("nlos/laser_normals", c.laser_normals, 3, "laser_point,xyz", "1",

@@ -31,8 +31,8 @@ pictures := $(call in_pass,exr)
 
 # Not the seed of OLD's picture, whose noise would be in the residual too.
 graph_seed := $(shell echo $$(($(or $(SEED),0) + 2000003)))
-old_scene_parameters = $(call quote,$(OLD))$(call defines,-D,$(DEFINES) $(OLD_DEFINES))
-new_scene_parameters = $(call quote,$(NEW))$(call defines,-D,$(DEFINES) $(NEW_DEFINES))
+old_scene_parameters = $(call quote,$(OLD))$(call defines,-D,$(DEFINES) $(OLD_DEFINES))$(sensor)
+new_scene_parameters = $(call quote,$(NEW))$(call defines,-D,$(DEFINES) $(NEW_DEFINES))$(sensor)
 graph_parameters = --spp $(SPP) --seed $(graph_seed)
 
 # All graphs of a scene are traced by one process, so that it is read once; each goes once its picture is there.

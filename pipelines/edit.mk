@@ -28,6 +28,7 @@ BASE_SPP ?= 64  ## samples per pixel of OLD's picture
 # DEFINES=  ## values of the parameters of both scenes
 # OLD_DEFINES=  ## values of OLD only
 # NEW_DEFINES=  ## values of NEW only: NEW_DEFINES="light=20"
+# SENSOR=  ## sensor of both scenes, by id or by number from 0 (the first)
 # SEED=  ## seed of the random numbers
 # DENOISE=  ## 1: the residual without its noise (loom-denoise), biased a little; the one with it is OUT/noisy.exr
 # BASE_SEED=  ## of OLD's picture, where it must not change with that of the residual (SEED)
@@ -64,7 +65,7 @@ $(error $(strip $(missing)): no such file)
 endif
 
 base_seed := $(or $(BASE_SEED),$(SEED))
-of_old = $(call quote,$(OLD))$(call defines,-D,$(DEFINES) $(OLD_DEFINES))
+of_old = $(call quote,$(OLD))$(call defines,-D,$(DEFINES) $(OLD_DEFINES))$(sensor)
 old_parameters = $(of_old) --spp $(BASE_SPP)$(if $(base_seed), --seed $(base_seed))
 graph_seed = $(or $(GRAPH_SEED),$(shell echo $$(($(or $(base_seed),0) + 1))))
 graph_parameters = $(if $(filter same,$(GRAPH)),$(old_parameters),$(of_old) --spp $(SPP) --seed $(graph_seed)) --misses
@@ -103,7 +104,7 @@ old_stamp := $(if $(OLD_PICTURE),$(OUT),$(BASE))/old.stamp
 new_stamp := $(OUT)/new.stamp
 picture_made := $(if $(OLD_PICTURE),$(OUT)/picture.stamp,$(BASE)/old.exr)
 $(foreach s,$(sort $(base_stamp) $(old_stamp)),$(eval $(call stamp,$(s),--scene $(of_old))))
-$(eval $(call stamp,$(new_stamp),--scene $(call quote,$(NEW))$(call defines,-D,$(DEFINES) $(NEW_DEFINES))))
+$(eval $(call stamp,$(new_stamp),--scene $(call quote,$(NEW))$(call defines,-D,$(DEFINES) $(NEW_DEFINES))$(sensor)))
 $(if $(OLD_PICTURE),$(eval $(call stamp,$(OUT)/picture.stamp,$(call quote,$(OLD_PICTURE)))))
 
 $(eval $(call parameter,$(BASE)/old.parameters,$(old_parameters)))
@@ -116,7 +117,7 @@ $(BASE)/graph.h5: $(base_stamp) $(BASE)/graph.parameters $(trace)
 	$(LAUNCH) $(trace) $(graph_parameters)$(threads) -o $@
 endif
 
-scene_parameters = $(call quote,$(OLD)) $(call quote,$(NEW))$(call defines,-D,$(DEFINES))$(call defines,--old-define,$(OLD_DEFINES))$(call defines,--new-define,$(NEW_DEFINES))
+scene_parameters = $(call quote,$(OLD)) $(call quote,$(NEW))$(call defines,-D,$(DEFINES))$(call defines,--old-define,$(OLD_DEFINES))$(call defines,--new-define,$(NEW_DEFINES))$(sensor)
 edited := $(old_stamp) $(new_stamp) $(picture_made) $(GRAPH:%=$(BASE)/graph.h5)
 $(eval $(call parameter,$(OUT)/edit.parameters,$(if $(filter graph,$(METHOD)),graph,$(edit_parameters))$(denoised:%= denoised)))
 ifeq ($(METHOD),graph)

@@ -1,6 +1,6 @@
 # Passes of samples of one scene, for pipelines that include this: OUT/FOLDER/pass-I.KIND, traced in batches.
 #
-# in:   SCENE SPP PASSES BATCH OUT SEED THREADS DEFINES TRACE LAUNCH BUILD
+# in:   SCENE SPP PASSES BATCH OUT SEED THREADS DEFINES SENSOR TRACE LAUNCH BUILD
 #       folder  of the passes within OUT;  kind  h5 or exr;  made  ending of what says that a pass is there
 # out:  OUT, work, numbers, last (of the passes), the rules of the passes, scene_stamp, scene_parameters,
 #       common_parameters, threads, and what words.mk has
@@ -20,7 +20,7 @@ last := $(lastword $(numbers))
 scene_stamp := $(work)/scene.stamp
 
 # What reaches the result, and what only says how fast.
-scene_parameters = $(call quote,$(SCENE))$(call defines,-D,$(DEFINES))
+scene_parameters = $(call quote,$(SCENE))$(call defines,-D,$(DEFINES))$(sensor)
 common_parameters = $(scene_parameters)$(if $(TRACE), $(TRACE))
 trace_parameters = $(common_parameters) --spp $(SPP)$(if $(SEED), --seed $(SEED))
 threads = $(if $(THREADS), --threads $(THREADS))

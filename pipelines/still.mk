@@ -30,6 +30,7 @@ ITERATIONS ?= 6  ## steps of the refinement
 # SEED=  ## seed of the random numbers
 # THREADS=  ## threads of a stage (all); no result depends on it
 # DEFINES=  ## values of the scene's parameters: DEFINES="resx=320 resy=180"
+# SENSOR=  ## sensor of the scene, by id or by number from 0 (the first)
 # TRACE=  ## further options of loom-trace: TRACE="--roulette throughput"
 # EXPOSURE=  ## of the PNG, in stops
 # OUT=  ## folder of the results (out/NAME, after the scene)

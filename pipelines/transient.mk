@@ -32,6 +32,7 @@ FRAMES ?= --png  ## further options of loom-frames: FRAMES="--png --exr --row 40
 # SEED=  ## seed of the random numbers
 # THREADS=  ## threads of a stage (all); no result depends on it
 # DEFINES=  ## values of the scene's parameters: DEFINES="resx=256 resy=256"
+# SENSOR=  ## sensor of the scene, by id or by number from 0 (the first)
 # TRACE=  ## further options of loom-trace: TRACE="--roulette throughput"
 KEEP ?= 1  ## 0: bin each graph by itself, and keep its cube instead
 # OUT=  ## folder of the results (out/NAME, after the scene)

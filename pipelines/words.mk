@@ -11,6 +11,7 @@ row_name = $(shell printf '%s' $(call quote,$(1)) | sed -E 's/[.]xml$$//; s,.*/(
 exists = $(shell test -f $(call quote,$(1)) && echo there)
 # $(call defines,FLAG,VALUES): a blank and FLAG before each of NAME=VALUE ...
 defines = $(if $(strip $(2)), $(foreach d,$(2),$(1) $(call quote,$(d))))
+sensor = $(if $(SENSOR), --sensor $(call quote,$(SENSOR)))
 
 # $(call parameter,FILE,VALUE): FILE holds VALUE and is written anew only when VALUE is another one.
 # By sort, which drops equal words: findstring fails now and then on long texts (strstr of glibc 2.36 for AVX-512).

@@ -119,6 +119,7 @@ void declare(app::Command& command, Options& options) {
     command.flag("--occlusion", options.gather.occlusion, "of a subset: reconnect continuations and test each by rays, which leaves no bias but that of the radiance; needs --scene");
     command.file("--scene", options.scene, "scene file that the graph was traced in");
     command.option("-D,--define", options.defines, "NAME=VALUE of a parameter of that scene");
+    command.option("--sensor", options.sensor, "sensor of that scene, as loom-trace had it");
     command.flag("--estimates", options.gather.estimates, "also write all estimates of direct and indirect light as layers, for loom-merge to blend");
     command.threads(options.threads);
     command.example("loom-gather graph.h5 -o image.exr --png image.png");
@@ -199,7 +200,7 @@ void run(const Options& options, app::Report& report) {
         }
         if (occlusion) {
             const double before_s = report.cost().cpu_s;
-            scene = load_scene(options.scene, parse_defines(options.defines));
+            scene = load_scene(options.scene, parse_defines(options.defines), options.sensor);
             load_s = report.cost().cpu_s - before_s;
             const std::string hash = content_hash_text(scene->content_hash);
             if (graph.provenance.inputs.empty() || graph.provenance.inputs[0].hash != hash)

@@ -47,6 +47,7 @@ struct Options {
     std::string clusters;   // of that graph; for subsets only
     std::string scene;      // that the graph was traced in; for occlusion rays only
     std::vector<std::string> defines;  // of that scene, name=value
+    std::string sensor;                // of that scene, id or number; empty: the first
     std::string output;     // image with layers (.exr)
     std::string png;        // preview for the eye
     double exposure_ev = 0; // of the preview

@@ -31,6 +31,7 @@ void declare(app::Command& command, Options& options) {
     command.output("--stamp", options.stamp, "write the content hashes of the files, of any kind, for make to depend on; a stamp that has them already is left alone");
     command.file("--scene", options.scene, "with --stamp: also those of a scene file (Mitsuba XML) and of all files that it names");
     command.option("-D,--define", options.defines, "with --scene: NAME=VALUE of a scene parameter $NAME");
+    command.option("--sensor", options.sensor, "with --scene: its sensor, as loom-trace has it");
     command.flag("--check", options.check, "with --stamp: compare only; exit code 1 when contents differ");
     command.flag("--formats", options.formats, "print the documentation of all formats");
     command.example("loom-inspect graph.h5 --path 320:180,0");
@@ -47,7 +48,7 @@ namespace {
 
 int stamp(const Options& options) {
     std::vector<std::string> files;
-    if (!options.scene.empty()) files = read_scene(options.scene, parse_defines(options.defines)).files;
+    if (!options.scene.empty()) files = read_scene(options.scene, parse_defines(options.defines), options.sensor).files;
     files.insert(files.end(), options.files.begin(), options.files.end());
     if (files.empty()) throw InputError("--stamp: no file is named");
     if (options.check) return app::stamp_matches(options.stamp, files) ? app::exit_done : app::exit_no;
@@ -63,7 +64,8 @@ int run(const Options& options, app::Report& report) {
         return app::exit_done;
     }
     if (!options.stamp.empty()) return stamp(options);
-    if (options.check || !options.scene.empty() || !options.defines.empty()) throw InputError("--scene, --define, --check: only with --stamp");
+    if (options.check || !options.scene.empty() || !options.defines.empty() || !options.sensor.empty())
+        throw InputError("--scene, --define, --sensor, --check: only with --stamp");
     if (options.files.empty()) throw InputError("no file is named; loom-inspect FILE, or --help");
     if (options.files.size() > 1) throw InputError(fmt::format("{}: one file at a time, but for --stamp", options.files[1]));
     const std::string& file = options.files[0];

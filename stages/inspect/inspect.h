@@ -29,6 +29,7 @@ struct Options {
     std::string stamp;               // write the content hashes of the files to this file
     std::string scene;               // of a stamp: a scene, with all files that it names
     std::vector<std::string> defines;  // of the scene, "NAME=VALUE"
+    std::string sensor;                // of the scene, id or number; empty: the first
     bool check = false;              // of a stamp: only compare
     bool formats = false;            // print the documentation of all formats
 };

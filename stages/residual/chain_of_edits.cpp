@@ -62,6 +62,7 @@ void say_standing(const Ledger& ledger, const Options& options, app::Report& rep
     std::string fresh = "loom-trace " + (options.new_scene.empty() ? options.old_scene : options.new_scene);
     for (const auto* defines : {&options.defines, &options.new_defines})
         for (const std::string& d : *defines) fresh += fmt::format(" -D '{}'", d);
+    if (!options.sensor.empty()) fresh += fmt::format(" --sensor '{}'", options.sensor);
     if (options.max_depth) fresh += fmt::format(" --max-depth {}", *options.max_depth);
     const std::string than = 2 * s.worth < double(s.base_samples) ? fmt::format("less than half of the {} that the chain began with", s.base_samples)
                                                                   : fmt::format("fewer than the {} paths of this edit", s.edit_paths);

@@ -156,6 +156,7 @@ void declare(app::Command& command, Options& options) {
     command.option("-D,--define", options.defines, "NAME=VALUE of a scene parameter $NAME, in both scenes");
     command.option("--old-define", options.old_defines, "the same in the old scene only, after -D");
     command.option("--new-define", options.new_defines, "the same in the new scene only, after -D");
+    command.option("--sensor", options.sensor, "sensor of both scenes, by id or by number from 0 in the order of the file (default: the first)");
     command.file("--old", options.old_picture, "picture of the old scene (EXR with VarMean), also the --new of an edit before");
     command.files("--old-graph", options.old_graph, "paths that loom-trace has traced in the old scene (.h5; its passes, one after the other): only those that the edit touches are "
                                                     "traced again. Samples, seed, sampler and roulette are theirs, not --spp, --first-sample, --seed");
@@ -250,8 +251,8 @@ void run(const Options& options, app::Report& report) {
     const bool names_techniques = options.technique == "list";
     if (!options.plan && !names_techniques) check_endings(options);
     const std::string& new_file = options.new_scene.empty() ? options.old_scene : options.new_scene;
-    SceneDescription old_description = read_scene(options.old_scene, both(options.defines, options.old_defines));
-    SceneDescription new_description = read_scene(new_file, both(options.defines, options.new_defines));
+    SceneDescription old_description = read_scene(options.old_scene, both(options.defines, options.old_defines), options.sensor);
+    SceneDescription new_description = read_scene(new_file, both(options.defines, options.new_defines), options.sensor);
     const Edit edit = find_edit(old_description, new_description);
     std::string plan = plan_of(options.old_graph.empty() ? options.method : Method::correlated, edit);
     const std::string found = edit.nothing() ? "nothing differs" : fmt::format("{}", fmt::join(edit.changes, "\n"));

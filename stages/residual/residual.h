@@ -21,6 +21,7 @@ namespace loom::residual {
 struct Options {
     std::string old_scene, new_scene;  // Mitsuba XML; no new_scene: the same file with other values
     std::vector<std::string> defines, old_defines, new_defines;  // name=value: of both, of one after those of both
+    std::string sensor;  // of both: id or number, from 0; empty: the first
     std::string old_picture;           // of the old scene, with VarMean
     std::vector<std::string> old_graph;  // passes over the old scene: only paths that the edit touches are traced
     std::string residual;              // made before: nothing is traced

@@ -137,6 +137,7 @@ void declare(app::Command& command, Options& options) {
     command.file("scene", options.scene, "scene file (Mitsuba XML, dialects 0.5 to 3)");
     command.output("-o,--output", options.output, "path graph (.h5) or path-traced image (.exr); % stands for the number of the pass");
     command.option("-D,--define", options.defines, "NAME=VALUE of a scene parameter $NAME");
+    command.option("--sensor", options.sensor, "sensor to render, by id or by number from 0 in the order of the file (default: the first)");
     command.option("--spp", options.spp, "samples per pixel", app::Range<std::uint64_t>{1, 1u << 30});
     command.option("--first-sample", options.first_sample, "number of the first sample of each pixel");
     command.option("--passes", options.passes, "files to make, one after the other, of --spp samples each",
@@ -200,7 +201,7 @@ void run(const Options& options, app::Report& report) {
                                          options.first_sample, options.spp));
         check_output_path(options.output);
     }
-    const auto scene = load_scene(options.scene, parse_defines(options.defines));
+    const auto scene = load_scene(options.scene, parse_defines(options.defines), options.sensor);
     for (const std::string& note : scene->notes) report.info("{}", note);
     const PathOptions path = path_options(options, *scene);
     const std::string planned = plan(*scene, path, ending != ".exr");

@@ -21,6 +21,7 @@ struct Options {
     std::string scene;                 // Mitsuba XML
     std::string output;                // .h5: path graph; .exr: path-traced image; % is the number of the pass
     std::vector<std::string> defines;  // name=value
+    std::string sensor;                // id or number, from 0; empty: the first
     std::uint64_t spp = 1;             // samples per pixel
     std::uint64_t first_sample = 0;    // number of the first one
     std::uint64_t passes = 1;          // files of spp samples each, made one after the other

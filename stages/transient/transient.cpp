@@ -166,7 +166,7 @@ void run(const Options& options, app::Report& report) {
     for (const std::string& file : options.clusters) header.provenance.inputs.push_back(identify(file));
     if (!options.tal.empty()) {
         check_output_path(options.tal);
-        if (graphs[0].nlos.capture.empty()) throw InputError(fmt::format("--tal: {} is not of a capture around a corner (sensor nlos_capture_meter)", options.graphs[0]));
+        if (graphs[0].sensor.kind != "nlos_capture_meter") throw InputError(fmt::format("--tal: {} is not of a capture around a corner (sensor nlos_capture_meter)", options.graphs[0]));
     }
     const auto& film = graphs[0].transient;
     const bool has_film = !film.n_bins.empty();

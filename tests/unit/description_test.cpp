@@ -2,6 +2,7 @@
 
 #include "stages/core/scene/description.h"
 
+#include <algorithm>
 #include <cmath>
 
 #include "tests/unit/scene_folder.h"
@@ -85,8 +86,8 @@ TEST_F(Description, LookAt) {
         std::string text = body;
         text.replace(text.find("NAME"), 4, version[0] == '3' ? "to_world" : "toWorld");
         text.replace(text.find("TAG"), 3, version[0] == '3' ? "lookat" : "lookAt");
-        const auto scene = read(text, {}, version);
-        const Matrix4d m = scene.root->children(Category::sensor).at(1)->get_transform("to_world");
+        const auto scene = read(text, {}, version, "1");
+        const Matrix4d m = scene.root->child(Category::sensor)->get_transform("to_world");
         expect_near(m.point({0, 0, 0}), 1, 2, 3);
         expect_near(m.point({0, 0, 1}), 1, 2, 4);
         expect_near(m.point({1, 0, 0}), 2, 2, 3);
@@ -139,7 +140,7 @@ TEST_F(Description, OldDialect) {
             <emitter type="area"><spectrum name="radiance" value="16"/></emitter></shape>
         <sensor type="perspective"><string name="fovAxis" value="x"/>
             <film type="ldrfilm"><integer name="width" value="$size"/><boolean name="banner" value="false"/></film></sensor>)",
-                            {}, "0.6.0");
+                            {}, "0.6.0", "1");
     const auto bsdfs = scene.root->children(Category::bsdf);
     EXPECT_FLOAT_EQ(bsdfs.at(0)->get_ior("int_ior", "bk7"), 1.4f);
     EXPECT_EQ(bsdfs.at(0)->get_string("distribution"), "beckmann");
@@ -157,7 +158,7 @@ TEST_F(Description, OldDialect) {
     const ObjectPtr shape = first(scene, Category::shape);
     EXPECT_TRUE(shape->get_bool("flip_normals"));
     EXPECT_EQ(shape->child(Category::emitter)->get_rgb("radiance"), Spectrum(16));  // grey in this dialect
-    EXPECT_EQ(scene.root->children(Category::sensor).at(1)->child(Category::film)->get_int("width"), 100);
+    EXPECT_EQ(scene.root->child(Category::sensor)->child(Category::film)->get_int("width"), 100);
     EXPECT_EQ(scene.parameters.at("size"), "100");
     EXPECT_FALSE(scene.notes.empty());
 }
@@ -188,6 +189,111 @@ TEST_F(Description, IncludesAreRelativeToTheIncludingFile) {
     EXPECT_FLOAT_EQ(shapes.at(0)->child(Category::bsdf)->get_ior("int_ior", "bk7"), 1.3f);
     EXPECT_EQ(shapes.at(1)->child(Category::bsdf)->get_rgb("reflectance"), Spectrum(0.25f));
     EXPECT_EQ(scene.files.size(), 5u);
+}
+
+bool has_note(const SceneDescription& scene, const std::string& text) {
+    return std::any_of(scene.notes.begin(), scene.notes.end(), [&](const std::string& note) { return note.find(text) != std::string::npos; });
+}
+
+// <path> goes before the folder of the scene, the last one first, for names that stand before it, too.
+TEST_F(Description, PathsAreSearchedFirst) {
+    for (const char* name : {"a.png", "near/a.png", "far/near/a.png", "b.png", "far/c.png"}) write(name, name);
+    write("far/near/part.xml", R"(<scene version="3.0.0"><bsdf type="diffuse" id="grey">
+        <spectrum name="reflectance" filename="half.spd"/></bsdf><emitter type="area" id="lamp"/></scene>)");
+    write("far/near/half.spd", "\xEF\xBB\xBF# nm value\r\n400 0.5\r\n700\t0.5\r\n");
+    const auto scene = read(R"(<texture type="bitmap"><string name="filename" value="a.png"/></texture>
+        <path value="far"/><path value="near"/><include filename="part.xml"/>
+        <texture type="bitmap"><string name="filename" value="b.png"/></texture>
+        <texture type="bitmap"><string name="filename" value="c.png"/></texture>
+        <shape type="cube"><ref id="grey"/></shape>)");
+    // The second <path> is sought in the first: it is far/near.
+    const auto textures = scene.root->children(Category::texture);
+    EXPECT_EQ(textures.at(0)->get_path("filename"), path("far/near/a.png"));
+    EXPECT_EQ(textures.at(1)->get_path("filename"), path("b.png"));
+    EXPECT_EQ(textures.at(2)->get_path("filename"), path("far/c.png"));
+    EXPECT_NEAR(first(scene, Category::shape)->child(Category::bsdf)->get_rgb("reflectance").g, 0.5, 0.03);
+    for (const char* used : {"scene.xml", "far/near/part.xml", "far/near/half.spd", "far/near/a.png", "far/c.png"})
+        EXPECT_EQ(std::count(scene.files.begin(), scene.files.end(), path(used).string()), 1) << used;
+}
+
+TEST_F(Description, OneObjectMayBeIncluded) {
+    write("map.xml", R"(<texture version="3.0.0" type="checkerboard" id="map"/>)");
+    write("part.xml", R"(<bsdf version="3.0.0" type="diffuse" id="part"><include filename="map.xml" name="reflectance"/></bsdf>)");
+    const auto scene = read(R"(<shape type="cube"><include filename="part.xml"/></shape><shape type="disk"><ref id="part"/></shape>)");
+    const auto shapes = scene.root->children(Category::shape);
+    EXPECT_EQ(shapes.at(0)->child(Category::bsdf)->get_object("reflectance")->plugin, "checkerboard");
+    EXPECT_EQ(shapes.at(0)->child(Category::bsdf), shapes.at(1)->child(Category::bsdf));
+    EXPECT_NE(error_of([&] { read(R"(<shape type="cube"><include filename="scene.xml"/></shape>)"); }).find("includes itself"), std::string::npos);
+    write("whole.xml", R"(<scene version="3.0.0"/>)");
+    EXPECT_NE(error_of([&] { read(R"(<shape type="cube"><include filename="whole.xml"/></shape>)"); }).find("whole.xml:1:1: a <scene> cannot be included in a shape"), std::string::npos);
+}
+
+TEST_F(Description, EmittersAreAttachedByReference) {
+    const auto scene = read(R"(<emitter type="area" id="lamp"><rgb name="radiance" value="3"/></emitter>
+        <emitter type="area" id="spare"/><emitter type="constant"/><shape type="cube"><ref id="lamp"/></shape>)");
+    EXPECT_EQ(first(scene, Category::shape)->child(Category::emitter)->get_rgb("radiance"), Spectrum(3));
+    ASSERT_EQ(scene.root->children(Category::emitter).size(), 1u);
+    EXPECT_EQ(first(scene, Category::emitter)->plugin, "constant");
+    EXPECT_TRUE(has_note(scene, "scene.xml:3:9 has no effect: no shape refers to it"));
+    EXPECT_EQ(scene.notes.size(), 1u);
+}
+
+TEST_F(Description, OneSensorIsKept) {
+    const std::string body = R"(<sensor type="perspective" id="side"/><sensor type="thinlens" id="1"/>)";
+    const auto at = [&](const std::string& sensor) { return read(body, {}, "3.0.0", sensor); };
+    EXPECT_EQ(at("").root->child(Category::sensor)->id, "sensor-1");
+    EXPECT_EQ(at("").sensor, 0);
+    EXPECT_EQ(at("side").sensor, 1);
+    EXPECT_EQ(at("0").sensor, 0);
+    EXPECT_NE(error_of([&] { at("1"); }).find("scene.xml:2:53: sensor 'thinlens' is not supported yet"), std::string::npos);  // an id first
+    EXPECT_EQ(error_of([&] { at("3"); }),
+              "--sensor 3: the scene has no such sensor; it has 0 (perspective 'sensor-1'), 1 (perspective 'side'), 2 (thinlens '1')");
+    EXPECT_TRUE(has_note(at("side"), "sensor 1 (perspective 'side') is rendered; --sensor chooses another: 0 (perspective 'sensor-1'), 2 (thinlens '1')"));
+}
+
+TEST_F(Description, WhatNothingUsesNeedsNoSupport) {
+    const auto scene = read(R"(<default name="g" value="0.5"/>
+        <bsdf type="principled" id="gold"><rgb name="base_color" value="$g"/><float name="metallic" value="1"/>
+            <texture type="volume" name="anything"/><bsdf type="diffuse" id="inner"/></bsdf>
+        <medium type="heterogeneous" id="fog"><volume name="albedo" type="gridvolume"><string name="filename" value="no.vol"/></volume>
+            <phase type="hg"><float name="g" value="$g"/></phase></medium>
+        <texture type="bitmap" id="t"><string name="filename" value="scene.xml"/><string name="wrapModeU" value="clamp"/></texture>
+        <shape type="cube"><ref id="inner"/></shape>)",
+                            {}, "0.6.0");
+    EXPECT_EQ(first(scene, Category::shape)->child(Category::bsdf)->plugin, "diffuse");
+    for (const char* text : {"bsdf 'principled' is not supported yet (", "medium 'heterogeneous' is not", "texture 'bitmap': parameter 'wrap_mode_u' is not"})
+        EXPECT_TRUE(has_note(scene, text)) << text;
+    EXPECT_EQ(scene.parameters.count("g"), 1u);
+}
+
+TEST_F(Description, AnyIntegratorFilmFilterAndSampler) {
+    const auto scene = read(R"(<integrator type="aov"><string name="aovs" value="dd:depth"/>
+            <integrator type="volpath"><integer name="max_depth" value="7"/><float name="guess" value="1"/></integrator>
+            <integrator type="path"/></integrator>
+        <sensor type="perspective"><sampler type="bush"><integer name="strength" value="2"/></sampler>
+            <film type="specfilm"><integer name="width" value="40"/><spectrum name="band1" value="400:1, 700:1"/><rfilter type="mitchell"/></film></sensor>)",
+                            {}, "3.0.0", "1");
+    const ObjectPtr inner = first(scene, Category::integrator)->child(Category::integrator);
+    EXPECT_EQ(inner->get_int("max_depth"), 7);
+    EXPECT_EQ(scene.root->child(Category::sensor)->child(Category::film)->get_int("width"), 40);
+    for (const char* text : {"integrator 'aov': rendered by path tracing", "the first of its 2 integrators", "integrator 'volpath': without effect here: guess",
+                             "integrator 'aov': without effect here: aovs", "sampler 'bush': without effect here: strength", "film 'specfilm': without effect here: band1",
+                             "rfilter 'mitchell': rendered as a gaussian"})
+        EXPECT_TRUE(has_note(scene, text)) << text;
+}
+
+TEST_F(Description, ChoicesInAnyCaseAndByNumber) {
+    const auto scene = read(R"(<bsdf type="roughconductor"><string name="distribution" value="GGX"/><string name="material" value="AU"/></bsdf>
+        <bsdf type="dielectric"><string name="int_ior" value="Fused Quartz"/></bsdf>
+        <texture type="bitmap"><string name="filename" value="scene.xml"/><string name="wrap_mode" value="Mirror"/><boolean name="raw" value="TRUE"/></texture>
+        <integrator type="transient_nlos_path"><integer name="capture_type" value="2"/></integrator>)");
+    const Object& metal = *first(scene, Category::bsdf);
+    EXPECT_EQ(metal.get_string("distribution"), "ggx");
+    EXPECT_EQ(metal.get_string("material"), "Au");
+    EXPECT_FLOAT_EQ(scene.root->children(Category::bsdf).at(1)->get_ior("int_ior", "air"), 1.458f);
+    EXPECT_EQ(first(scene, Category::texture)->get_string("wrap_mode"), "mirror");
+    EXPECT_TRUE(first(scene, Category::texture)->get_bool("raw"));
+    EXPECT_EQ(first(scene, Category::integrator)->get_string("capture_type"), "confocal");
 }
 
 // Every scene that is shared for comparison reads in its own dialect.

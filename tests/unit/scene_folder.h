@@ -30,8 +30,8 @@ class SceneFolder : public ::testing::Test {
     }
     /// A scene with a sensor and `body`, whose first line is line 2 of the file.
     SceneDescription read(const std::string& body, const Defines& defines = {},
-                          const char* version = "3.0.0") const {
-        return read_scene(write("scene.xml", text(body, version)), defines);
+                          const char* version = "3.0.0", const std::string& sensor = {}) const {
+        return read_scene(write("scene.xml", text(body, version)), defines, sensor);
     }
     static std::string text(const std::string& body, const char* version = "3.0.0") {
         return std::string("<scene version=\"") + version + "\"><sensor type=\"perspective\"/>\n" + body +

@@ -8,6 +8,7 @@
 #include "stages/core/scene/embree.h"
 #include "stages/core/scene/materials.h"
 #include "stages/core/scene/nlos.h"
+#include "stages/core/scene/schema.h"
 #include "stages/core/scene/sunsky.h"
 
 namespace loom {
@@ -150,8 +151,8 @@ void build_sensor(const Object& root, const Object* relay_wall, Sensor& s, Trans
     if (const ObjectPtr film = o->child(Category::film)) {
         s.width = std::uint32_t(film->get_int("width", 768));
         s.height = std::uint32_t(film->get_int("height", 576));
-        if (film->plugin == "transient_hdr_film") {
-            transient.n_bins = std::uint32_t(film->get_int("temporal_bins", 2048));
+        if (is_transient_film(*film)) {
+            transient.n_bins = std::uint32_t(film->get_int("temporal_bins", film->plugin == "phasor_hdr_film" ? 4096 : 2048));
             transient.start_opl = film->get_double("start_opl", 0.0);
             transient.bin_width_opl = film->get_double("bin_width_opl", 0.003);
         }
@@ -162,7 +163,7 @@ void build_sensor(const Object& root, const Object* relay_wall, Sensor& s, Trans
             } else if (filter->plugin == "tent") {
                 s.filter = Filter::tent;
                 s.filter_radius = filter->get_float("radius", 1.0f);
-            } else {
+            } else {  // or another filter, rendered as this one
                 s.gaussian_stddev = filter->get_float("stddev", 0.5f);
                 s.filter_radius = 4 * s.gaussian_stddev;
             }
@@ -178,13 +179,37 @@ void build_limits(const Object& root, View& view) {
     while (o && o->child(Category::integrator)) o = o->child(Category::integrator);
     if (!o) return;
     const bool transient = o->plugin.starts_with("transient_");
-    view.max_depth = o->plugin == "direct" ? 2 : o->get_int("max_depth", transient ? 6 : -1);
+    // Integrators that Mitsuba and mitransient write in Python stop at 6 where the file does not say.
+    const bool in_python = transient || o->plugin.starts_with("prb");
+    view.max_depth = o->plugin.starts_with("direct") ? 2 : o->get_int("max_depth", in_python ? 6 : -1);
     view.rr_depth = o->get_int("rr_depth", 5);
     if (!transient) return;
     view.transient.camera_segment = o->plugin == "transient_nlos_path" ? o->get_bool("account_first_and_last_bounces", false)
                                                                        : !o->get_bool("camera_unwarp", false);
     if (o->get_string("temporal_filter", "box") == "gaussian")
         view.transient.sigma_opl = o->get_double("gaussian_stddev", 2.0) * view.transient.bin_width_opl;
+}
+
+/// Camera rays of Mitsuba start on the near plane, and mitransient counts lengths from there. [mitransient 1.3.1]
+void note_near_plane(const Sensor& s, const TransientFilm& film, std::vector<std::string>& notes) {
+    if (film.n_bins == 0 || !film.camera_segment || s.kind == SensorKind::nlos_capture_meter) return;
+    constexpr std::uint32_t most = 16;  // columns and rows looked at
+    double sum = 0, least = INFINITY, longest = 0;
+    const std::uint32_t columns = std::min(s.width, most), rows = std::min(s.height, most);
+    for (std::uint32_t j = 0; j < rows; ++j)
+        for (std::uint32_t i = 0; i < columns; ++i) {
+            const std::uint32_t x = std::uint32_t((i + 0.5) * s.width / columns), y = std::uint32_t((j + 0.5) * s.height / rows);
+            const double before_plane = s.sample_ray(x, y, {0.5f, 0.5f}).t_min;
+            sum += before_plane;
+            least = std::min(least, before_plane);
+            longest = std::max(longest, before_plane);
+        }
+    const double mean = sum / (double(columns) * rows);
+    constexpr double worth_saying = 0.05;  // bins
+    if (!(mean > worth_saying * film.bin_width_opl)) return;
+    notes.push_back(fmt::format("near_clip {:.6g}: mitransient counts optical lengths from the near plane, Pathloom from the camera, so that light arrives {:.4g} to {:.4g} later here ({:.3g} bins); "
+                                "START={:.6g} makes the cubes agree",
+                                s.near_clip, least, longest, mean / film.bin_width_opl, film.start_opl + mean));
 }
 
 Framef frame_of(const Matrix4d& world) {
@@ -341,8 +366,8 @@ View read_view(const Object& root) {
     return view;
 }
 
-std::unique_ptr<Scene> load_scene(const std::filesystem::path& file, const Defines& defines) {
-    return build_scene(read_scene(file, defines));
+std::unique_ptr<Scene> load_scene(const std::filesystem::path& file, const Defines& defines, const std::string& sensor) {
+    return build_scene(read_scene(file, defines, sensor));
 }
 
 std::unique_ptr<Scene> build_scene(SceneDescription description) {
@@ -357,6 +382,7 @@ std::unique_ptr<Scene> build_scene(SceneDescription description) {
     scene->transient = view.transient;
     scene->max_depth = view.max_depth;
     scene->rr_depth = view.rr_depth;
+    note_near_plane(scene->sensor, scene->transient, scene->notes);
 
     TextureCache cache;
     MaterialBuilder materials(*scene, cache);
@@ -391,10 +417,12 @@ std::unique_ptr<Scene> build_scene(SceneDescription description) {
     find_features(*scene);
     find_bounds(*scene);
     scene->rays = std::make_shared<RayEngine>(scene->shapes);
-    if (relay_wall >= 0) build_nlos(root, *shapes[relay_wall], std::uint32_t(relay_wall), *scene);
+    if (const ObjectPtr o = root.child(Category::integrator); o && o->plugin == "transient_nlos_path")
+        build_nlos(root, relay_wall < 0 ? nullptr : shapes[std::size_t(relay_wall)].get(), std::uint32_t(relay_wall), *scene);
 
     std::string identity;
     for (const auto& [name, value] : description.parameters) identity += name + "=" + value + "\n";
+    if (description.sensor > 0) identity += fmt::format("sensor {}\n", description.sensor);
     for (const std::string& name : description.files) identity += file_content_hash(name) + "\n";
     scene->content_hash = content_hash(std::as_bytes(std::span(identity)));
     return scene;

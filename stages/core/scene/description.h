@@ -111,13 +111,15 @@ struct SceneDescription {
     std::vector<std::string> warnings;  // with location: unknown parameters of 0.x files and the like
     std::vector<std::string> files;     // scene file, includes, then all files that parameters name
     std::map<std::string, std::string> parameters;  // $name -> value that was used
+    int sensor = 0;                     // number of the sensor that was chosen; root has no other
 };
 
 /// Values of `-D name=value`, in order; the last of a name counts.
 using Defines = std::vector<std::pair<std::string, std::string>>;
 
 /// Reads a Mitsuba scene file (dialects 0.5, 0.6, 2 and 3) with its includes.
+/// in:     sensor  id of the sensor to keep, or its number in the order of the file, from 0; empty: the first
 /// throws: InputError with file:line:column, the line, a caret and the allowed names
-SceneDescription read_scene(const std::filesystem::path& file, const Defines& defines = {});
+SceneDescription read_scene(const std::filesystem::path& file, const Defines& defines = {}, const std::string& sensor = {});
 
 }  // namespace loom

@@ -3,8 +3,10 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <charconv>
 #include <optional>
 #include <set>
+#include <utility>
 
 #include "formats/io/error.h"
 #include "stages/core/scene/description_values.h"
@@ -35,19 +37,58 @@ struct PendingRef {
     bool legacy;
 };
 
+/// A file name whose file is sought when all <path>s are known.
+struct PendingFile {
+    std::shared_ptr<Object> object;
+    std::size_t property;
+    Text name;
+    Folders folders;  // of the scene file that has the name
+};
+
+/// What cannot be rendered: an error when the image depends on it, else a note.
+struct Unsupported {
+    std::shared_ptr<Object> object;
+    Location at;
+    std::string message;
+};
+
+/// What is said once of a plugin that is rendered as another.
+std::string said_of(Category category, std::string_view type) {
+    switch (category) {
+        case Category::integrator:
+            if (type.starts_with("direct"))
+                return "rendered by path tracing with max_depth 2, which has the same mean";
+            return "rendered by path tracing with its max_depth, rr_depth and hide_emitters";
+        case Category::film:
+            if (type == "phasor_hdr_film") return "its cube is rendered in time, not as phasors";
+            return "rendered as an image of R, G, B of its size and filter";
+        case Category::rfilter:
+            return "rendered as a gaussian of stddev 0.5 pixels";
+        default:
+            return "has no effect here: --spp, --seed and --sampler choose the samples";
+    }
+}
+
 class Reader {
   public:
-    Reader(const std::filesystem::path& file, const Defines& defines) : substitutions_(defines) {
+    Reader(const std::filesystem::path& file, const Defines& defines, const std::string& sensor)
+        : substitutions_(defines) {
         const std::string name = file.string();
-        SceneFile main{XmlDocument(file, name), file.parent_path(), file.parent_path()};
+        SceneFile main{XmlDocument(file, name), {file.parent_path()}, &resources_};
         scene_ = make_object(Category::scene, "scene", main.document.at(main.document.root()));
         description_.files.push_back(name);
         open_files_.insert(canonical(file));
+        reading_.push_back(&main);
         try {
-            read_file(std::move(main));
+            read_file(main, scene_, scene_schema(), {}, 0);
             resolve_references();
+            find_files();
             spell_out_defaults();
             check_cycles();
+            keep_first_integrators();
+            drop_what_shapes_hold();
+            choose_sensor(sensor);
+            check_used();
             for (std::size_t i = objects_.size(); i-- > 0;)
                 check_object(*objects_[i].object, *objects_[i].plugin);
             substitutions_.check_all_used();
@@ -103,11 +144,16 @@ class Reader {
         description_.warnings.push_back(locate(at, "warning: " + text));
     }
 
-    void read_file(SceneFile file) {
+    /// A scene, or one object that a file includes.
+    void read_file(SceneFile& file, const std::shared_ptr<Object>& parent, const PluginSchema& parent_plugin,
+                   const Text& given_name, int depth) {
         const Element root{file.document.root(), &file, &substitutions_};
-        if (root.tag() != "scene")
+        const std::optional<Category> one_object = depth > 0 ? category_of(root.tag()) : std::nullopt;
+        if (root.tag() != "scene" && !one_object)
             fail(root.at(), fmt::format("<{}> is not a Mitsuba scene; expected <scene>", root.tag()));
-        root.allow({"version", "id"});
+        if (root.tag() == "scene" && parent != scene_)
+            fail(root.at(), fmt::format("a <scene> cannot be included in a {}", name(parent->category)));
+        if (!one_object) root.allow({"version", "id"});
         const Text version = root.text("version");
         const int major = std::atoi(version.text.c_str());
         if (version.text.empty() || !std::isdigit(static_cast<unsigned char>(version.text[0])) ||
@@ -115,24 +161,35 @@ class Reader {
             fail(version.at,
                  fmt::format("version '{}' is not known; expected 0.5, 0.6, 2.x or 3.x", version.text));
         file.legacy = major == 0;
-        read_children(root, scene_, scene_schema(), 1);
+        if (one_object)
+            read_nested(root, *one_object, parent, parent_plugin, depth, given_name);
+        else
+            read_children(root, scene_, scene_schema(), depth + 1);
     }
 
-    void include(const Element& e) {
-        e.allow({"filename"});
+    void include(const Element& e, const std::shared_ptr<Object>& parent, const PluginSchema& parent_plugin,
+                 int depth) {
+        e.allow({"filename", "name"});
         const Text name = e.text("filename");
-        std::filesystem::path path = e.file->folder / name.text;
-        if (!std::filesystem::is_regular_file(path)) path = find_file(name, *e.file);
+        const std::filesystem::path path = find_file(name, e.file->folders);
         const std::string key = canonical(path);
         if (open_files_.contains(key))
             fail(name.at, fmt::format("'{}' includes itself, directly or through others", name.text));
         open_files_.insert(key);
-        const std::string shown = path.lexically_normal().string();
-        if (std::find(description_.files.begin(), description_.files.end(), shown) ==
-            description_.files.end())
-            description_.files.push_back(shown);
-        read_file({XmlDocument(path, shown), path.parent_path(), e.file->main_folder});
+        add_file(description_.files, path);
+        SceneFile included{XmlDocument(path, path.string()), e.file->folders, &resources_};
+        included.folders.insert(included.folders.begin(), path.parent_path());
+        reading_.push_back(&included);
+        read_file(included, parent, parent_plugin, e.has("name") ? e.text("name") : Text{{}, e.at()}, depth);
+        reading_.pop_back();
         open_files_.erase(key);
+    }
+
+    /// <path>: from here on, files are sought in that folder first. [Mitsuba 3.8, FileResolver::prepend]
+    void add_folder(const Element& e) {
+        e.allow({"value"});
+        Folders& folders = reading_.back()->folders;
+        folders.insert(folders.begin(), find_folder(e.text("value"), folders));
     }
 
     void set_default(const Element& e) {
@@ -159,16 +216,20 @@ class Reader {
             const std::string_view tag = e.tag();
             if (in_scene && tag == "default")
                 set_default(e);
-            else if (in_scene && tag == "include")
-                include(e);
+            else if (tag == "include")
+                include(e, object, plugin, depth);
             else if (in_scene && tag == "alias")
                 add_alias(e);
+            else if (in_scene && tag == "path")
+                add_folder(e);
             else if (tag == "ref")
                 read_reference(e, object, plugin);
             else if (const std::optional<Category> category = category_of(tag))
-                read_nested(e, *category, object, plugin, depth);
+                read_nested(e, *category, object, plugin, depth, e.has("name") ? e.text("name") : Text{{}, e.at()});
             else if (is_value_tag(tag))
                 read_property(e, object, plugin);
+            else if (plugin.flags & flag::unsupported)
+                skip(e);
             else
                 unknown_tag(e, in_scene);
         }
@@ -178,10 +239,17 @@ class Reader {
     [[noreturn]] void unknown_tag(const Element& e, bool in_scene) {
         std::vector<std::string> allowed = value_tags();
         for (const std::string& tag : object_tags()) allowed.push_back(tag);
-        allowed.push_back("ref");
-        if (in_scene) allowed.insert(allowed.end(), {"default", "include", "alias"});
+        allowed.insert(allowed.end(), {"ref", "include"});
+        if (in_scene) allowed.insert(allowed.end(), {"default", "alias", "path"});
         fail(e.at(),
              fmt::format("<{}> is not known here; allowed: {}", e.tag(), nearest_first(e.tag(), allowed)));
+    }
+
+    /// Nothing is read of it, but its $names count as used.
+    void skip(const Element& e) {
+        for (const pugi::xml_attribute& attribute : e.node.attributes()) e.text(attribute.name());
+        for (const pugi::xml_node& child : e.node.children())
+            if (child.type() == pugi::node_element) skip(e.with(child));
     }
 
     const PluginSchema& plugin_of(const Element& e, Category category, const Text& type) {
@@ -190,20 +258,22 @@ class Reader {
         if (!plugin || ((plugin->flags & flag::legacy) && !legacy))
             fail(type.at, fmt::format("{} '{}' is not known; allowed: {}", name(category), type.text,
                                       nearest_first(type.text, plugin_names(category, legacy))));
-        if (plugin->flags & flag::unsupported)
-            fail(type.at, fmt::format("{} '{}' is not supported yet", name(category), type.text));
         if (plugin->flags & flag::ignored)
-            note(fmt::format("{} '{}': only its depths, sizes and counts are read", name(category),
-                             type.text));
+            note(fmt::format("{} '{}': {}", name(category), type.text, said_of(category, type.text)));
         return *plugin;
     }
 
     void read_nested(const Element& e, Category category, const std::shared_ptr<Object>& parent,
-                     const PluginSchema& parent_plugin, int depth) {
-        e.allow({"type", "id", "name"});
+                     const PluginSchema& parent_plugin, int depth, const Text& given_name) {
+        if (e.node == e.file->document.root())
+            e.allow({"type", "id", "name", "version"});
+        else
+            e.allow({"type", "id", "name"});
         const Text type = e.text("type");
         const PluginSchema& plugin = plugin_of(e, category, type);
         const std::shared_ptr<Object> object = make_object(category, type.text, e.at(), e.file->legacy);
+        if (plugin.flags & flag::unsupported)
+            unsupported_.push_back({object, type.at, fmt::format("{} '{}' is not supported yet", name(category), type.text)});
         if (e.has("id")) {
             const Text id = e.text("id");
             object->id = id.text;
@@ -213,8 +283,7 @@ class Reader {
                 fail(id.at, fmt::format("id '{}' exists already, at {}", id.text, other->second->at.where()));
         }
         read_children(e, object, plugin, depth + 1);
-        const Text name_text = e.has("name") ? e.text("name") : Text{{}, e.at()};
-        attach(parent, parent_plugin, name_text.text, object, e.at(), parent->nested.size(), e.file->legacy);
+        attach(parent, parent_plugin, given_name.text, object, e.at(), parent->nested.size(), e.file->legacy);
     }
 
     void read_reference(const Element& e, const std::shared_ptr<Object>& parent, const PluginSchema& plugin) {
@@ -234,7 +303,7 @@ class Reader {
         const bool fits = parameter && child->category == Category::texture &&
                           ((parameter->flags & flag::textured) || parameter->kind == ValueKind::texture_only);
         if (fits) {
-            add_property(*parent, plugin, *parameter, ObjectPtr(child), at);
+            add_property(parent, plugin, *parameter, ObjectPtr(child), at);
             return;
         }
         if (parameter)
@@ -247,6 +316,13 @@ class Reader {
                 parent->nested[slot] = {child, at};
             else
                 parent->nested.emplace_back(child, at);
+            return;
+        }
+        if (plugin.flags & (flag::unsupported | flag::open)) {
+            if (plugin.flags & flag::open)
+                note_ignored(title(plugin, *parent), key.empty() ? std::string(name(child->category)) : key);
+            else
+                parent->nested.emplace_back(child, at);  // says what it would use
             return;
         }
         std::string message;
@@ -265,18 +341,20 @@ class Reader {
         warn(at, message);
     }
 
-    void add_property(Object& object, const PluginSchema& plugin, const Parameter& parameter, Value value,
-                      const Location& at) {
-        if (object.has(parameter.name))
+    static std::string title(const PluginSchema& plugin, const Object& object) {
+        return fmt::format("{} '{}'", name(plugin.category), object.plugin);
+    }
+
+    void add_property(const std::shared_ptr<Object>& object, const PluginSchema& plugin,
+                      const Parameter& parameter, Value value, const Location& at) {
+        if (object->has(parameter.name))
             fail(at, fmt::format("parameter '{}' is given twice, first at {}", parameter.name,
-                                 object.find(parameter.name)->at.where()));
+                                 object->find(parameter.name)->at.where()));
         if (parameter.flags & flag::unsupported)
-            fail(at, fmt::format("{} '{}': parameter '{}' is not supported yet", name(plugin.category),
-                                 plugin.type, parameter.name));
+            unsupported_.push_back({object, at, fmt::format("{}: parameter '{}' is not supported yet", title(plugin, *object), parameter.name)});
         if (parameter.flags & flag::ignored)
-            note_ignored(fmt::format("{} '{}'", name(plugin.category), plugin.type),
-                         std::string(parameter.name));
-        object.properties.push_back({std::string(parameter.name), std::move(value), at});
+            note_ignored(title(plugin, *object), std::string(parameter.name));
+        object->properties.push_back({std::string(parameter.name), std::move(value), at});
     }
 
     void read_property(const Element& e, const std::shared_ptr<Object>& object, const PluginSchema& plugin) {
@@ -285,7 +363,13 @@ class Reader {
         const std::string key = legacy ? snake_case(written.text) : written.text;
         const Parameter* parameter = plugin.find(key);
         if (legacy && object->category == Category::texture && read_uv_scale(e, *object, key)) return;
-        if (!parameter || ((parameter->flags & flag::legacy) && !legacy)) {
+        const bool known = parameter && (legacy || !(parameter->flags & flag::legacy));
+        if (!known && (plugin.flags & (flag::unsupported | flag::open))) {
+            skip(e);
+            if (plugin.flags & flag::open) note_ignored(title(plugin, *object), written.text);
+            return;
+        }
+        if (!known) {
             const std::string message =
                 fmt::format("{} '{}' has no parameter '{}'; allowed: {}", name(plugin.category), plugin.type,
                             written.text, nearest_first(written.text, parameter_names(plugin, legacy)));
@@ -298,13 +382,10 @@ class Reader {
         Value value = read_value(e, *parameter, plugin,
                                  [this](const Location& at, const std::string& text) { warn(at, text); });
         if (legacy) value = modern_value(key, std::move(value), e);
-        if (parameter->kind == ValueKind::file) {
-            const auto& file = std::get<std::string>(value);
-            if (std::find(resources_.begin(), resources_.end(), file) == resources_.end())
-                resources_.push_back(file);
-        }
         const Location at = e.has("value") ? e.file->document.at(e.node, "value") : e.at();
-        add_property(*object, plugin, *parameter, std::move(value), at);
+        if (parameter->kind == ValueKind::file)
+            pending_files_.push_back({object, object->properties.size(), e.text("value"), e.file->folders});
+        add_property(object, plugin, *parameter, std::move(value), at);
     }
 
     /// Values that only the 0.x dialect has, as the nearest that Mitsuba 3 knows.
@@ -361,6 +442,9 @@ class Reader {
     }
 
     void resolve_references() {
+        for (const auto& [as, id] : aliases_)
+            if (const auto other = by_id_.find(as); other != by_id_.end())
+                fail(id.at, fmt::format("alias '{}' is the id of an object, at {}", as, other->second->at.where()));
         for (const PendingRef& ref : pending_) {
             const std::shared_ptr<Object> target = target_of(ref.id);
             attach(ref.parent, *ref.parent_plugin, ref.name, target, ref.id.at, ref.nested_at, ref.legacy);
@@ -399,6 +483,108 @@ class Reader {
         return black_bsdf_;
     }
 
+    /// Meshes and textures are sought where the whole of the main file says, whichever file names them; then from
+    /// the file that does.
+    void find_files() {
+        for (const PendingFile& pending : pending_files_) {
+            Folders folders = reading_.front()->folders;
+            for (const std::filesystem::path& folder : pending.folders)
+                if (std::find(folders.begin(), folders.end(), folder) == folders.end()) folders.push_back(folder);
+            const std::filesystem::path file = find_file(pending.name, folders);
+            add_file(resources_, file);
+            pending.object->properties[pending.property].value = file.string();
+        }
+    }
+
+    /// An integrator around several others renders the first.
+    void keep_first_integrators() {
+        for (const Made& made : objects_) {
+            if (made.object->category != Category::integrator) continue;
+            const std::size_t n = made.object->children(Category::integrator).size();
+            if (n < 2) continue;
+            note(fmt::format("integrator '{}': the first of its {} integrators is rendered", made.object->plugin, n));
+            bool first = true;
+            std::erase_if(made.object->nested, [&](const auto& child) {
+                return child.first->category == Category::integrator && !std::exchange(first, false);
+            });
+        }
+    }
+
+    static bool belongs_to_shape(const Object& object) {
+        return (object.category == Category::emitter && object.plugin == "area") ||
+               (object.category == Category::sensor && object.plugin == "nlos_capture_meter");
+    }
+
+    /// Area emitters and captures of a relay wall may be written at the top, for shapes to refer to.
+    void drop_what_shapes_hold() {
+        std::set<const Object*> held;
+        for (const ObjectPtr& shape : scene_->children(Category::shape))
+            for (const auto& [child, at] : shape->nested) held.insert(child.get());
+        std::erase_if(scene_->nested, [&](const auto& child) {
+            const Object& object = *child.first;
+            if (!belongs_to_shape(object)) return false;
+            if (!held.contains(&object))
+                note(fmt::format("{} '{}' at {} has no effect: no shape refers to it", name(object.category), object.plugin, object.at.where()));
+            return true;
+        });
+    }
+
+    /// Keeps one sensor, among those of the scene and of its shapes in the order of the file.
+    void choose_sensor(const std::string& wanted) {
+        std::vector<const Object*> sensors;
+        for (const auto& [child, at] : scene_->nested) {
+            if (child->category == Category::sensor) sensors.push_back(child.get());
+            if (child->category == Category::shape)
+                for (const ObjectPtr& sensor : child->children(Category::sensor)) sensors.push_back(sensor.get());
+        }
+        if (sensors.empty()) return;
+        const auto listed = [&](std::size_t i) { return fmt::format("{} ({} '{}')", i, sensors[i]->plugin, sensors[i]->id); };
+        std::size_t chosen = 0;
+        if (!wanted.empty()) {
+            const auto named = std::find_if(sensors.begin(), sensors.end(), [&](const Object* o) { return o->has_own_id && o->id == wanted; });
+            chosen = std::size_t(named - sensors.begin());
+            if (named == sensors.end()) {
+                const char* end = wanted.data() + wanted.size();
+                const auto [stop, error] = std::from_chars(wanted.data(), end, chosen);
+                if (error != std::errc{} || stop != end || chosen >= sensors.size()) {
+                    std::vector<std::string> all;
+                    for (std::size_t i = 0; i < sensors.size(); ++i) all.push_back(listed(i));
+                    throw InputError(fmt::format("--sensor {}: the scene has no such sensor; it has {}", wanted, fmt::join(all, ", ")));
+                }
+            }
+        }
+        if (sensors.size() > 1) {
+            std::vector<std::string> others;
+            for (std::size_t i = 0; i < sensors.size(); ++i)
+                if (i != chosen) others.push_back(listed(i));
+            note(fmt::format("sensor {} is rendered; --sensor chooses another: {}", listed(chosen), fmt::join(others, ", ")));
+        }
+        description_.sensor = int(chosen);
+        const auto is_other = [&](const auto& child) { return child.first->category == Category::sensor && child.first.get() != sensors[chosen]; };
+        std::erase_if(scene_->nested, is_other);
+        for (const Made& made : objects_)
+            if (made.object->category == Category::shape) std::erase_if(made.object->nested, is_other);
+    }
+
+    void check_used() {
+        std::set<const Object*> used;
+        for (const auto& [child, at] : scene_->nested)
+            if (child->category == Category::shape || child->category == Category::emitter ||
+                child->category == Category::sensor || child->category == Category::integrator)
+                collect(*child, used);
+        for (const Unsupported& found : unsupported_) {
+            if (used.contains(found.object.get())) fail(found.at, found.message);
+            note(fmt::format("{} ({}); it has no effect, nothing uses it", found.message, found.at.where()));
+        }
+    }
+
+    static void collect(const Object& object, std::set<const Object*>& used) {
+        if (!used.insert(&object).second) return;
+        for (const auto& [child, at] : object.nested) collect(*child, used);
+        for (const Property& property : object.properties)
+            if (const auto* child = std::get_if<ObjectPtr>(&property.value)) collect(**child, used);
+    }
+
     void check_cycles() {
         std::map<const Object*, int> state;  // 1: on the way down, 2: done
         for (const Made& made : objects_) descend(*made.object, made.object->at, state);
@@ -425,6 +611,9 @@ class Reader {
     std::map<std::string, std::shared_ptr<Object>> by_id_;
     std::map<std::string, Text> aliases_;
     std::vector<PendingRef> pending_;
+    std::vector<PendingFile> pending_files_;
+    std::vector<Unsupported> unsupported_;
+    std::vector<SceneFile*> reading_;  // the main file, then what is being included
     std::map<const Object*, std::array<double, 4>> uv_scales_;
     std::map<std::string, std::vector<std::string>> ignored_;  // parameters by plugin, for one note each
     std::set<std::string> open_files_, noted_;
@@ -433,8 +622,8 @@ class Reader {
 
 }  // namespace
 
-SceneDescription read_scene(const std::filesystem::path& file, const Defines& defines) {
-    return Reader(file, defines).take();
+SceneDescription read_scene(const std::filesystem::path& file, const Defines& defines, const std::string& sensor) {
+    return Reader(file, defines, sensor).take();
 }
 
 }  // namespace loom

@@ -12,6 +12,7 @@
 #include <sstream>
 
 #include "stages/core/math/frame.h"
+#include "stages/core/scene/byte_order_mark.h"
 #include "stages/core/scene/ior.h"
 #include "stages/core/scene/spectrum.h"
 
@@ -22,6 +23,11 @@ constexpr double rad_per_deg = pi_double / 180;
 
 bool is_separator(char c) {
     return c == ',' || std::isspace(static_cast<unsigned char>(c));
+}
+
+bool same_ignoring_case(std::string_view a, std::string_view b) {
+    const auto lower = [](char c) { return std::tolower(static_cast<unsigned char>(c)); };
+    return std::equal(a.begin(), a.end(), b.begin(), b.end(), [&](char x, char y) { return lower(x) == lower(y); });
 }
 
 std::string trimmed(const std::string& text) {
@@ -185,9 +191,14 @@ SampledSpectrum parse_samples(const Text& text) {
 /// "wavelength value" lines; # starts a comment.
 SampledSpectrum samples_of_file(const Element& e) {
     const Text name = e.text("filename");
-    std::ifstream in(find_file(name, *e.file));
+    const std::filesystem::path file = find_file(name, e.file->folders);
+    add_file(*e.file->used, file);
+    std::ifstream in(file);
     std::string numbers, line;
-    while (std::getline(in, line)) numbers += line.substr(0, line.find('#')) + ' ';
+    while (std::getline(in, line)) {
+        const std::string_view text = numbers.empty() ? without_byte_order_mark(line) : line;
+        numbers.append(text.substr(0, text.find('#'))) += ' ';
+    }
     return parse_samples({numbers, name.at});
 }
 
@@ -243,11 +254,11 @@ void check_range(double value, const Parameter& parameter, const Location& at) {
 }
 
 bool parse_boolean(const Text& text) {
-    std::string word = trimmed(text.text);
-    for (char& c : word) c = char(std::tolower(static_cast<unsigned char>(c)));
-    if (word != "true" && word != "false")
+    const std::string word = trimmed(text.text);
+    const bool yes = same_ignoring_case(word, "true");
+    if (!yes && !same_ignoring_case(word, "false"))
         fail(text.at, fmt::format("'{}' is neither true nor false", text.text));
-    return word == "true";
+    return yes;
 }
 
 std::vector<std::string> split_choices(std::string_view choices, bool legacy) {
@@ -260,11 +271,24 @@ std::vector<std::string> split_choices(std::string_view choices, bool legacy) {
     return result;
 }
 
+/// As it is spelled in `allowed`, however the file spells it.
 std::string one_of(const Text& text, const std::string& what, const std::vector<std::string>& allowed) {
-    if (std::find(allowed.begin(), allowed.end(), text.text) == allowed.end())
+    const auto found = std::find_if(allowed.begin(), allowed.end(),
+                                    [&](const std::string& name) { return same_ignoring_case(name, text.text); });
+    if (found == allowed.end())
         fail(text.at, fmt::format("{} '{}' is not known; allowed: {}", what, text.text,
                                   nearest_first(text.text, allowed)));
-    return text.text;
+    return *found;
+}
+
+/// A choice by its number, from 1.
+std::string numbered_choice(const Text& text, const Parameter& parameter, bool legacy) {
+    const std::vector<std::string> choices = split_choices(parameter.choices, legacy);
+    const std::int64_t number = parse_integer(text);
+    if (number < 1 || number > std::int64_t(choices.size()))
+        fail(text.at, fmt::format("{} {} is not between 1 and {} ({})", parameter.name, number, choices.size(),
+                                  fmt::join(choices, ", ")));
+    return choices[std::size_t(number - 1)];
 }
 
 std::string read_string(const Text& text, const Parameter& parameter, bool legacy) {
@@ -275,9 +299,10 @@ std::string read_string(const Text& text, const Parameter& parameter, bool legac
     return text.text;
 }
 
-bool tag_fits(std::string_view tag, ValueKind kind) {
+bool tag_fits(std::string_view tag, const Parameter& parameter) {
     const bool number = tag == "float" || tag == "integer";
-    switch (kind) {
+    if (tag == "integer" && (parameter.flags & flag::numbered)) return true;
+    switch (parameter.kind) {
         case ValueKind::boolean:
             return tag == "boolean";
         case ValueKind::integer:
@@ -303,6 +328,20 @@ bool tag_fits(std::string_view tag, ValueKind kind) {
             return false;
     }
     return false;
+}
+
+/// The first `folder / name` that passes the test.
+std::filesystem::path find_in(const Folders& folders, const Text& name, std::string_view what,
+                              bool (*is_kind)(const std::filesystem::path&, std::error_code&)) {
+    std::string tried;
+    for (const std::filesystem::path& folder : folders) {
+        const std::filesystem::path candidate = (folder / name.text).lexically_normal();
+        std::error_code error;
+        if (!name.text.empty() && is_kind(candidate, error)) return candidate;
+        if (tried.find(candidate.string()) == std::string::npos)
+            tried += (tried.empty() ? "" : ", ") + candidate.string();
+    }
+    fail(name.at, fmt::format("{} '{}' not found (looked for {})", what, name.text, tried));
 }
 
 }  // namespace
@@ -355,22 +394,21 @@ std::vector<double> parse_numbers(const Text& text) {
     return numbers;
 }
 
-std::filesystem::path find_file(const Text& name, const SceneFile& file) {
-    const std::filesystem::path wanted(name.text);
-    std::string tried;
-    for (const std::filesystem::path& folder : {file.main_folder, file.folder}) {
-        const std::filesystem::path candidate = (folder / wanted).lexically_normal();
-        std::error_code error;
-        if (!name.text.empty() && std::filesystem::is_regular_file(candidate, error)) return candidate;
-        if (tried.find(candidate.string()) == std::string::npos)
-            tried += (tried.empty() ? "" : ", ") + candidate.string();
-    }
-    fail(name.at, fmt::format("file '{}' not found (looked for {})", name.text, tried));
+std::filesystem::path find_file(const Text& name, const Folders& folders) {
+    return find_in(folders, name, "file", [](const std::filesystem::path& path, std::error_code& error) { return std::filesystem::is_regular_file(path, error); });
+}
+
+std::filesystem::path find_folder(const Text& name, const Folders& folders) {
+    return find_in(folders, name, "folder", [](const std::filesystem::path& path, std::error_code& error) { return std::filesystem::is_directory(path, error); });
+}
+
+void add_file(std::vector<std::string>& files, const std::filesystem::path& file) {
+    if (std::find(files.begin(), files.end(), file.string()) == files.end()) files.push_back(file.string());
 }
 
 Value read_value(const Element& e, const Parameter& parameter, const PluginSchema& plugin, const Warn& warn) {
     const std::string_view tag = e.tag();
-    if (!tag_fits(tag, parameter.kind))
+    if (!tag_fits(tag, parameter))
         fail(e.at(), fmt::format("{} '{}': parameter '{}' must be {}, not {}", name(plugin.category),
                                  plugin.type, parameter.name, expected_kinds(parameter), tag));
     switch (parameter.kind) {
@@ -397,9 +435,8 @@ Value read_value(const Element& e, const Parameter& parameter, const PluginSchem
     e.allow({"name", "id", "value"});
     const Text text = e.text("value");
     if (tag == "boolean") return parse_boolean(text);
-    if (tag == "string")
-        return parameter.kind == ValueKind::file ? find_file(text, *e.file).string()
-                                                 : read_string(text, parameter, e.file->legacy);
+    if (tag == "string") return read_string(text, parameter, e.file->legacy);
+    if (parameter.flags & flag::numbered) return numbered_choice(text, parameter, e.file->legacy);
     if (parameter.kind == ValueKind::integer) {
         const std::int64_t value = parse_integer(text);
         check_range(double(value), parameter, text.at);

@@ -11,12 +11,14 @@
 
 namespace loom {
 
+using Folders = std::vector<std::filesystem::path>;
+
 /// What the elements of one file share.
 struct SceneFile {
     XmlDocument document;
-    std::filesystem::path folder;       // of this file
-    std::filesystem::path main_folder;  // of the file that the user named
-    bool legacy = false;                // 0.x dialect
+    Folders folders;                 // searched for files, first to last: <path>s, this file's own, the includer's
+    std::vector<std::string>* used;  // collects the files that values were read from
+    bool legacy = false;             // 0.x dialect
 };
 
 /// Text of an attribute after substitution, and where it stands.
@@ -48,9 +50,9 @@ bool is_value_tag(std::string_view tag);
 /// The tags of is_value_tag, for messages.
 std::vector<std::string> value_tags();
 
-/// Reads the element as a value for the parameter.
+/// Reads the element as a value for the parameter. A file name stays as written.
 /// throws: InputError for a wrong kind, text that is not of the kind, numbers not finite or out of range,
-///         a singular matrix, a file that is not there
+///         a singular matrix, a spectrum file that is not there
 Value read_value(const Element& element, const Parameter& parameter, const PluginSchema& plugin,
                  const Warn& warn);
 
@@ -59,7 +61,12 @@ std::int64_t parse_integer(const Text& text);
 /// Numbers apart by blanks, commas, or both.
 std::vector<double> parse_numbers(const Text& text);
 
-/// A file that the scene names, looked for beside the main scene file, then beside the including one.
-std::filesystem::path find_file(const Text& name, const SceneFile& file);
+/// The first of `folders` that has a file of that name.
+/// throws: InputError with the places looked at
+std::filesystem::path find_file(const Text& name, const Folders& folders);
+/// Likewise a folder.
+std::filesystem::path find_folder(const Text& name, const Folders& folders);
+/// Adds `file` to `files` once.
+void add_file(std::vector<std::string>& files, const std::filesystem::path& file);
 
 }  // namespace loom

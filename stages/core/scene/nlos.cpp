@@ -104,11 +104,12 @@ double triangle_area(const Mesh& mesh, std::size_t t) {
     return 0.5 * length(cross(b - a, c - a));
 }
 
-void list_hidden(const Scene& scene, bool includes_wall, NlosCapture& capture) {
+/// in: wall  shape that is left out, or NlosCapture::no_wall
+void list_hidden(const Scene& scene, std::uint32_t wall, NlosCapture& capture) {
     std::vector<double> areas;
     capture.is_hidden.assign(scene.shapes.size(), false);
     for (std::uint32_t s = 0; s < scene.shapes.size(); ++s) {
-        if (s == capture.relay_wall && !includes_wall) continue;
+        if (s == wall) continue;
         const Shape& shape = scene.shapes[s];
         capture.is_hidden[s] = true;
         const auto add = [&](std::uint32_t primitive, double area) {
@@ -223,21 +224,23 @@ float pdf_hidden_w(const Scene& scene, const Point3f& from, const SurfacePoint& 
     return cos_d > 0 ? d2 * std::sqrt(d2) / (cos_d * float(c.hidden_area)) : 0.0f;
 }
 
-void build_nlos(const Object& root, const Object& wall, std::uint32_t relay_wall, Scene& scene) {
-    const ObjectPtr sensor = wall.child(Category::sensor), integrator = root.child(Category::integrator);
+void build_nlos(const Object& root, const Object* wall, std::uint32_t relay_wall, Scene& scene) {
+    const ObjectPtr sensor = (wall ? *wall : root).child(Category::sensor), integrator = root.child(Category::integrator);
     auto capture = std::make_shared<NlosCapture>();
     NlosCapture& c = *capture;
-    c.relay_wall = relay_wall;
+    if (wall) c.relay_wall = relay_wall;
     c.sensor_origin = Point3f(sensor->get_point("sensor_origin", {0, 0, 0}));
     bool includes_wall = false;
     read_integrator(*integrator, c, includes_wall);
     const ObjectPtr film = sensor->child(Category::film);
-    c.sensor_grid = {std::uint32_t(film->get_int("width", 768)), std::uint32_t(film->get_int("height", 576))};
+    c.sensor_grid = {scene.sensor.width, scene.sensor.height};
+    if (!wall && c.type != CaptureType::single)
+        integrator->fail("capture_type", fmt::format("a sensor '{}' takes single captures only; confocal and exhaustive ones need an nlos_capture_meter inside the relay wall", sensor->plugin));
     if (scene.emitters.size() != 1 || scene.emitters[0].kind != EmitterKind::projector)
         fail(sensor->at, "a capture around a corner needs one emitter, a projector, and no other");
     const Emitter& projector = scene.emitters[0];
 
-    look_at_grid(wall, *sensor, scene, c);
+    if (wall) look_at_grid(*wall, *sensor, scene, c);
     if (c.type == CaptureType::single) {
         c.laser_grid = {1, 1};
         c.laser_points.push_back(aim(scene, projector.position, projector.frame));
@@ -253,7 +256,9 @@ void build_nlos(const Object& root, const Object& wall, std::uint32_t relay_wall
         scene.sensor.height = std::uint32_t(c.sensor_points.size());
     }
     if (c.hidden_probability > 0) {
-        list_hidden(scene, includes_wall, c);
+        // Before a camera the wall is what the laser lights.
+        const std::uint32_t relay_or_lit = wall ? relay_wall : c.laser_points[0].hit ? c.laser_points[0].hit.shape : NlosCapture::no_wall;
+        list_hidden(scene, includes_wall ? NlosCapture::no_wall : relay_or_lit, c);
         if (c.hidden.empty()) integrator->fail("nlos_hidden_geometry_sampling", "there is no geometry but the relay wall");
     }
     scene.nlos = std::move(capture);

@@ -36,10 +36,11 @@ struct NlosCapture {
     };
 
     CaptureType type = CaptureType::single;
-    std::uint32_t relay_wall = 0;  // shape
-    Point3f sensor_origin;
+    static constexpr std::uint32_t no_wall = ~0u;
+    std::uint32_t relay_wall = no_wall;  // shape that the sensor scans; none: a camera looks at the scene
+    Point3f sensor_origin;               // of a scan
     Grid sensor_grid, laser_grid;
-    std::vector<Point> sensor_points;      // row by row of the wall's v, along its u: ((i + 1/2) / width, (j + 1/2) / height)
+    std::vector<Point> sensor_points;      // of a scan, row by row of the wall's v, along its u: ((i + 1/2) / width, (j + 1/2) / height)
     std::vector<LaserPoint> laser_points;  // single: one; confocal: of each sensor point
 
     bool laser_sampling = false;    // a lit spot is a light; else the projector itself is
@@ -84,8 +85,9 @@ float pdf_hidden_w(const Scene& scene, const Point3f& from, const SurfacePoint& 
 class Object;
 
 /// Fills scene.nlos, which needs all shapes, the emitter and the ray engine, from the file's integrator and sensor.
-/// in:      wall    the shape that the sensor is nested in, and its number
+/// in:      wall        the shape that the sensor is nested in; null: the sensor is a camera
+///          relay_wall  its number
 /// throws:  InputError with the place
-void build_nlos(const Object& root, const Object& wall, std::uint32_t relay_wall, Scene& scene);
+void build_nlos(const Object& root, const Object* wall, std::uint32_t relay_wall, Scene& scene);
 
 }  // namespace loom

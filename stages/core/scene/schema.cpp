@@ -46,17 +46,10 @@ void check_scene(const Object& scene) {
     bool environment = false, sensor = false;
     const Object* capture = nullptr;
     for (const auto& [child, at] : scene.nested) {
-        if (child->category == Category::sensor) {
-            sensor = true;
-            if (child->plugin == "nlos_capture_meter") fail(at, "sensor 'nlos_capture_meter' belongs inside the shape that is the relay wall");
-        }
+        sensor |= child->category == Category::sensor;
         if (child->category == Category::shape)
-            if (const ObjectPtr inside = child->child(Category::sensor)) {
-                if (capture) fail(inside->at, "a scene has at most one sensor 'nlos_capture_meter'");
-                capture = inside.get();
-            }
+            if (const ObjectPtr inside = child->child(Category::sensor)) capture = inside.get();
         if (child->category != Category::emitter) continue;
-        if (child->plugin == "area") fail(at, "emitter 'area' belongs inside a shape");
         if (child->plugin != "envmap" && child->plugin != "constant" && child->plugin != "sunsky") continue;
         if (environment) fail(at, "a scene has at most one emitter of constant, envmap, sunsky");
         environment = true;
@@ -64,8 +57,15 @@ void check_scene(const Object& scene) {
     if (!sensor && !capture) fail(scene.at, "scene 'scene' needs a sensor inside");
     const ObjectPtr integrator = scene.child(Category::integrator);
     const bool around_corner = integrator && integrator->plugin == "transient_nlos_path";
-    if (around_corner && !capture) fail(integrator->at, "integrator 'transient_nlos_path' needs a sensor 'nlos_capture_meter' inside a shape");
     if (capture && !around_corner) fail(capture->at, "sensor 'nlos_capture_meter' needs the integrator 'transient_nlos_path'");
+}
+
+void check_integrator(const Object& object) {
+    if (object.get_int("max_depth", -1) < -1)
+        object.fail("max_depth", "'max_depth' must be -1 (no limit) or not negative");
+    // It also drops what paths reflect: all light that BSDF sampling finds, but not that of next-event estimation.
+    if (object.plugin == "transient_path" && object.get_bool("discard_direct_light", false))
+        object.fail("discard_direct_light", "'discard_direct_light' is not supported: in mitransient it drops a part of the reflected light, too");
 }
 
 void check_conductor(const Object& object) {
@@ -152,6 +152,10 @@ std::string expected_kinds(const Parameter& parameter) {
     return {};
 }
 
+bool is_transient_film(const Object& film) {
+    return film.plugin == "transient_hdr_film" || film.plugin == "phasor_hdr_film";
+}
+
 void check_object(const Object& object, const PluginSchema& plugin) {
     for (const Parameter& parameter : plugin.parameters)
         if ((parameter.flags & flag::required) && !object.has(parameter.name))
@@ -173,12 +177,15 @@ void check_object(const Object& object, const PluginSchema& plugin) {
                 fail(emitter->at,
                      fmt::format("emitter '{}' does not belong inside a shape", emitter->plugin));
             break;
+        case Category::integrator:
+            check_integrator(object);
+            break;
         case Category::bsdf:
             if (object.plugin == "conductor" || object.plugin == "roughconductor") check_conductor(object);
             break;
         case Category::sensor:
             if (const ObjectPtr film = object.child(Category::film);
-                object.plugin == "nlos_capture_meter" && !(film && film->plugin == "transient_hdr_film"))
+                object.plugin == "nlos_capture_meter" && !(film && is_transient_film(*film)))
                 fail(film ? film->at : object.at, "sensor 'nlos_capture_meter' needs a film 'transient_hdr_film'");
             if (object.get_double("fov", 90) >= 180)
                 object.fail("fov", "'fov' must be less than 180 degrees");

@@ -37,6 +37,8 @@ inline constexpr unsigned legacy = 16;       // known to the 0.x dialect only
 inline constexpr unsigned ignored = 32;      // without meaning here: accepted, said in the notes
 inline constexpr unsigned unsupported = 64;  // would change the picture: "not supported yet"
 inline constexpr unsigned conductor = 128;   // string that names a conductor
+inline constexpr unsigned numbered = 256;    // an integer may stand for the choice: 1 is the first
+inline constexpr unsigned open = 512;        // plugin: takes parameters that are not listed, without effect
 }  // namespace flag
 
 struct Parameter {
@@ -57,13 +59,13 @@ struct PluginSchema {
     std::string_view type;
     std::vector<Parameter> parameters;
     std::vector<ChildRule> children;
-    unsigned flags = 0;  // legacy, ignored (its type has no meaning here), unsupported
+    unsigned flags = 0;  // legacy, ignored (its type has no meaning here), open, unsupported
 
     const Parameter* find(std::string_view name) const;
     const ChildRule* rule(Category child) const;
 };
 
-/// Null when no plugin of that category has the type.
+/// Null when no plugin of that category has the type. Integrators, films, filters and samplers may have any.
 const PluginSchema* find_plugin(Category category, std::string_view type);
 const PluginSchema& scene_schema();
 /// Types of the category that can be used, those of the 0.x dialect too when `legacy`.
@@ -77,6 +79,9 @@ std::string camel_case(std::string_view name);
 
 /// "float or texture", for messages.
 std::string expected_kinds(const Parameter& parameter);
+
+/// Whether the film has bins.
+bool is_transient_film(const Object& film);
 
 /// Checks that need the whole object: required parameters, numbers of children, sizes of a film, places
 /// where an emitter may stand. Children are checked before their parents.

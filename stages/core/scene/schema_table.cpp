@@ -5,11 +5,12 @@ namespace {
 
 using enum Category;
 using enum ValueKind;
-using flag::ignored, flag::legacy, flag::non_negative, flag::positive, flag::required, flag::textured,
-    flag::unsupported;
+using flag::ignored, flag::legacy, flag::non_negative, flag::numbered, flag::open, flag::positive, flag::required,
+    flag::textured, flag::unsupported;
 using Parameters = std::vector<Parameter>;
 
 constexpr int any_number = 1 << 30;
+constexpr std::string_view any_type = "*";  // what find_plugin() falls back to
 
 Parameters operator+(Parameters a, const Parameters& b) {
     a.insert(a.end(), b.begin(), b.end());
@@ -157,7 +158,7 @@ std::vector<PluginSchema> make_table() {
                             {"scale", number, non_negative},
                             {"fov", number, positive},
                             {"to_world", transform}});
-    not_yet(emitter, {"directionalarea", "sun", "sky", "collimated", "timedsunsky",
+    not_yet(emitter, {"directionalarea", "angulararea", "sun", "sky", "collimated", "timedsunsky",
                       "volumelight", "transientarea"});
 
     // Sensors, films, filters, samplers
@@ -197,33 +198,25 @@ std::vector<PluginSchema> make_table() {
                            {"attach_log", boolean, legacy | ignored},
                            {"gamma", number, legacy | ignored}};
     add(film, "hdrfilm", image, {{rfilter}});
-    add(film, "ldrfilm",
-        image + Parameters{{"exposure", number, ignored},
-                           {"key", number, ignored},
-                           {"burn", number, ignored},
-                           {"tonemap_method", string, ignored}},
-        {{rfilter}}, legacy | ignored);
+    const Parameters in_bins =
+        image + Parameters{{"temporal_bins", integer, positive}, {"start_opl", number}, {"bin_width_opl", number, positive}};
     add(film, "transient_hdr_film",
-        image + Parameters{{"temporal_bins", integer, positive},
-                           {"start_opl", number},
-                           {"bin_width_opl", number, positive},
-                           {"exhaustive_scan", boolean},
-                           {"laser_scan_width", integer, non_negative},
-                           {"laser_scan_height", integer, non_negative}},
+        in_bins + Parameters{{"exhaustive_scan", boolean},
+                             {"laser_scan_width", integer, non_negative},
+                             {"laser_scan_height", integer, non_negative}},
         {{rfilter}});
-    not_yet(film, {"specfilm", "phasor_hdr_film", "mfilm", "tiledhdrfilm"});
+    add(film, "phasor_hdr_film", in_bins, {{rfilter}}, ignored | open);
+    add(film, any_type, image, {{rfilter}}, ignored | open);
     add(rfilter, "box", {{"radius", number, positive}});
     add(rfilter, "tent", {{"radius", number, positive}});
     add(rfilter, "gaussian", {{"stddev", number, positive}, {"radius", number, positive}});
-    not_yet(rfilter, {"mitchell", "catmullrom", "lanczos"});
+    add(rfilter, any_type, {}, {}, ignored | open);
     const Parameters samples{{"sample_count", integer, positive},
                              {"seed", integer, ignored},
                              {"jitter", boolean, ignored},
                              {"dimension", integer, ignored},
                              {"scramble", integer, ignored}};
-    for (const std::string_view type : {"independent", "stratified", "multijitter", "orthogonal", "ldsampler",
-                                        "sobol", "halton", "hammersley"})
-        add(sampler, type, samples, {}, ignored);
+    add(sampler, any_type, samples, {}, ignored | open);
 
     // Integrators: which one has no meaning, its depths have.
     const Parameters depths{{"max_depth", integer},
@@ -231,33 +224,19 @@ std::vector<PluginSchema> make_table() {
                             {"hide_emitters", boolean},
                             {"strict_normals", boolean, legacy | ignored}};
     add(integrator, "path", depths);
-    for (const std::string_view type :
-         {"volpath", "volpathmis", "volpath_simple", "prb", "prb_basic", "prb_projective", "prbvolpath",
-          "ptracer", "bdpt", "photonmapper", "ppm", "sppm", "pssmlt", "mlt", "erpt"})
-        add(integrator, type,
-            depths + Parameters{{"photon_count", integer, ignored},
-                                {"max_passes", integer, ignored},
-                                {"step_snapshot", integer, ignored},
-                                {"k_nn", integer, ignored},
-                                {"dual_buffer", boolean, ignored}},
-            {}, ignored);
     for (const std::string_view type : {"direct", "direct_projective"})
-        add(integrator, type,
-            {{"shading_samples", integer, ignored},
-             {"emitter_samples", integer, ignored},
-             {"luminaire_samples", integer, legacy | ignored},
-             {"bsdf_samples", integer, ignored},
-             {"hide_emitters", boolean},
-             {"strict_normals", boolean, legacy | ignored}});
-    for (const std::string_view type : {"moment", "aov", "adaptive", "irrcache"})
-        add(integrator, type, {{"aovs", string, ignored}}, {{integrator, 1, any_number}}, ignored);
+        add(integrator, type, {{"hide_emitters", boolean}}, {}, ignored | open);
+    add(integrator, any_type, depths, {{integrator, 0, any_number}}, ignored | open);
     const Parameters in_time = depths + Parameters{{"camera_unwarp", boolean},
                                                    {"temporal_filter", string, 0, "box|gaussian"},
                                                    {"gaussian_stddev", number, positive},
                                                    {"block_size", integer, ignored}};
-    add(integrator, "transient_path", in_time);
+    add(integrator, "transient_path", in_time + Parameters{{"discard_direct_light", boolean}});
+    for (const std::string_view type : {"transient_prbvolpath", "transient_prb_volpath"})
+        add(integrator, type, in_time, {}, ignored | open);
     add(integrator, "transient_nlos_path",
-        in_time + Parameters{{"capture_type", string, 0, "single|confocal|exhaustive"},
+        in_time + Parameters{{"capture_type", string, numbered, "single|confocal|exhaustive"},
+                             {"discard_direct_light", boolean, ignored},
                              {"filter_depth", integer},
                              {"filter_bounces", integer},
                              {"discard_direct_paths", boolean},
@@ -269,8 +248,6 @@ std::vector<PluginSchema> make_table() {
                              {"nlos_hidden_geometry_sampling_max_depth", integer},
                              {"force_equal_illumination_scanning", boolean},
                              {"illumination_scan_fov", number, positive}});
-    not_yet(integrator, {"transient_prbvolpath",
-                         "transient_prb_volpath", "depth", "stokes", "field", "ao", "vpl", "multichannel"});
 
     // Textures
     const Parameters bitmap_options{{"filename", file, required},
@@ -305,9 +282,13 @@ const std::vector<PluginSchema>& table() {
 }  // namespace
 
 const PluginSchema* find_plugin(Category category, std::string_view type) {
-    for (const PluginSchema& plugin : table())
-        if (plugin.category == category && plugin.type == type) return &plugin;
-    return nullptr;
+    const PluginSchema* any = nullptr;
+    for (const PluginSchema& plugin : table()) {
+        if (plugin.category != category) continue;
+        if (plugin.type == type) return &plugin;
+        if (plugin.type == any_type) any = &plugin;
+    }
+    return any;
 }
 
 const PluginSchema& scene_schema() {
@@ -317,7 +298,7 @@ const PluginSchema& scene_schema() {
 std::vector<std::string> plugin_names(Category category, bool legacy_dialect) {
     std::vector<std::string> names;
     for (const PluginSchema& plugin : table())
-        if (plugin.category == category && !(plugin.flags & unsupported) &&
+        if (plugin.category == category && plugin.type != any_type && !(plugin.flags & unsupported) &&
             (legacy_dialect || !(plugin.flags & legacy)))
             names.emplace_back(plugin.type);
     return names;

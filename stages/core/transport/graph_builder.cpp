@@ -80,7 +80,7 @@ void describe_capture(const Scene& scene, const NlosCapture& capture, bool true_
 void describe_scene(const Scene& scene, PathGraphHeader& g) {
     const Sensor& s = scene.sensor;
     const bool perspective = s.kind == SensorKind::perspective;
-    g.sensor.kind = scene.nlos ? "nlos_capture_meter" : perspective ? "perspective" : "orthographic";
+    g.sensor.kind = s.kind == SensorKind::nlos_capture_meter ? "nlos_capture_meter" : perspective ? "perspective" : "orthographic";
     g.sensor.width = s.width;
     g.sensor.height = s.height;
     for (int row = 0; row < 4; ++row)

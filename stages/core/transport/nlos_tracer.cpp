@@ -19,9 +19,16 @@ class NlosPath {
     NlosPath(const Scene& scene, const PathOptions& options, PathId id)
         : scene_(scene), options_(options), capture_(*scene.nlos), laser_(capture_.laser_points[capture_.laser_point(id.pixel)]),
           projector_(scene.emitters[0]), sampler_(options.sampler, options.seed, id.pixel, id.sample) {
-        const NlosCapture::Point& seen = capture_.sensor_points[capture_.sensor_point(id.pixel)];
-        ray_ = seen.ray;
-        hit_ = seen.hit;
+        if (capture_.relay_wall == NlosCapture::no_wall) {
+            const std::uint64_t width = scene.sensor.width;
+            ray_ = scene.sensor.sample_ray(std::uint32_t(id.pixel % width), std::uint32_t(id.pixel / width), sampler_.pair(film_pair));
+            hit_ = scene.intersect(ray_);
+            ++result_.n_rays;
+        } else {
+            const NlosCapture::Point& seen = capture_.sensor_points[capture_.sensor_point(id.pixel)];
+            ray_ = seen.ray;
+            hit_ = seen.hit;
+        }
         longest_ = options.max_depth < 0 ? no_limit : options.max_depth;
         if (capture_.filter_depth >= 0) longest_ = std::min(longest_, capture_.filter_depth);
     }
