@@ -403,7 +403,7 @@ bool PathFinder::find_from_camera(PathId id, const Sampler& numbers, const Visit
         y_.push_back(stop);
         if (!goes_on) break;
     }
-    if (!touched) return false;
+    if (!touched || options_.max_depth == 0) return false;
 
     const auto show = [&](const LightEnd& light, bool next_event) {
         path_.light = light;

@@ -144,8 +144,9 @@ Step arrive(const Scene& scene, const PathOptions& options, int depth, const Hit
             PathState& path, ShadowRequest& shadow, PathRecorder record) {
     const Vector3f wo = -path.ray.d;
     const bool mis = depth > 1 && !is_delta(path.lobe);
+    const bool dark = options.max_depth == 0;  // not even light that is directly visible
     if (!hit) {
-        const Spectrum Le = lights.Le;
+        const Spectrum Le = dark ? Spectrum(0) : lights.Le;
         if (depth == 1) {
             path.result.L = Le;
             if constexpr (recording) record.path().Le = Le;
@@ -167,7 +168,7 @@ Step arrive(const Scene& scene, const PathOptions& options, int depth, const Hit
         }
     const SurfacePoint at = scene.surface(path.ray, hit);
     if (const int emitter = scene.shapes[at.shape].emitter; emitter >= 0) {
-        const Spectrum Le = emitted(scene, at, wo);
+        const Spectrum Le = dark ? Spectrum(0) : emitted(scene, at, wo);
         if (depth == 1) {
             path.result.L = Le;
             if constexpr (recording) record.path().Le = Le;
