@@ -47,7 +47,7 @@ void SiteShapes::add(const Scene& scene, std::uint32_t index, Member member, boo
     double area = 0;
     if (shape.kind == ShapeKind::mesh) {
         for (const TriangleRecord& t : shape.triangles) areas.push_back(0.5 * length(cross(Vector3<double>(t.e1), Vector3<double>(t.e2))));
-        if (areas.empty()) return;
+        if (std::none_of(areas.begin(), areas.end(), [](double a) { return a > 0; })) return;
         triangles_.emplace_back(areas);
         area = triangles_.back().sum();
     } else {

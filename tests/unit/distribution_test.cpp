@@ -7,6 +7,8 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <limits>
+#include <stdexcept>
 #include <vector>
 
 #include "stages/core/sampling/sampler.h"
@@ -142,6 +144,13 @@ TEST(Distribution2, SamplesFollowTheDensity) {
     // E[1 / pdf] is the area of the cells that have weight.
     EXPECT_NEAR(area / samples, filled / (width * height), 0.01);
     EXPECT_DOUBLE_EQ(distribution.sum(), sum);
+}
+
+TEST(Distribution1, RefusesWeightsThatCannotBeNormalised) {
+    const double inf = std::numeric_limits<double>::infinity();
+    for (const std::vector<double>& weights : {std::vector<double>{0, 0}, {1, -1, 3}, {1, inf}, {1, std::nan("")}})
+        EXPECT_THROW((void)Distribution1(weights), std::logic_error);
+    EXPECT_THROW(Distribution2(std::vector<double>(6), 3, 2), std::logic_error);
 }
 
 }  // namespace

@@ -6,9 +6,14 @@
 #include <fmt/format.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
+#include <filesystem>
+#include <span>
+#include <string>
 #include <vector>
 
+#include "formats/image.h"
 #include "stages/core/sampling/sampler.h"
 #include "stages/core/sampling/warp.h"
 #include "stages/core/scene/build.h"
@@ -162,6 +167,66 @@ TEST_F(Emitters, DeltaLightsHaveAProbabilityForADensity) {
     EXPECT_EQ(sun.Li.g, 5);
     EXPECT_NEAR(sun.wi.y, 0.6, 1e-6);
     EXPECT_NEAR(sun.wi.z, 0.8, 1e-6);
+}
+
+/// An EXR with every pixel (r, r, r), but the last.
+std::string write_map(const std::filesystem::path& file, float value, float last) {
+    Image image;
+    image.width = 4, image.height = 2;
+    for (const char* channel : {"R", "G", "B"}) {
+        const std::span<float> values = image.add(channel);
+        std::fill(values.begin(), values.end(), value);
+        values.back() = last;
+    }
+    write_image(image, file);
+    return "<emitter type='envmap'><string name='filename' value='" + file.filename().string() + "'/>";
+}
+
+// Seen to fail (segmentation fault) with a density of a map whose weights add up to zero.
+TEST_F(Emitters, AMapWithoutLightIsNoLight) {
+    const std::string black = write_map(path("black.exr"), 0, 0), grey = write_map(path("grey.exr"), 1, 1);
+    for (const std::string& map : {black + "</emitter>", grey + "<float name='scale' value='0'/></emitter>",
+                                   std::string("<emitter type='sunsky'><float name='sun_scale' value='0'/><float name='sky_scale' value='0'/></emitter>")}) {
+        const auto scene = scene_of(map + "<emitter type='point'/>");
+        EXPECT_EQ(environment(*scene, {0, 1, 0}), Spectrum(0));
+        std::vector<LightQuery> queries(3);
+        for (LightQuery& query : queries) query.ask = LightQuery::Ask::environment, query.d = {0, 0.6f, 0.8f};
+        queries[1].ask = LightQuery::Ask::point, queries[1].u = {0.1f, 0.5f};
+        queries[2].ask = LightQuery::Ask::point, queries[2].u = {0.9f, 0.5f};
+        look_up_lights(*scene, queries);
+        EXPECT_EQ(queries[0].Le, Spectrum(0));
+        EXPECT_EQ(sample_light(*scene, {0, 0, 0}, queries[2]).pdf_w + sample_light(*scene, {0, 0, 0}, queries[1]).pdf_w, 0.5f);
+    }
+}
+
+TEST_F(Emitters, NegativeValuesOfAMapCountAsZeroAndAreNoted) {
+    const auto scene = scene_of(write_map(path("map.exr"), 2, -1) + "</emitter>");
+    const std::vector<Spectrum>& texels = scene->emitters[0].map->texels;
+    EXPECT_EQ(texels[0], Spectrum(2));
+    EXPECT_EQ(texels[7], Spectrum(0));
+    EXPECT_EQ(scene->notes.back(), "warning: map.exr: 1 of 8 pixels have negative values (lowest -1); they count as 0");
+}
+
+TEST_F(Emitters, ATexturedLightWithNegativeValuesIsAnError) {
+    write_map(path("map.exr"), 2, -1);
+    const std::string body = "<shape type='sphere'><emitter type='area'><texture type='bitmap' name='radiance'>"
+                             "<string name='filename' value='map.exr'/></texture></emitter></shape>";
+    EXPECT_NE(error_of([&] { scene_of(body); }).find("scene.xml:2:113: the image has negative values"), std::string::npos);
+}
+
+// Weights of zero: an error when light could be found by chance only, nothing when there is no light to be found.
+TEST_F(Emitters, WeightsThatAddUpToNothing) {
+    const std::string weight = "<float name='sampling_weight' value='0'/>", lit = "<emitter type='constant'>" + weight + "</emitter>";
+    EXPECT_NE(error_of([&] { scene_of(lit + "<emitter type='point'>" + weight + "</emitter>"); }).find("scene.xml:2:63: 'sampling_weight' is 0 for every emitter"),
+              std::string::npos);
+    const auto dark = scene_of("<emitter type='constant'><rgb name='radiance' value='0'/>" + weight + "</emitter>");
+    EXPECT_EQ(sample_light(*dark, {0, 0, 0}, {0.5f, 0.5f}).pdf_w, 0);
+    EXPECT_EQ(dark->notes.back(), "no emitter of the scene emits light: its images are black");
+    EXPECT_EQ(scene_of("")->notes.back(), dark->notes.back());
+    // The constant light is found by BSDF sampling alone.
+    const auto half = scene_of(lit + "<emitter type='point'/>");
+    EXPECT_EQ(pdf_environment_w(*half, {0, 1, 0}), 0);
+    EXPECT_EQ(environment(*half, {0, 1, 0}), Spectrum(1));
 }
 
 // Many queries at once give bit for bit what one at a time does, whatever the emitters. Break seen to fail: the pmf of

@@ -3,9 +3,11 @@
 // stay well spread.
 
 #include <algorithm>
+#include <cmath>
 #include <cstddef>
 #include <cstdint>
 #include <span>
+#include <stdexcept>
 #include <vector>
 
 #include "stages/core/math/vector.h"
@@ -14,11 +16,17 @@ namespace loom {
 
 /// Sums of n >= 1 non-negative weights up to each cell, 1 in all, in n + 1 numbers; and a guide, as long:
 /// guide[k] is the last cell that starts at or before k / n, so that a look-up is O(1) on average.
+/// throws:  std::logic_error unless the sum is positive and finite
 struct CumulativeCells {
     static double fill(std::span<const double> weights, float* cdf, std::uint32_t* guide) {
         const std::size_t n = weights.size();
         double sum = 0;
-        for (double w : weights) sum += w;
+        bool negative = false;
+        for (double w : weights) {
+            sum += w;
+            negative |= w < 0;
+        }
+        if (negative || !(sum > 0) || !std::isfinite(sum)) throw std::logic_error("a distribution needs weights >= 0 with a positive, finite sum");
         double running = 0;
         for (std::size_t i = 0; i < n; ++i) {
             cdf[i] = float(running / sum);

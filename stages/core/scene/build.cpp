@@ -3,6 +3,8 @@
 #include <fmt/format.h>
 #include <tbb/parallel_for.h>
 
+#include <algorithm>
+
 #include "formats/io/content_hash.h"
 #include "formats/io/error.h"
 #include "stages/core/scene/embree.h"
@@ -216,6 +218,35 @@ Framef frame_of(const Matrix4d& world) {
     return {normalize(column(world, 0)), normalize(column(world, 1)), Normal3f(normalize(column(world, 2)))};
 }
 
+/// Adds the texture of a light to the scene. Returns its index.
+int add_light_texture(const Object& texture, Scene& scene, TextureCache& cache) {
+    scene.textures.push_back(make_texture(texture, cache));
+    const std::shared_ptr<const TextureImage>& image = scene.textures.back().image;
+    if (image && std::any_of(image->floats.begin(), image->floats.end(), [](float x) { return x < 0; }))
+        texture.fail("filename", "the image has negative values; an emitter cannot emit them");
+    return int(scene.textures.size()) - 1;
+}
+
+bool emits_light(const Emitter& e, const Scene& scene) {
+    if (e.map) return true;
+    return !is_black(e.radiance) && (e.texture < 0 || !is_black(scene.textures[std::size_t(e.texture)].mean()));
+}
+
+/// Fills scene.emitter_pmf. Emitters without light keep their share, so that switching a light off changes the choice
+/// of no other light.
+void build_choice_of_lights(const std::vector<ObjectPtr>& emitters, Scene& scene) {
+    const bool any_light = std::any_of(scene.emitters.begin(), scene.emitters.end(), [&](const Emitter& e) { return emits_light(e, scene); });
+    if (!any_light) scene.notes.push_back("no emitter of the scene emits light: its images are black");
+    if (scene.emitters.empty()) return;
+    std::vector<double> weights;
+    for (const Emitter& e : scene.emitters) weights.push_back(e.sampling_weight);
+    if (std::all_of(weights.begin(), weights.end(), [](double w) { return w == 0; })) {
+        if (any_light) emitters.front()->fail("sampling_weight", "'sampling_weight' is 0 for every emitter of the scene, so that none can be sampled");
+        weights.assign(weights.size(), 1);
+    }
+    scene.emitter_pmf = Distribution1(weights);
+}
+
 void build_emitter(const Object& o, Scene& scene, TextureCache& cache) {
     Emitter e;
     e.id = o.id;
@@ -233,10 +264,7 @@ void build_emitter(const Object& o, Scene& scene, TextureCache& cache) {
                 o.fail("beam_width", "needs 0 <= beam_width <= cutoff_angle <= 180 degrees");
             e.cutoff_rad = float(cutoff * rad_per_deg);
             e.beam_rad = float(beam * rad_per_deg);
-            if (const ObjectPtr t = o.get_object("texture")) {
-                e.texture = int(scene.textures.size());
-                scene.textures.push_back(make_texture(*t, cache));
-            }
+            if (const ObjectPtr t = o.get_object("texture")) e.texture = add_light_texture(*t, scene, cache);
         }
     } else if (o.plugin == "projector") {
         e.kind = EmitterKind::projector;
@@ -258,8 +286,11 @@ void build_emitter(const Object& o, Scene& scene, TextureCache& cache) {
         if (e.kind == EmitterKind::constant) {
             e.radiance = o.get_rgb("radiance", Spectrum(1));
         } else {
-            e.map = std::make_shared<EnvironmentMap>(o.plugin == "envmap" ? load_environment(o, cache) : bake_sunsky(o));
-            e.map->prepare();
+            e.map = std::make_shared<EnvironmentMap>(o.plugin == "envmap" ? load_environment(o, cache, scene.notes) : bake_sunsky(o));
+            if (!e.map->prepare()) {
+                e.kind = EmitterKind::constant;
+                e.map.reset();
+            }
         }
     }
     scene.emitters.push_back(std::move(e));
@@ -292,8 +323,7 @@ void build_area_light(const Object& o, bool parallelogram, std::uint32_t shape_i
     const auto radiance = o.get_texture_or_rgb("radiance", Spectrum(1));
     if (const auto* texture = std::get_if<ObjectPtr>(&radiance)) {
         e.radiance = Spectrum(1);
-        e.texture = int(scene.textures.size());
-        scene.textures.push_back(make_texture(**texture, cache));
+        e.texture = add_light_texture(**texture, scene, cache);
     } else {
         e.radiance = std::get<Spectrum>(radiance);
     }
@@ -398,22 +428,24 @@ std::unique_ptr<Scene> build_scene(SceneDescription description) {
         record_triangles(scene->shapes[i - 1]);
         scene->shapes[i - 1].hit_error = hit_error(scene->shapes[i - 1]);
     });
+    std::vector<ObjectPtr> emitters;  // in the order of scene->emitters
     for (std::size_t i = 0; i < shapes.size(); ++i) {
         Shape& shape = scene->shapes[i];
         shape.id = shapes[i]->id;
         shape.material = materials.index(shapes[i]->child(Category::bsdf));
-        if (const ObjectPtr e = shapes[i]->child(Category::emitter)) 
+        if (const ObjectPtr e = shapes[i]->child(Category::emitter)) {
             build_area_light(*e, is_parallelogram(*shapes[i]), std::uint32_t(i), *scene, cache);
+            emitters.push_back(e);
+        }
         scene->notes.insert(scene->notes.end(), notes[i].begin(), notes[i].end());
     }
-    for (const ObjectPtr& o : root.children(Category::emitter)) build_emitter(*o, *scene, cache);
+    for (const ObjectPtr& o : root.children(Category::emitter)) {
+        build_emitter(*o, *scene, cache);
+        emitters.push_back(o);
+    }
     if (scene->emitters.size() > 65535) root.fail("", "more than 65535 emitters");
     if (scene->materials.size() > 65535) root.fail("", "more than 65535 materials");
-    if (!scene->emitters.empty()) {
-        std::vector<double> weights;
-        for (const Emitter& e : scene->emitters) weights.push_back(e.sampling_weight);
-        scene->emitter_pmf = Distribution1(weights);
-    }
+    build_choice_of_lights(emitters, *scene);
     find_features(*scene);
     find_bounds(*scene);
     scene->rays = std::make_shared<RayEngine>(scene->shapes);

@@ -216,7 +216,7 @@ Spectrum EnvironmentMap::at(const Place& p) const {
     return lerp(p.fy, lerp(p.fx, texels[p.at[0]], texels[p.at[1]]), lerp(p.fx, texels[p.at[2]], texels[p.at[3]]));
 }
 
-void EnvironmentMap::prepare() {
+bool EnvironmentMap::prepare() {
     const int rows = std::max(height - 1, 1);
     std::vector<double> weights(std::size_t(width) * rows);
     for (int y = 0; y < rows; ++y) {
@@ -230,7 +230,9 @@ void EnvironmentMap::prepare() {
             weights[std::size_t(y) * width + x] = std::max(sum, 0.0) * sin_theta;
         }
     }
+    if (std::all_of(weights.begin(), weights.end(), [](double w) { return w == 0; })) return false;
     density = Distribution2(weights, width, rows);
+    return true;
 }
 
 void look_up_light(const Scene& scene, LightQuery& query) {

@@ -31,7 +31,8 @@ struct EnvironmentMap {
     Place place(Point2f uv) const;  // asks for their memory
     Spectrum at(const Place& place) const;
     Spectrum eval(Point2f uv) const { return at(place(uv)); }
-    void prepare();  // fills density
+    /// Fills density. Returns false for a map without light, which has none.
+    bool prepare();
 };
 
 struct Emitter {

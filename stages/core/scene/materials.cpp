@@ -1,5 +1,9 @@
 #include "stages/core/scene/materials.h"
 
+#include <fmt/format.h>
+
+#include <algorithm>
+
 #include "stages/core/scene/ior.h"
 
 namespace loom {
@@ -224,7 +228,7 @@ int MaterialBuilder::roughness(const Object& o, const char* name, float& value) 
     return -1;
 }
 
-EnvironmentMap load_environment(const Object& o, TextureCache& cache) {
+EnvironmentMap load_environment(const Object& o, TextureCache& cache, std::vector<std::string>& notes) {
     const auto image = cache.image(o.get_path("filename"), Decode{});
     const float scale = o.get_float("scale", 1.0f);
     EnvironmentMap map;
@@ -232,8 +236,23 @@ EnvironmentMap load_environment(const Object& o, TextureCache& cache) {
     map.height = image->height;
     if (map.width < 2 || map.height < 2) o.fail("filename", "an environment map needs at least 2 x 2 pixels");
     map.texels.reserve(std::size_t(map.width) * map.height);
+    std::size_t n_negative = 0;
+    float lowest = 0;
     for (int y = 0; y < map.height; ++y)
-        for (int x = 0; x < map.width; ++x) map.texels.push_back(image->texel(x, y) * scale);
+        for (int x = 0; x < map.width; ++x) {
+            Spectrum texel = image->texel(x, y) * scale;
+            if (!all_finite(texel)) o.fail("scale", fmt::format("pixel ({}, {}) of the map times the scale is not finite", x, y));
+            const float low = std::min({texel.r, texel.g, texel.b});
+            if (low < 0) {
+                ++n_negative;
+                lowest = std::min(lowest, low);
+                texel = {std::max(texel.r, 0.0f), std::max(texel.g, 0.0f), std::max(texel.b, 0.0f)};
+            }
+            map.texels.push_back(texel);
+        }
+    if (n_negative > 0)
+        notes.push_back(fmt::format("warning: {}: {} of {} pixels have negative values (lowest {:.3g}); they count as 0",
+                                    o.get_path("filename").filename().string(), n_negative, map.texels.size(), lowest));
     return map;
 }
 

@@ -39,7 +39,8 @@ class MaterialBuilder {
     std::map<const Object*, int> textures_;
 };
 
-/// The map of an `envmap` emitter with its `scale`.
-EnvironmentMap load_environment(const Object& emitter, TextureCache& cache);
+/// The map of an `envmap` emitter with its `scale`; negative values are set to 0.
+/// out:    notes   how many values were negative
+EnvironmentMap load_environment(const Object& emitter, TextureCache& cache, std::vector<std::string>& notes);
 
 }  // namespace loom
