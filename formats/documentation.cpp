@@ -33,6 +33,9 @@ Attributes of the root, and text attributes in the header of an EXR file:
 
 What it cost to make a file (seconds, rays, samples, memory, parents, the command and the plan) is in `FILE.cost.json` beside it.
 
+A stage whose output holds NaN or infinity ends with exit code 3, says which datasets hold how many, and keeps the file as
+`NAME.not-finite.EXT`. Readers take such a file where a dataset says "NaN allowed", and count.
+
 A dataset with `?` is there only when the scene needs it. Datasets that share the name of their first axis have the same
 number of rows; `path+1` is one row more than `path`. Octahedral directions are two signed 16-bit numbers: with (x, y) =
 (u, v) / 32767 and z = 1 - |x| - |y|, where z < 0 replace (x, y) by ((1 - |y|) sign x, (1 - |x|) sign y); then normalize.

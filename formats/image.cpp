@@ -56,10 +56,7 @@ void Image::set_layer(std::string_view layer, std::string_view axes, std::span<c
 
 std::size_t count_nonfinite(const Image& image) {
     std::size_t n = 0;
-    for (const auto& channel : image.channels) {
-        n += static_cast<std::size_t>(std::count_if(channel.values.begin(), channel.values.end(),
-                                                    [](float x) { return !std::isfinite(x); }));
-    }
+    for (const auto& channel : image.channels) n += count_nonfinite(channel.values);
     return n;
 }
 

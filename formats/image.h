@@ -69,6 +69,7 @@ enum class Compression { none, zip };
 
 /// Equal images give equal bytes.
 /// needs:   R, G, B, and as many values as pixels in each channel (else std::logic_error)
+/// throws:  NonfiniteError when a value is NaN or infinite
 void write_image(const Image& image, const std::filesystem::path& path,
                  Compression compression = Compression::none, Sync sync = Sync::yes);
 

@@ -4,6 +4,7 @@
 #include <OpenEXR/ImfFloatAttribute.h>
 #include <OpenEXR/ImfFrameBuffer.h>
 #include <OpenEXR/ImfHeader.h>
+#include <OpenEXR/ImfIO.h>
 #include <OpenEXR/ImfInputFile.h>
 #include <OpenEXR/ImfIntAttribute.h>
 #include <OpenEXR/ImfOutputFile.h>
@@ -11,11 +12,15 @@
 #include <OpenEXR/ImfStringAttribute.h>
 #include <fmt/format.h>
 
+#include <cerrno>
 #include <charconv>
+#include <cstdio>
+#include <cstring>
 #include <stdexcept>
 
 #include "formats/image.h"
 #include "formats/io/error.h"
+#include "formats/io/field_checker.h"
 #include "formats/io/mapped_file.h"
 
 namespace loom {
@@ -156,6 +161,32 @@ auto as_input(const std::filesystem::path& path, Body body) {
     }
 }
 
+/// OpenEXR writes its last bytes in a destructor, which reports no failure; close() does.
+class ExrStream : public Imf::OStream {
+  public:
+    explicit ExrStream(const OutputFile& output) : Imf::OStream(output.path().c_str()), stream_(output) {}
+    void write(const char bytes[], int n) override { stream_.write(bytes, static_cast<std::size_t>(n)); }
+    std::uint64_t tellp() override { return static_cast<std::uint64_t>(::ftello(stream_.get())); }
+    void seekp(std::uint64_t at) override {
+        if (::fseeko(stream_.get(), static_cast<off_t>(at), SEEK_SET) != 0) throw std::runtime_error(std::strerror(errno));
+    }
+    void close() { stream_.close(); }
+
+  private:
+    OutputStream stream_;
+};
+
+std::string nonfinite_text(const Image& image) {
+    std::string text;
+    for (const auto& channel : image.channels) {
+        const std::size_t first = first_nonfinite(channel.values);
+        if (first == channel.values.size()) continue;
+        text += fmt::format("{}{} of {}, the first in pixel ({}, {})", text.empty() ? "" : "; ", count_nonfinite(channel.values), channel.name,
+                            first % image.width, first / image.width);
+    }
+    return text;
+}
+
 }  // namespace
 
 void write_image(const Image& image, const std::filesystem::path& path, Compression compression, Sync sync) {
@@ -179,12 +210,14 @@ void write_image(const Image& image, const std::filesystem::path& path, Compress
                                       header.dataWindow(), sizeof(float), sizeof(float) * image.width));
     }
     OutputFile output(path);
+    ExrStream stream(output);
     {
-        Imf::OutputFile file(output.partial().c_str(), header);
+        Imf::OutputFile file(stream, header);
         file.setFrameBuffer(frame);
         file.writePixels(static_cast<int>(image.height));
     }
-    output.commit(sync);
+    stream.close();
+    output.commit(sync, nonfinite_text(image));
 }
 
 Image read_image(const std::filesystem::path& path) {

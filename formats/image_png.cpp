@@ -34,8 +34,10 @@ std::size_t write_png(const Image& image, const std::filesystem::path& path, dou
     png.width = image.width;
     png.height = image.height;
     png.format = PNG_FORMAT_RGB;  // 8 bits, sRGB, and marked so
-    if (png_image_write_to_file(&png, output.partial().c_str(), 0, bytes.data(), 0, nullptr) == 0)
+    OutputStream stream(output);
+    if (png_image_write_to_stdio(&png, stream.get(), 0, bytes.data(), 0, nullptr) == 0)
         throw std::runtime_error(fmt::format("{}: cannot write: {}", path.native(), png.message));
+    stream.close();
     output.commit(sync);
     return n_bad;
 }

@@ -5,6 +5,7 @@
 #include <stdexcept>
 #include <utility>
 
+#include "formats/io/field_checker.h"
 #include "formats/io/hdf5_handle.h"
 
 namespace loom {
@@ -62,9 +63,9 @@ class TalWriter {
         floats((of + "_grid_normals").c_str(), extents, grid.normals.data());
         choice((of + "_grid_format").c_str(), grid_formats, 2);
     }
-    void commit(Sync sync) {
+    void commit(Sync sync, const std::string& nonfinite) {
         if (H5Fflush(file_.get(), H5F_SCOPE_LOCAL) < 0 || !file_.close()) fail("the file");
-        output_.commit(sync);
+        output_.commit(sync, nonfinite);
     }
 
   private:
@@ -95,7 +96,8 @@ void write_tal_capture(const TalCapture& c, const std::filesystem::path& path, S
     writer.floats("t_start", {}, &c.t_start);
     writer.truth("t_accounts_first_and_last_bounces", c.accounts_first_and_last);
     writer.text("scene_info", c.scene_info);
-    writer.commit(sync);
+    const std::size_t n_nonfinite = count_nonfinite(c.H);
+    writer.commit(sync, n_nonfinite > 0 ? fmt::format("{} of H", n_nonfinite) : "");
 }
 
 }  // namespace loom

@@ -2,39 +2,62 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <bit>
 
 namespace loom {
 namespace {
 
-/// A block at a time without a branch inside, so that the scan runs at the speed of memory.
+/// Without a branch inside, so that the scan runs at the speed of memory.
 template <class Bits, class T>
-std::size_t first_with_full_exponent(std::span<const T> values, Bits exponent) {
+std::size_t count_full_exponents(std::span<const T> values, Bits exponent) {
+    std::size_t n = 0;
+    for (const T& value : values) n += (std::bit_cast<Bits>(value) & exponent) == exponent ? 1 : 0;
+    return n;
+}
+std::size_t count(std::span<const float> values) { return count_full_exponents(values, std::uint32_t{0x7f800000u}); }
+std::size_t count(std::span<const double> values) { return count_full_exponents(values, std::uint64_t{0x7ff0000000000000u}); }
+std::size_t count(std::span<const Half> values) { return count_full_exponents(values, std::uint16_t{0x7c00u}); }
+
+/// A block at a time, then the values of the first block that has one.
+template <class T>
+std::size_t first(std::span<const T> values) {
     constexpr std::size_t block = 4096;
     for (std::size_t begin = 0; begin < values.size(); begin += block) {
-        const std::size_t end = std::min(values.size(), begin + block);
-        std::size_t n_bad = 0;
-        for (std::size_t i = begin; i < end; ++i) {
-            n_bad += (std::bit_cast<Bits>(values[i]) & exponent) == exponent ? 1 : 0;
-        }
-        if (n_bad == 0) continue;
-        for (std::size_t i = begin; i < end; ++i) {
-            if ((std::bit_cast<Bits>(values[i]) & exponent) == exponent) return i;
-        }
+        const auto part = values.subspan(begin, std::min(block, values.size() - begin));
+        if (count(part) == 0) continue;
+        for (std::size_t i = 0; i < part.size(); ++i)
+            if (count(part.subspan(i, 1)) > 0) return begin + i;
     }
     return values.size();
 }
 
+template <class T>
+std::size_t count_as(std::span<const std::byte> bytes) {
+    return count(std::span(reinterpret_cast<const T*>(bytes.data()), bytes.size() / sizeof(T)));
+}
+
 }  // namespace
 
-std::size_t first_nonfinite(std::span<const float> values) {
-    return first_with_full_exponent<std::uint32_t>(values, std::uint32_t{0x7f800000u});
-}
-std::size_t first_nonfinite(std::span<const double> values) {
-    return first_with_full_exponent<std::uint64_t>(values, std::uint64_t{0x7ff0000000000000u});
-}
-std::size_t first_nonfinite(std::span<const Half> values) {
-    return first_with_full_exponent<std::uint16_t>(values, std::uint16_t{0x7c00u});
+std::size_t first_nonfinite(std::span<const float> values) { return first(values); }
+std::size_t first_nonfinite(std::span<const double> values) { return first(values); }
+std::size_t first_nonfinite(std::span<const Half> values) { return first(values); }
+
+std::size_t count_nonfinite(std::span<const float> values) { return count(values); }
+std::size_t count_nonfinite(std::span<const double> values) { return count(values); }
+std::size_t count_nonfinite(std::span<const Half> values) { return count(values); }
+
+std::size_t count_nonfinite(ElementType type, std::span<const std::byte> bytes) {
+    switch (type) {
+        case ElementType::float16:
+            return count_as<Half>(bytes);
+        case ElementType::float32:
+            return count_as<float>(bytes);
+        case ElementType::float64:
+            return count_as<double>(bytes);
+        default:
+            return 0;
+    }
 }
 
 void FieldChecker::check_length(const Field& field, std::size_t n_elements) {

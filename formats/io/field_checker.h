@@ -1,4 +1,5 @@
 #pragma once
+#include <cstddef>
 #include <cstdint>
 #include <map>
 #include <span>
@@ -12,6 +13,13 @@ namespace loom {
 std::size_t first_nonfinite(std::span<const float> values);
 std::size_t first_nonfinite(std::span<const double> values);
 std::size_t first_nonfinite(std::span<const Half> values);
+
+/// Number of NaNs and infinities.
+std::size_t count_nonfinite(std::span<const float> values);
+std::size_t count_nonfinite(std::span<const double> values);
+std::size_t count_nonfinite(std::span<const Half> values);
+/// Of elements as they lie in memory, aligned; 0 for integers and text.
+std::size_t count_nonfinite(ElementType type, std::span<const std::byte> bytes);
 
 /// Visits a filled format: columns that share an axis have one length, floats are finite.
 class FieldChecker : public FieldVisitor<FieldChecker> {

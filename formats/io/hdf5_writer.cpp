@@ -8,8 +8,11 @@
 #include <algorithm>
 #include <cerrno>
 #include <cstring>
+#include <map>
+#include <mutex>
 #include <utility>
 
+#include "formats/io/field_checker.h"
 #include "formats/io/hdf5_handle.h"
 
 namespace loom {
@@ -19,6 +22,8 @@ constexpr hsize_t page_bytes = 4096;
 constexpr hsize_t aligned_from_bytes = 65536;
 /// Bytes after which the device is sent to work, so that the sync at the end finds little left.
 constexpr off_t writeback_bytes = 32 << 20;
+/// Bytes that are checked, then written while they are in the cache.
+constexpr std::size_t block_bytes = 256 << 10;
 
 /// Property lists without times: two equal runs then give equal bytes.
 Hdf5Handle timeless(hid_t property_class) {
@@ -127,7 +132,7 @@ struct Hdf5Writer::Impl {
             fail(field.name);
         const haddr_t offset = H5Dget_offset(made.get());
         if (offset == HADDR_UNDEF) fail(field.name);
-        reserved.push_back({std::string(field.name), offset, std::move(pieces)});
+        reserved.push_back({std::string(field.name), field.type, offset, std::move(pieces)});
     }
 
     /// From here on only the bytes of reserved datasets are written.
@@ -143,9 +148,12 @@ struct Hdf5Writer::Impl {
         bool good = true;
         for (auto r = reserved.begin(); good && r != reserved.end(); ++r) {
             off_t at = static_cast<off_t>(r->offset), kicked = at;
-            for (auto piece = r->pieces.begin(); good && piece != r->pieces.end(); ++piece) {
-                good = write_at(fd, *piece, at);
-                at += static_cast<off_t>(piece->size());
+            for (const std::span<const std::byte> piece : r->pieces) {
+                for (std::size_t begin = 0; good && begin < piece.size(); begin += block_bytes) {
+                    const auto block = piece.subspan(begin, std::min(block_bytes, piece.size() - begin));
+                    good = write_counted(*r, block, at);
+                    at += static_cast<off_t>(block.size());
+                }
                 if (sync == Sync::yes && at - kicked >= writeback_bytes) {
                     ::sync_file_range(fd, kicked, at - kicked, SYNC_FILE_RANGE_WRITE);
                     kicked = at;
@@ -159,10 +167,31 @@ struct Hdf5Writer::Impl {
 
     struct Reserved {
         std::string name;
+        ElementType type;
         haddr_t offset;
         Pieces pieces;
     };
+
+    /// Several threads may write at once.
+    bool write_counted(const Reserved& r, std::span<const std::byte> bytes, off_t at) {
+        count(r.name, r.type, bytes);
+        return write_at(fd, bytes, at);
+    }
+    void count(const std::string& name, ElementType type, std::span<const std::byte> bytes) {
+        const std::size_t n = count_nonfinite(type, bytes);
+        if (n == 0) return;
+        const std::lock_guard lock(mutex);
+        nonfinite[name] += n;
+    }
+    std::string nonfinite_text() const {
+        std::string text;
+        for (const auto& [name, n] : nonfinite) text += fmt::format("{}{} of {}", text.empty() ? "" : ", ", n, name);
+        return text;
+    }
+
     std::vector<Reserved> reserved;
+    std::map<std::string, std::size_t> nonfinite;  // values by dataset
+    std::mutex mutex;                              // of nonfinite
     OutputFile output;
     Hdf5Handle file;
     int fd = -1;  // of the file whose structure is complete
@@ -206,18 +235,19 @@ Hdf5Writer::~Hdf5Writer() = default;
 void Hdf5Writer::commit(Sync sync) {
     impl_->close_structure();
     impl_->fill_reserved(sync);
-    impl_->output.commit(sync);
+    impl_->output.commit(sync, impl_->nonfinite_text());
 }
 
 void Hdf5Writer::write(const Field& field, const std::vector<std::size_t>& extents,
                        std::span<const std::byte> data) {
+    impl_->count(std::string(field.name), field.type, data);
     impl_->dataset(field, extents, disk_type(field.type).get(), data.data());
 }
 
 void Hdf5Writer::fill_bytes(std::string_view name, std::size_t first, std::span<const std::byte> bytes) {
     impl_->close_structure();
     for (const Impl::Reserved& r : impl_->reserved)
-        if (r.name == name && !write_at(impl_->fd, bytes, static_cast<off_t>(r.offset + first))) impl_->fail(name, std::strerror(errno));
+        if (r.name == name && !impl_->write_counted(r, bytes, static_cast<off_t>(r.offset + first))) impl_->fail(name, std::strerror(errno));
 }
 
 void Hdf5Writer::reserve(const Field& field, const std::vector<std::size_t>& extents, Pieces pieces) {

@@ -21,6 +21,7 @@ class Hdf5Writer : public FieldVisitor<Hdf5Writer> {
         fill_bytes(name, first * sizeof(T), std::as_bytes(values));
     }
     /// Syncs the file and gives it its name. Without it nothing is left.
+    /// throws:  NonfiniteError when a float of a dataset is NaN or infinite
     void commit(Sync sync);
 
     /// The bytes of a column are taken at commit(); until then it MUST stay where it is.

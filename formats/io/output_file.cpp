@@ -9,8 +9,8 @@
 #include <cerrno>
 #include <charconv>
 #include <cstring>
-#include <fstream>
 #include <system_error>
+#include <utility>
 
 #include "formats/io/error.h"
 
@@ -80,25 +80,52 @@ OutputFile::~OutputFile() {
     if (!committed_) std::filesystem::remove(partial_, ignored);
 }
 
-void OutputFile::commit(Sync sync) {
+std::filesystem::path not_finite_name(const std::filesystem::path& output) {
+    std::filesystem::path name = output.stem();
+    name += ".not-finite";
+    name += output.extension();
+    return output.parent_path() / name;
+}
+
+void OutputFile::commit(Sync sync, std::string_view nonfinite) {
+    const std::filesystem::path kept = not_finite_name(path_);
     if (sync == Sync::yes) sync_path(partial_, O_RDONLY);
-    std::filesystem::rename(partial_, path_);
+    std::filesystem::rename(partial_, nonfinite.empty() ? path_ : kept);
     committed_ = true;
+    if (nonfinite.empty()) std::filesystem::remove(kept);
     if (sync == Sync::yes) sync_path(folder_of(path_), O_RDONLY | O_DIRECTORY);
+    if (!nonfinite.empty())
+        throw NonfiniteError(fmt::format("{}: values are NaN or infinite ({}); kept as {}", path_.native(), nonfinite, kept.native()));
+}
+
+OutputStream::OutputStream(const OutputFile& output) : path_(output.path()), file_(std::fopen(output.partial().c_str(), "wbe")) {
+    if (file_ == nullptr) error_ = errno, fail();
+}
+
+OutputStream::~OutputStream() {
+    if (file_ != nullptr) std::fclose(file_);
+}
+
+void OutputStream::fail() const { throw std::runtime_error(fmt::format("{}: cannot write: {}", path_.native(), std::strerror(error_))); }
+
+void OutputStream::write(const void* bytes, std::size_t n) {
+    if (std::fwrite(bytes, 1, n, file_) == n) return;
+    if (error_ == 0) error_ = errno;
+    fail();
+}
+
+void OutputStream::close() {
+    if (std::ferror(file_) != 0 && error_ == 0) error_ = EIO;
+    if (std::fclose(std::exchange(file_, nullptr)) != 0 && error_ == 0) error_ = errno;
+    if (error_ != 0) fail();
 }
 
 void write_text_file(const std::filesystem::path& path, std::string_view text,
                      std::optional<std::filesystem::file_time_type> modified) {
     OutputFile output(path);
-    {
-        std::ofstream stream(output.partial(), std::ios::binary);
-        stream << text;
-        stream.close();
-        if (!stream) {
-            throw std::runtime_error(
-                fmt::format("{}: cannot write: {}", path.native(), std::strerror(errno)));
-        }
-    }
+    OutputStream stream(output);
+    stream.write(text.data(), text.size());
+    stream.close();
     if (modified) std::filesystem::last_write_time(output.partial(), *modified);
     output.commit();
 }

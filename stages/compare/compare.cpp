@@ -12,6 +12,7 @@
 #include "formats/false_colours.h"
 #include "formats/image.h"
 #include "formats/io/error.h"
+#include "formats/io/field_checker.h"
 #include "formats/transient_cube.h"
 #include "stages/compare/difference.h"
 #include "stages/core/app/command.h"

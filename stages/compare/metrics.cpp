@@ -91,10 +91,6 @@ double mean_absolute_relative(std::span<const float> x, std::span<const float> r
     });
 }
 
-std::uint64_t count_nonfinite(std::span<const float> x) {
-    return std::uint64_t(std::count_if(x.begin(), x.end(), [](float v) { return !std::isfinite(v); }));
-}
-
 std::vector<float> displayed(std::span<const float> x, double exposure_ev) {
     const double gain = std::exp2(exposure_ev);
     std::vector<float> shown(x.size());

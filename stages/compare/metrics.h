@@ -23,8 +23,6 @@ double trimmed_mean_squared_relative(std::span<const float> x, std::span<const f
                                      double share = 0.001);
 /// MAPE / 100 = mean |x - r| / (|r| + 0.01)
 double mean_absolute_relative(std::span<const float> x, std::span<const float> r);
-/// Values that are NaN or infinite.
-std::uint64_t count_nonfinite(std::span<const float> x);
 
 /// What a display shows: sRGB of x 2^exposure_ev, clamped to [0, 1].
 std::vector<float> displayed(std::span<const float> x, double exposure_ev);

@@ -5,6 +5,9 @@
 #include <algorithm>
 #include <cmath>
 #include <filesystem>
+#include <fstream>
+#include <iterator>
+#include <stdexcept>
 
 #include "formats/image.h"
 #include "formats/io/error.h"
@@ -75,16 +78,17 @@ void write_movie(const Options& options, const TransientCube& cube, const fs::pa
     };
     std::optional<int> status = encode({"-c:v", "libx264", "-crf", "16"});
     if (status && *status != 0) status = encode({"-c:v", "mpeg4", "-q:v", "2"});
+    std::ifstream in(log);
+    const std::string said(std::istreambuf_iterator<char>(in), {});
     fs::remove(log);
     if (status != 0) fs::remove(options.movie);  // of another cube
     if (!status) {
         report.info("no movie: ffmpeg is not installed");
-    } else if (*status != 0) {
-        report.warn("no movie: ffmpeg failed");
-    } else {
-        output.commit();
-        report.info("{}: {} frames, a second is {:.4g} {}", options.movie, cube.time.n_bins, options.fps * cube.in_unit(cube.time.bin_width_opl), time_unit(cube));
+        return;
     }
+    if (*status != 0) throw std::runtime_error(fmt::format("{}: ffmpeg failed:\n{}", options.movie, said));
+    output.commit();
+    report.info("{}: {} frames, a second is {:.4g} {}", options.movie, cube.time.n_bins, options.fps * cube.in_unit(cube.time.bin_width_opl), time_unit(cube));
 }
 
 }  // namespace

@@ -224,8 +224,6 @@ void run(const Options& options, app::Report& report) {
         const char* off = occlusion ? "nothing" : options.gather.indirect == Source::subset ? "occlusion rays (no --occlusion)" : "occlusion rays (no subset)";
         image.provenance.plan = fmt::format("{}direct light by {}, indirect by {}; off: {}", test, name(options.gather.direct), name(options.gather.indirect), off);
     }
-    if (const std::size_t bad = count_nonfinite(image); bad > 0)
-        report.warn("{} values of the image are not finite", bad);
     write_image(image, options.output);
     if (!options.png.empty()) write_png(image, options.png, options.exposure_ev);
 

@@ -292,8 +292,6 @@ void run(const Options& options, app::Report& report) {
     for (const std::string& part : options.minus) cost.parents.push_back(parent_of(options.output, part));
     if (!options.direct.empty()) cost.parents.push_back(parent_of(options.output, options.direct));
     write_cost(cost, options.output);
-    const std::size_t n_bad = count_nonfinite(merged);
-    if (n_bad > 0) report.warn("{}: {} numbers are NaN or infinite", options.output, n_bad);
     report.done("{}: {} parts, {} samples per pixel", options.output, options.parts.size(), merged.samples);
 }
 

@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 
+#include <cmath>
 #include <filesystem>
 
 #include "formats/io/cost.h"
@@ -108,7 +109,7 @@ Radiance refine_radiance(const PathGraph& graph, const Clusters& clusters, const
     indirect = {};
     const auto log = solve(system, first_hits, {plan.iterations, options.clamp, options.epsilon, options.threads, plan.counts_bounces}, radiance_of(system), [&](const Iteration& i) {
         residual.push_back(i.residual);
-        image_change.push_back(i.image_change);
+        image_change.push_back(std::isfinite(i.image_change) ? i.image_change : 1);  // infinite when the image turns black: all of it changes
         result.clamped_share = i.clamped_share;
         report.info("step {}: residual {:.3g}, image changes by {:.3g}{}", residual.size(), i.residual, i.image_change,
                     i.clamped_share > 0 ? fmt::format(", {:.4f} % of the energy clamped", 100 * i.clamped_share) : "");

@@ -219,6 +219,7 @@ void run(const Options& options, app::Report& report) {
     // What reading the scene has cost, each pass carries a part of.
     const Cost loading = report.cost();
     const auto memory = std::make_shared<Arena>();  // of a graph, reused by the next pass
+    std::uint64_t n_nonfinite_passes = 0;
     for (std::uint64_t pass = 0; pass < options.passes; ++pass) {
         const Cost before = report.cost();
         const std::string output = output_of_pass(options, pass);
@@ -230,19 +231,27 @@ void run(const Options& options, app::Report& report) {
         provenance.inputs.push_back({std::filesystem::path(options.scene).filename(), content_hash_text(scene->content_hash)});
         const Work work{options.first_sample + pass * options.spp, options.spp, options.threads};
         Counts counts;
-        if (ending == ".exr") {
-            Image image = render_image(*scene, path, work, report, counts);
-            image.scene = provenance.inputs[0];
-            image.provenance = std::move(provenance);
-            write_image(image, output);
-        } else {
-            PathGraphInPieces graph = render_graph(*scene, path, work, report, counts, memory, options.misses);
-            graph.provenance = std::move(provenance);
-            write_path_graph(graph, output);
-            std::uint64_t bytes = 0;
-            for (const ColumnBytes& column : column_bytes(graph)) bytes += column.bytes;
-            report.info("graph: {} vertices, {} light edges, {:.1f} bytes per vertex", graph.n_vertices(),
-                        graph.n_light_edges(), double(bytes) / double(std::max<std::size_t>(graph.n_vertices(), 1)));
+        try {
+            if (ending == ".exr") {
+                Image image = render_image(*scene, path, work, report, counts);
+                image.scene = provenance.inputs[0];
+                image.provenance = std::move(provenance);
+                write_image(image, output);
+            } else {
+                PathGraphInPieces graph = render_graph(*scene, path, work, report, counts, memory, options.misses);
+                graph.provenance = std::move(provenance);
+                write_path_graph(graph, output);
+                std::uint64_t bytes = 0;
+                for (const ColumnBytes& column : column_bytes(graph)) bytes += column.bytes;
+                report.info("graph: {} vertices, {} light edges, {:.1f} bytes per vertex", graph.n_vertices(),
+                            graph.n_light_edges(), double(bytes) / double(std::max<std::size_t>(graph.n_vertices(), 1)));
+            }
+        } catch (const NonfiniteError& kept) {
+            // The other passes are worth having.
+            if (options.passes == 1) throw;
+            report.error("{}", kept.what());
+            ++n_nonfinite_passes;
+            continue;
         }
         const std::uint64_t samples = scene->sensor.n_pixels() * options.spp;
         Cost cost = report.cost();
@@ -258,6 +267,7 @@ void run(const Options& options, app::Report& report) {
         report.done("{}: {} paths, {} vertices, {} rays, {} samples not finite", std::filesystem::path(output).filename().string(),
                     samples, counts.vertices, counts.rays, counts.nonfinite);
     }
+    if (n_nonfinite_passes > 0) throw NonfiniteError(fmt::format("{} of {} passes hold values that are NaN or infinite", n_nonfinite_passes, options.passes));
 }
 
 }  // namespace loom::trace

@@ -76,7 +76,7 @@ TEST(Inspect, StatisticsAreOfTheFiniteNumbers) {
                       4, 5, 6,
                       7, 8, std::numeric_limits<float>::quiet_NaN(),
                       0, 0, std::numeric_limits<float>::infinity()};
-    write_path_graph(graph, folder / "g.h5");
+    testing::write_nonfinite(folder / "g.h5", [&] { write_path_graph(graph, folder / "g.h5"); });
     for (const auto& dataset : survey_file(folder / "g.h5").datasets) {
         if (dataset.name != "paths/Le") continue;
         EXPECT_EQ(dataset.statistics.n, 12u);

@@ -1,5 +1,6 @@
 #include "tests/formats/tiny_graph.h"
 
+#include <gtest/gtest.h>
 #include <stdlib.h>
 
 #include <fstream>
@@ -7,6 +8,7 @@
 
 #include "formats/io/error.h"
 #include "formats/io/octahedral.h"
+#include "formats/io/output_file.h"
 
 namespace loom::testing {
 namespace {
@@ -193,6 +195,11 @@ std::string file_bytes(const std::filesystem::path& path) {
 
 void write_bytes(const std::filesystem::path& path, std::string_view bytes) {
     std::ofstream(path, std::ios::binary) << bytes;
+}
+
+void write_nonfinite(const std::filesystem::path& path, const std::function<void()>& write) {
+    EXPECT_THROW(write(), NonfiniteError);
+    std::filesystem::rename(not_finite_name(path), path);
 }
 
 std::string input_error_of(const std::function<void()>& body) {

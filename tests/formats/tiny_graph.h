@@ -32,6 +32,8 @@ class ScratchFolder {
 std::string file_bytes(const std::filesystem::path& path);
 void write_bytes(const std::filesystem::path& path, std::string_view bytes);
 
+/// Runs a writer of `path` whose output holds NaN or infinity, and puts what it kept at `path`.
+void write_nonfinite(const std::filesystem::path& path, const std::function<void()>& write);
 /// The message of the InputError that `body` throws; "nothing was thrown" when it returns.
 std::string input_error_of(const std::function<void()>& body);
 

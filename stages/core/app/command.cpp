@@ -4,7 +4,7 @@
 #include <CLI/Config.hpp>
 #include <CLI/Formatter.hpp>
 #include <algorithm>
-#include <cstdio>
+#include <csignal>
 #include <exception>
 #include <filesystem>
 #include <new>
@@ -208,17 +208,24 @@ void Command::check_files() const {
 }
 
 int Command::execute_body(int argc, char** argv, const std::function<int()>& body) {
+    std::signal(SIGXFSZ, SIG_IGN);  // a file that has reached its limit is a failed write, like a full disk
     try {
         app_->parse(argc, argv);
         report.set_command(text(true));
         report.info("{}", text(false));
         check_files();
         const int code = body();
-        if (std::fflush(stdout) != 0) throw std::runtime_error("cannot write to the standard output");
+        report.flush_answers();
         return code;
     } catch (const CLI::Success& asked) {  // --help, --version
         app_->exit(asked);
-        return std::fflush(stdout) == 0 ? exit_done : exit_failed;
+        try {
+            report.flush_answers();
+            return exit_done;
+        } catch (const std::exception& failure) {
+            report.error("{}", failure.what());
+            return exit_failed;
+        }
     } catch (const CLI::ParseError& wrong) {
         report.error("{}\n{}: see {} --help", wrong.what(), report.name(), report.name());
         return exit_wrong_input;

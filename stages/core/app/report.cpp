@@ -6,7 +6,9 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <cerrno>
 #include <cstdio>
+#include <cstring>
 #include <fstream>
 #include <stdexcept>
 
@@ -35,6 +37,8 @@ std::uint64_t peak_memory_bytes() {
     getrusage(RUSAGE_SELF, &r);
     return static_cast<std::uint64_t>(r.ru_maxrss) * 1024;
 }
+
+[[noreturn]] void refuse_stdout() { throw std::runtime_error(fmt::format("cannot write to the standard output: {}", std::strerror(errno))); }
 
 }  // namespace
 
@@ -100,8 +104,11 @@ void Report::rewrite_line(const std::string& text) {
 void Report::answer(std::string_view text) {
     const std::lock_guard lock(mutex_);
     rewrite_line("");
-    if (std::fwrite(text.data(), 1, text.size(), stdout) != text.size())
-        throw std::runtime_error("cannot write to the standard output");
+    if (std::fwrite(text.data(), 1, text.size(), stdout) != text.size()) refuse_stdout();
+}
+
+void Report::flush_answers() {
+    if (std::fflush(stdout) != 0) refuse_stdout();
 }
 
 Cost Report::cost() const {

@@ -87,7 +87,10 @@ class Report {
         log_line(Level::error, fmt::format(text, std::forward<Args>(args)...));
     }
     /// What the user asked for, on stdout, as it is.
+    /// throws:  std::runtime_error when it cannot be written, as does flush_answers()
     void answer(std::string_view text);
+    /// Hands all answers to the system; a stage must not end well before.
+    void flush_answers();
     /// The closing line: counts and what was dropped from the caller; seconds, peak memory and the number
     /// of warnings are added.
     template <class... Args>

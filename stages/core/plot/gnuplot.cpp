@@ -42,6 +42,13 @@ std::string text_of(const fs::path& file) {
     return {std::istreambuf_iterator<char>(in), {}};
 }
 
+/// Whether gnuplot wrote the file to its end; it exits with 0 on a full disk too.
+bool is_whole(const std::string& name, const std::string& bytes) {
+    using namespace std::string_view_literals;
+    if (name.ends_with(".png")) return bytes.ends_with("IEND\xae\x42\x60\x82"sv);
+    return bytes.ends_with("</svg>\n"sv) || bytes.ends_with("</svg>\n\n"sv);
+}
+
 }  // namespace
 
 std::optional<int> run_program(const fs::path& folder, std::vector<std::string> words, const fs::path& log) {
@@ -89,10 +96,14 @@ void make_pictures(const fs::path& folder, const std::map<std::string, std::stri
     const std::optional<int> status = run_program(scratch.path, {"gnuplot", "-d", commands}, "log");
     if (!status) throw InputError("gnuplot is not installed (Debian: apt install gnuplot-nox)");
     if (*status != 0) throw std::runtime_error(fmt::format("gnuplot failed:\n{}", text_of(scratch.path / "log")));
-    for (const std::string& picture : pictures)
-        if (!fs::exists(scratch.path / picture)) throw std::runtime_error(fmt::format("gnuplot made no {}", picture));
+    std::map<std::string, std::string> bytes_of;
+    for (const std::string& picture : pictures) {
+        const std::string& bytes = bytes_of[picture] = text_of(scratch.path / picture);
+        if (!is_whole(picture, bytes))
+            throw std::runtime_error(fmt::format("{}: gnuplot did not write all of it (disk full?)", (place / picture).native()));
+    }
     for (const auto& [name, text] : files) fs::rename(scratch.path / name, place / name);
-    for (const std::string& picture : pictures) fs::rename(scratch.path / picture, place / picture);
+    for (const auto& [picture, bytes] : bytes_of) write_text_file(place / picture, bytes);
 }
 
 }  // namespace loom::plot
