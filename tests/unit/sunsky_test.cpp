@@ -14,8 +14,11 @@
 
 #include "formats/image.h"
 #include "formats/io/error.h"
+#include "stages/core/scene/build.h"
 #include "stages/core/scene/description.h"
 #include "stages/core/scene/sky_coefficients.h"
+#include "stages/core/scene/solar_irradiance.h"
+#include "tests/unit/scene_folder.h"
 
 namespace loom {
 namespace {
@@ -255,6 +258,91 @@ TEST(Sunsky, refuses_parameters_with_their_place) {
         message("<float name=\"hour\" value=\"9\"/><vector name=\"sunDirection\" x=\"0\" y=\"1\" z=\"0\"/>")
             .find("sun_direction already"),
         std::string::npos);
+}
+
+/// A direction in the axes of Mitsuba 3, z up, in our local frame.
+Vector3<double> from_mitsuba3(double x, double y, double z) { return normalize(Vector3<double>{y, z, x}); }
+
+Sunsky mitsuba3(double turbidity, const Rgb<double>& albedo, const Vector3<double>& sun_direction) {
+    Sunsky s;
+    s.model = SunskyModel::mitsuba3;
+    s.turbidity = turbidity;
+    s.albedo = albedo;
+    s.sun_direction = sun_direction;
+    return s;
+}
+
+// Values of Mitsuba 3.8 (scalar_rgb). Catches the unit of 0.6, a channel of the albedo taken for another.
+TEST(SunskyOfMitsuba3, radiance_of_the_sky) {
+    expect_rgb(sky_radiance(mitsuba3(2.5, {0.1, 0.4, 0.8}, from_mitsuba3(-0.5, 0.1, 0.6)), from_mitsuba3(0.2, 0.7, 0.3)), {0.04014985, 0.09411535, 0.2139836}, 2e-4);
+    expect_rgb(sky_radiance(mitsuba3(7.75, Rgb<double>(0.3), from_mitsuba3(0.2, -0.9, 0.15)), from_mitsuba3(-0.2, -0.4, 0.9)), {0.02307143, 0.02938412, 0.03777083}, 2e-4);
+    expect_rgb(sky_radiance(mitsuba3(1, Rgb<double>(0), from_mitsuba3(1, 0, 0.02)), from_mitsuba3(-1, 0.2, 0.05)), {0.07191439, 0.04228583, 0.01152206}, 2e-4);
+    expect_rgb(sky_radiance(mitsuba3(10, Rgb<double>(1), from_mitsuba3(0, 0.3, 0.9)), from_mitsuba3(0, 0.35, 0.9)), {1.379344, 1.388928, 1.131967}, 2e-4);
+}
+
+// Values of Mitsuba 3.8: radiance of an even disk times its solid angle. Between nodes of the table, at its ends.
+TEST(SunskyOfMitsuba3, irradiance_of_the_sun) {
+    const struct {
+        double turbidity, elevation_deg;
+        Rgb<double> irradiance;
+    } cases[] = {{3.25, 31.7, {1.388346, 1.09873, 0.7444983}},
+                 {1, 0.5, {0.4847667, 0.1381548, -0.007581025}},
+                 {9.5, 8, {0.100806, 0.04634067, 0.01440934}},
+                 {10, 90, {1.028523, 0.835419, 0.6759872}},
+                 {5, 45, {1.362077, 1.109993, 0.8208589}}};
+    for (const auto& c : cases) {
+        const Rgb<double> got = sun_irradiance(mitsuba3(c.turbidity, Rgb<double>(0.3), at_elevation(c.elevation_deg)));
+        for (int k = 0; k < 3; ++k) EXPECT_NEAR(got[k], c.irradiance[k], 2e-4 * std::abs(c.irradiance[k])) << c.turbidity << ", channel " << k;
+    }
+}
+
+class SunskyScene : public SceneFolder {
+  protected:
+    std::unique_ptr<Scene> scene_of(const std::string& parameters, const char* version = "3.0.0") const {
+        return load_scene(write("scene.xml", text("<emitter type='sunsky'>" + parameters + "</emitter>", version)));
+    }
+    static Rgb<double> towards(const Scene& scene, double x, double y, double z) {
+        return Rgb<double>(environment(scene, Vector3f(normalize(Vector3<double>{x, y, z}))));
+    }
+};
+
+// Values of Mitsuba 3.8. Catches y for up, a frame that is the inverse of to_world, the azimuth by time mirrored.
+TEST_F(SunskyScene, axes_of_mitsuba3) {
+    const auto turned = scene_of("<float name='turbidity' value='2.5'/><float name='sun_scale' value='0'/><float name='sky_scale' value='2'/>"
+                                 "<vector name='sun_direction' x='-0.5' y='0.1' z='0.6'/><transform name='to_world'><rotate x='1' angle='30'/></transform>");
+    expect_rgb(towards(*turned, 0.2, 0.7, 0.6), {0.1791244, 0.2829599, 0.4135344}, 0.01);
+    EXPECT_EQ(towards(*turned, 0.2, 0.8, -0.7), Rgb<double>());
+    const auto morning = scene_of("<float name='hour' value='9'/><float name='sun_scale' value='0'/>");
+    expect_rgb(towards(*morning, 0.2, 0.7, 0.6), {0.02843528, 0.05568999, 0.1134275}, 0.01);
+    expect_rgb(towards(*morning, 0.2, -0.7, 0.6), {0.138165, 0.1730851, 0.227314}, 0.01);
+    EXPECT_EQ(towards(*morning, 0.2, -0.7, -0.6), Rgb<double>());
+    // A 0.x file has y up and the albedo of 0.6.
+    EXPECT_GT(towards(*scene_of("", "0.6.0"), 0.5, 0.5, -0.7).r, 0);
+    EXPECT_EQ(towards(*scene_of("", "0.6.0"), 0.5, -0.5, 0.7), Rgb<double>());
+}
+
+// Catches an aperture taken for a radius, a disk whose power grows, limb darkening that changes the power.
+TEST_F(SunskyScene, sun_of_mitsuba3) {
+    const std::string place = "<float name='sky_scale' value='0'/><vector name='sun_direction' x='0' y='0.8' z='0.6'/><float name='sun_aperture' value='20'/>";
+    const auto even = scene_of(place), dark = scene_of(place + "<boolean name='complex_sun' value='true'/>");
+    const Rgb<double> irradiance = solar_irradiance(3, std::asin(0.6));
+    const double cap = 2 * pi_double * (1 - std::cos(10 * rad_per_deg)), tilt = std::atan2(0.6, 0.8);
+    const auto at = [&](const Scene& scene, double off_deg) { return towards(scene, 0, std::cos(tilt + off_deg * rad_per_deg), std::sin(tilt + off_deg * rad_per_deg)); };
+    for (double off : {0.0, 5.0, -9.0}) expect_rgb(at(*even, off), irradiance * (1 / cap), 0.01);
+    EXPECT_EQ(at(*even, 11), Rgb<double>());
+    EXPECT_NEAR(at(*dark, 0).b / at(*even, 0).b, 1.32, 0.01);    // Mitsuba 3.8: 1.320
+    EXPECT_NEAR(at(*dark, 9.5).b / at(*even, 9.5).b, 0.635, 0.01);  // 0.635
+    expect_rgb(sphere_integral(*dark->emitters[0].map, 1), sphere_integral(*even->emitters[0].map, 1), 0.002);
+}
+
+TEST_F(SunskyScene, parameters_are_those_of_the_dialect) {
+    EXPECT_NE(error_of([&] { scene_of("<float name='stretch' value='1.5'/>"); }).find("has no parameter 'stretch'"), std::string::npos);
+    EXPECT_NE(error_of([&] { scene_of("<float name='sun_aperture' value='180'/>"); }).find("must be less than 180 degrees"), std::string::npos);
+    const auto old = scene_of("<float name='sunAperture' value='20'/>", "0.6.0");
+    EXPECT_NE(old->notes.back().find("has no parameter 'sunAperture'"), std::string::npos);
+    const auto night = scene_of("<float name='hour' value='1'/>");
+    EXPECT_EQ(towards(*night, 0, 0, 1), Rgb<double>());
+    EXPECT_NE(night->notes[night->notes.size() - 2].find("the sun is below the horizon"), std::string::npos);
 }
 
 struct Published {

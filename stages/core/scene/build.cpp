@@ -286,7 +286,8 @@ void build_emitter(const Object& o, Scene& scene, TextureCache& cache) {
         if (e.kind == EmitterKind::constant) {
             e.radiance = o.get_rgb("radiance", Spectrum(1));
         } else {
-            e.map = std::make_shared<EnvironmentMap>(o.plugin == "envmap" ? load_environment(o, cache, scene.notes) : bake_sunsky(o));
+            e.map = std::make_shared<EnvironmentMap>(o.plugin == "envmap" ? load_environment(o, cache, scene.notes) : bake_sunsky(o, scene.notes));
+            if (o.plugin == "sunsky") e.frame = sunsky_frame(o, e.frame);
             if (!e.map->prepare()) {
                 e.kind = EmitterKind::constant;
                 e.map.reset();

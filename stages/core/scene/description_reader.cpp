@@ -363,7 +363,7 @@ class Reader {
         const std::string key = legacy ? snake_case(written.text) : written.text;
         const Parameter* parameter = plugin.find(key);
         if (legacy && object->category == Category::texture && read_uv_scale(e, *object, key)) return;
-        const bool known = parameter && (legacy || !(parameter->flags & flag::legacy));
+        const bool known = parameter && !(parameter->flags & (legacy ? flag::modern : flag::legacy));
         if (!known && (plugin.flags & (flag::unsupported | flag::open))) {
             skip(e);
             if (plugin.flags & flag::open) note_ignored(title(plugin, *object), written.text);

@@ -39,6 +39,7 @@ inline constexpr unsigned unsupported = 64;  // would change the picture: "not s
 inline constexpr unsigned conductor = 128;   // string that names a conductor
 inline constexpr unsigned numbered = 256;    // an integer may stand for the choice: 1 is the first
 inline constexpr unsigned open = 512;        // plugin: takes parameters that are not listed, without effect
+inline constexpr unsigned modern = 1024;     // not known to the 0.x dialect
 }  // namespace flag
 
 struct Parameter {

@@ -5,7 +5,7 @@ namespace {
 
 using enum Category;
 using enum ValueKind;
-using flag::ignored, flag::legacy, flag::non_negative, flag::numbered, flag::open, flag::positive, flag::required,
+using flag::ignored, flag::legacy, flag::modern, flag::non_negative, flag::numbered, flag::open, flag::positive, flag::required,
     flag::textured, flag::unsupported;
 using Parameters = std::vector<Parameter>;
 
@@ -139,7 +139,9 @@ std::vector<PluginSchema> make_table() {
                             {"sun_direction", vector},
                             {"sky_scale", number, non_negative},
                             {"sun_scale", number, non_negative},
-                            {"sun_radius_scale", number, non_negative},
+                            {"sun_radius_scale", number, non_negative | legacy},
+                            {"sun_aperture", number, positive | modern},
+                            {"complex_sun", boolean, modern},
                             {"year", integer},
                             {"month", integer},
                             {"day", integer},
@@ -149,9 +151,9 @@ std::vector<PluginSchema> make_table() {
                             {"latitude", number},
                             {"longitude", number},
                             {"timezone", number},
-                            {"stretch", number, positive},
-                            {"extend", boolean},
-                            {"resolution", integer, positive},
+                            {"stretch", number, positive | legacy},
+                            {"extend", boolean, legacy},
+                            {"resolution", integer, positive | legacy},
                             {"to_world", transform}});
     add(emitter, "projector",
         weight + Parameters{{"irradiance", emission},
@@ -307,7 +309,7 @@ std::vector<std::string> plugin_names(Category category, bool legacy_dialect) {
 std::vector<std::string> parameter_names(const PluginSchema& plugin, bool legacy_dialect) {
     std::vector<std::string> names;
     for (const Parameter& parameter : plugin.parameters)
-        if (!(parameter.flags & unsupported) && (legacy_dialect || !(parameter.flags & legacy)))
+        if (!(parameter.flags & unsupported) && !(parameter.flags & (legacy_dialect ? modern : legacy)))
             names.emplace_back(legacy_dialect ? camel_case(parameter.name) : std::string(parameter.name));
     return names;
 }

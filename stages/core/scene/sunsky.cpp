@@ -1,13 +1,17 @@
 #include "stages/core/scene/sunsky.h"
 
+#include <tbb/parallel_for.h>
+
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <string>
 #include <vector>
 
 #include "formats/io/error.h"
 #include "stages/core/scene/description.h"
 #include "stages/core/scene/sky_coefficients.h"
+#include "stages/core/scene/solar_irradiance.h"
 #include "stages/core/scene/spectrum.h"
 
 namespace loom {
@@ -15,9 +19,9 @@ namespace {
 
 constexpr double half_pi = pi_double / 2, two_pi = 2 * pi_double, rad_per_deg = pi_double / 180;
 constexpr double sun_radius_rad = 0.5358 / 2 * rad_per_deg;  // mean over the year, as Mitsuba 0.6 has it
-// The data set is an integral over the observer; this is the sum of the observer's y at 1 nm, so that
-// radiances are per nm like the sun's.
-constexpr double sky_unit = 106.856980;
+// The data set is an integral over the observer; this is the integral of the observer's y (in 0.6 the sum at 1 nm), so
+// that radiances are per nm like the sun's.
+double sky_unit(SunskyModel model) { return model == SunskyModel::mitsuba06 ? 106.856980 : 106.7502593994140625; }
 constexpr int max_width = 16384;
 
 double polar_angle(const Vector3<double>& d) {
@@ -30,7 +34,11 @@ double azimuth(const Vector3<double>& d) {
 /// The dome of a Sunsky with its coefficients worked out.
 class Dome {
   public:
-    explicit Dome(const Sunsky& s) : stretch_(s.stretch), scale_(s.sky_scale / sky_unit), extend_(s.extend) {
+    explicit Dome(const Sunsky& s)
+        : stretch_(s.stretch),
+          scale_(s.sky_scale / sky_unit(s.model)),
+          lowest_(s.model == SunskyModel::mitsuba06 ? 0.0 : -std::numeric_limits<double>::infinity()),
+          extend_(s.extend) {
         sun_theta_ = polar_angle(s.sun_direction);
         sun_phi_ = azimuth(s.sun_direction);
         for (int c = 0; c < 3; ++c)
@@ -55,7 +63,7 @@ class Dome {
             const double shape =
                 (1 + a * std::exp(b / (cos_theta + 0.01))) *
                 (cc + d * std::exp(e * gamma) + f * cos2_gamma + g * chi + h * std::sqrt(cos_theta));
-            result[c] = std::max(shape * channels_[c].radiance, 0.0) * scale_ * fade(theta);
+            result[c] = std::max(shape * channels_[c].radiance, lowest_) * scale_ * fade(theta);
         }
         return result;
     }
@@ -67,7 +75,7 @@ class Dome {
         return t * t * (3 - 2 * t);
     }
 
-    double stretch_, scale_;
+    double stretch_, scale_, lowest_;
     bool extend_;
     double sun_theta_ = 0, sun_phi_ = 0;
     SkyCoefficients channels_[3];
@@ -198,7 +206,7 @@ Fault find_fault(const Sunsky& s) {
     if (!within(s.sun_radius_scale, 0, pi_double / sun_radius_rad))
         return {"sun_radius_scale", "must lie between 0 and that of a sun that fills the sphere (671)"};
     if (!within(length2(s.sun_direction), 0.999, 1.001)) return {"sun_direction", "must be a direction"};
-    if (!(s.sun_direction.y >= 0))
+    if (s.model == SunskyModel::mitsuba06 && !(s.sun_direction.y >= 0))
         return {"sun_direction", "the sun is below the horizon; the sky model has no night"};
     if (s.width < 4 || s.width > max_width || s.height < 2 || s.height > max_width)
         return {"resolution", "must lie in 4...16384"};
@@ -241,6 +249,15 @@ Vector3<double> sun_direction_at(const SunTime& t) {
 
 Sunsky read_sunsky(const Object& o) {
     Sunsky s;
+    if (!o.legacy) {
+        s.model = SunskyModel::mitsuba3;
+        s.albedo = Rgb<double>(0.3);
+        s.width = 2048;  // three texels across the sun
+        const double aperture = o.get_double("sun_aperture", 2 * sun_radius_rad / rad_per_deg);
+        if (!(aperture < 180)) o.fail("sun_aperture", "must be less than 180 degrees");
+        s.sun_radius_scale = 0.5 * aperture * rad_per_deg / sun_radius_rad;
+        s.limb_darkening = o.get_bool("complex_sun", false);
+    }
     s.turbidity = o.get_double("turbidity", s.turbidity);
     if (o.has("albedo")) s.albedo = Rgb<double>(o.get_rgb("albedo"));
     s.sky_scale = o.get_double("sky_scale", s.sky_scale);
@@ -262,6 +279,7 @@ Sunsky read_sunsky(const Object& o) {
                 dot(d, normalize(Vector3<double>(world(0, axis), world(1, axis), world(2, axis))));
         if (!(length2(s.sun_direction) > 0)) o.fail("sun_direction", "the direction has no length");
         s.sun_direction = normalize(s.sun_direction);
+        if (s.model == SunskyModel::mitsuba3) s.sun_direction = {s.sun_direction.y, s.sun_direction.z, s.sun_direction.x};
     } else {
         SunTime t;
         t.year = o.get_int("year", t.year);
@@ -277,6 +295,8 @@ Sunsky read_sunsky(const Object& o) {
         if (t.month < 1 || t.month > 12) o.fail("month", "must lie in 1...12");
         if (t.day < 1 || t.day > 31) o.fail("day", "must lie in 1...31");
         s.sun_direction = sun_direction_at(t);
+        // Mitsuba 3 has x to the south and y to the west.
+        if (s.model == SunskyModel::mitsuba3) s.sun_direction.x = -s.sun_direction.x;
     }
     if (const Fault fault = find_fault(s); fault.parameter) o.fail(fault.parameter, fault.message);
     return s;
@@ -290,10 +310,52 @@ Rgb<double> sky_radiance(const Sunsky& sunsky, const Vector3<double>& d) {
 }
 
 Rgb<double> sun_irradiance(const Sunsky& s) {
+    if (s.model == SunskyModel::mitsuba3) return solar_irradiance(s.turbidity, half_pi - polar_angle(s.sun_direction)) * s.sun_scale;
     const SampledSpectrum spectrum = sun_radiance(s.turbidity, polar_angle(s.sun_direction));
     const double solid_angle = 2 * two_pi * sqr(std::sin(sun_radius_rad / 2));
     return Rgb<double>(rgb_from_spectrum(spectrum, SpectrumUse::emission)) * (solid_angle * s.sun_scale);
 }
+
+namespace {
+
+/// Adds the sky to a map of zeros.
+void bake_sky(const Sunsky& s, EnvironmentMap& map) {
+    const Dome dome(s);
+    const double row_rad = pi_double / (s.height - 1);
+    tbb::parallel_for(0, s.height, [&](int y) {
+        // A row stands for half a row above and below it; the horizon may cut through.
+        const double above = s.extend ? 1 : clamp(0.5 * s.stretch * (s.height - 1) - y + 0.5, 0.0, 1.0);
+        if (above == 0) return;
+        for (int x = 0; x < s.width; ++x)
+            map.texels[std::size_t(y) * s.width + x] = Spectrum(dome.radiance(y * row_rad, (x + 0.5) * two_pi / s.width) * above);
+    });
+}
+
+/// Adds the sun to a map.
+void bake_sun(const Sunsky& s, EnvironmentMap& map) {
+    const double theta = polar_angle(s.sun_direction) * s.stretch, phi = azimuth(s.sun_direction), radius = sun_radius_rad * s.sun_radius_scale;
+    const double row_rad = pi_double / (s.height - 1), column_rad = two_pi / s.width;
+    const std::vector<double> shares = disk_shares(theta, phi, radius, s.width, s.height);
+    const auto profile = [&](std::size_t texel) {
+        if (!s.limb_darkening) return Rgb<double>(1);
+        const double at_theta = double(texel / std::size_t(s.width)) * row_rad, at_phi = (double(texel % std::size_t(s.width)) + 0.5) * column_rad;
+        const double cos_gamma = std::cos(theta) * std::cos(at_theta) + std::sin(theta) * std::sin(at_theta) * std::cos(at_phi - phi);
+        const double from_centre = std::min(std::sin(std::acos(clamp(cos_gamma, 0.0, 1.0))) / std::sin(std::min(radius, half_pi)), 1.0);
+        return limb_darkening(std::sqrt(1 - sqr(from_centre)));
+    };
+    Rgb<double> total;
+    for (std::size_t i = 0; i < shares.size(); ++i)
+        if (shares[i] > 0) total += profile(i) * shares[i];
+    const Rgb<double> irradiance = sun_irradiance(s);
+    const int last_row = s.model == SunskyModel::mitsuba3 ? (s.height - 1) / 2 : s.height - 1;
+    for (std::size_t i = 0; i < std::size_t(last_row + 1) * s.width; ++i) {
+        if (shares[i] == 0) continue;
+        const Rgb<double> share = profile(i) * (shares[i] / texel_solid_angle(int(i / std::size_t(s.width)), s.width, s.height));
+        for (int c = 0; c < 3; ++c) map.texels[i][c] += float(irradiance[c] * share[c] / total[c]);
+    }
+}
+
+}  // namespace
 
 EnvironmentMap bake_sunsky(const Sunsky& s) {
     if (const Fault fault = find_fault(s); fault.parameter)
@@ -302,39 +364,24 @@ EnvironmentMap bake_sunsky(const Sunsky& s) {
     map.width = s.width;
     map.height = s.height;
     map.texels.resize(std::size_t(s.width) * s.height);
-
-    const Dome dome(s);
-    const double row_rad = pi_double / (s.height - 1);
-    for (int y = 0; y < s.height; ++y) {
-        // A row stands for half a row above and below it; the horizon may cut through.
-        const double above = s.extend ? 1 : clamp(0.5 * s.stretch * (s.height - 1) - y + 0.5, 0.0, 1.0);
-        if (above == 0) continue;
-        for (int x = 0; x < s.width; ++x)
-            map.texels[std::size_t(y) * s.width + x] =
-                Spectrum(dome.radiance(y * row_rad, (x + 0.5) * two_pi / s.width) * above);
-    }
-    if (s.sun_radius_scale > 0 && s.sun_scale > 0) {
-        const std::vector<double> shares =
-            disk_shares(polar_angle(s.sun_direction) * s.stretch, azimuth(s.sun_direction),
-                        sun_radius_rad * s.sun_radius_scale, s.width, s.height);
-        const Rgb<double> irradiance = sun_irradiance(s);
-        for (int y = 0; y < s.height; ++y)
-            for (int x = 0; x < s.width; ++x) {
-                const std::size_t i = std::size_t(y) * s.width + x;
-                if (shares[i] > 0)
-                    map.texels[i] +=
-                        Spectrum(irradiance * (shares[i] / texel_solid_angle(y, s.width, s.height)));
-            }
-    }
+    if (s.sun_direction.y < 0) return map;  // there is no night sky
+    if (s.sky_scale > 0) bake_sky(s, map);
+    if (s.sun_radius_scale > 0 && s.sun_scale > 0) bake_sun(s, map);
     return map;
 }
 
-EnvironmentMap bake_sunsky(const Object& emitter) {
+EnvironmentMap bake_sunsky(const Object& emitter, std::vector<std::string>& notes) {
     const Sunsky sunsky = read_sunsky(emitter);
     if (sunsky.sun_radius_scale == 0)
         emitter.fail("sun_radius_scale",
                      "0 (a directional sun) is not supported; a sun of 1 is smaller than a texel");
+    if (sunsky.sun_direction.y < 0) notes.push_back("sunsky: the sun is below the horizon; it gives no light, nor does the sky");
     return bake_sunsky(sunsky);
+}
+
+Framef sunsky_frame(const Object& emitter, const Framef& axes) {
+    if (emitter.legacy) return axes;
+    return {axes.t, Vector3f(axes.n), Normal3f(axes.s)};
 }
 
 }  // namespace loom
