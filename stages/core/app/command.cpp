@@ -8,6 +8,7 @@
 #include <exception>
 #include <filesystem>
 #include <new>
+#include <sstream>
 
 #include "formats/io/error.h"
 #include "formats/io/output_file.h"
@@ -218,8 +219,10 @@ int Command::execute_body(int argc, char** argv, const std::function<int()>& bod
         report.flush_answers();
         return code;
     } catch (const CLI::Success& asked) {  // --help, --version
-        app_->exit(asked);
+        std::ostringstream text;
+        app_->exit(asked, text, text);
         try {
+            report.answer(text.str());
             report.flush_answers();
             return exit_done;
         } catch (const std::exception& failure) {
