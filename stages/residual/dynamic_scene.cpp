@@ -163,7 +163,7 @@ DynamicScenes::DynamicScenes(const Scene& old_, const Scene& new_, const Edit& e
     for (DynamicScene* side : {&old_scene, &new_scene}) {
         const Scene& other = side->is_new ? old_ : new_;
         for (const SiteShapes::Member& m : at(side->ghost_site()).members()) side->ghosts.push_back(geometry_of(other.shapes[side->is_new ? m.old_shape : m.new_shape]));
-        if (!side->ghosts.empty()) side->ghost_rays = std::make_unique<RayEngine>(side->ghosts, true);
+        if (!side->ghosts.empty()) side->ghost_rays = std::make_unique<RayEngine>(side->ghosts, RayEngine::Use::crossings);
         side->ghost_boxes = boxes_around(side->ghosts, 1e-4f * side->scene.radius);
     }
     if (!movers.empty()) mover_rays = std::make_unique<RayEngine>(movers);

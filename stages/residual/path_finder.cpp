@@ -1,6 +1,7 @@
 #include "stages/residual/path_finder.h"
 
 #include "stages/core/sampling/warp.h"
+#include "stages/core/scene/embree.h"
 
 namespace loom::residual {
 namespace {
@@ -21,9 +22,9 @@ bool PathFinder::occluded(const Ray& ray) {
     return side_.scene.occluded(ray);
 }
 
-Hit PathFinder::intersect(const Ray& ray) {
+Hit PathFinder::intersect(const Ray& ray, bool from_camera) {
     ++n_rays;
-    return side_.scene.intersect(ray);
+    return from_camera ? side_.scene.intersect_from_camera(ray) : side_.scene.intersect(ray);
 }
 
 bool PathFinder::scatters(const Hit& hit) const { return hit && !side_.scene.materials[side_.scene.shapes[hit.shape].material].black(); }
@@ -42,7 +43,8 @@ std::optional<FilmPoint> PathFinder::on_film(const Point3f& p) const {
 }
 
 bool PathFinder::hides_from_sensor(const Vertex& v, const FilmPoint& film) {
-    return occluded({spawn_ray(v.at.end(), -film.d).o, -film.d, 0, film.t - film.t_min});
+    ++n_rays;
+    return side_.scene.camera_rays->occluded({spawn_ray(v.at.end(), -film.d).o, -film.d, 0, film.t - film.t_min});
 }
 
 LightEnd PathFinder::light_end(const LightSample& s) const {
@@ -256,7 +258,7 @@ void PathFinder::find(Technique technique, Site site, const Numbers& numbers, co
             FilmPoint at = *film;
             if (ghost) {
                 const Ray ray{film->from, film->d, film->t_min, INFINITY};
-                const Hit hit = intersect(ray);
+                const Hit hit = intersect(ray, true);
                 if (!scatters(hit) || hit.t < film->t) return;
                 first.v = side_.vertex(ray, hit);
                 at.scale *= scene.sensor.kind == SensorKind::perspective ? sqr(double(film->t) / hit.t) : 1.0;
@@ -334,19 +336,19 @@ bool PathFinder::find_from_camera(PathId id, const Sampler& numbers, const Visit
     first_hit = {};
     const Ray first = scene.sensor.sample_ray(std::uint32_t(id.pixel % scene.sensor.width), std::uint32_t(id.pixel / scene.sensor.width), numbers.pair(film_pair));
     Ray ray = first;
-    bool touched = !scenes_.same_choice_of_lights, escaped = false;
+    bool touched = !scenes_.same_choice_of_lights, escaped = false, is_straight = true;
     LightEnd sky;
     const auto crosses = [&](const Ray& r) { return scenes_.mover_rays && scenes_.mover_rays->occluded(r); };
     // What the path meets, first; what it is worth only where the edit has a part in it.
     for (int depth = 1;; ++depth) {
-        const Hit hit = intersect(ray);
+        const Hit hit = intersect(ray, depth == 1);
         Ray upto = ray;
         if (hit) upto.t_max = hit.t * (1 - point_epsilon);
         touched = touched || crosses(upto);
         if (!hit) {
             escaped = true;
             touched = touched || scenes_.lights_changed;
-            if (scene.environment < 0) break;
+            if (scene.environment < 0 || hides_sky(scene, is_straight)) break;
             sky.Le = Radiance(environment(scene, ray.d));
             sky.y = Point3f(ray.d);
             sky.at_infinity = true;
@@ -397,6 +399,7 @@ bool PathFinder::find_from_camera(PathId id, const Sampler& numbers, const Visit
             if (goes_on) {
                 stop.ahead = here.frame.to_world(s.wi);
                 stop.lobe = s.lobe;
+                is_straight &= goes_straight_on(s.lobe, model.kind);
                 ray = spawn_ray(here.end(), stop.ahead);
             }
         }

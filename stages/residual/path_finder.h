@@ -64,7 +64,7 @@ class PathFinder {
     void join_light(Stop& stop, Point2f u);
 
     bool occluded(const Ray& ray);
-    Hit intersect(const Ray& ray);
+    Hit intersect(const Ray& ray, bool from_camera = false);
     bool hides_from_sensor(const Vertex& v, const FilmPoint& film);
     bool scatters(const Hit& hit) const;
     std::optional<FilmPoint> on_film(const Point3f& p) const;

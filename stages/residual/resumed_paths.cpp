@@ -119,6 +119,7 @@ void ResumedPaths::add(const StoredPaths& paths, const PathChange& change, std::
             if (s.lobe == Lobe::delta_transmission || s.lobe == Lobe::glossy_transmission) path.eta_scale *= sqr(s.eta);
             path.pdf_w = v.pdf_w[j];
             path.lobe = Lobe(v.lobe[j]);
+            path.is_straight &= goes_straight_on(path.lobe, paths.reader().model(v.material[j]).kind);
             path.from = p;
         }
         if (along && std::uint32_t(depth) == change.cut) {

@@ -185,6 +185,7 @@ void build_limits(const Object& root, View& view) {
     const bool in_python = transient || o->plugin.starts_with("prb");
     view.max_depth = o->plugin.starts_with("direct") ? 2 : o->get_int("max_depth", in_python ? 6 : -1);
     view.rr_depth = o->get_int("rr_depth", 5);
+    view.hides_emitters = o->get_bool("hide_emitters", false);
     if (!transient) return;
     view.transient.camera_segment = o->plugin == "transient_nlos_path" ? o->get_bool("account_first_and_last_bounces", false)
                                                                        : !o->get_bool("camera_unwarp", false);
@@ -413,6 +414,7 @@ std::unique_ptr<Scene> build_scene(SceneDescription description) {
     scene->transient = view.transient;
     scene->max_depth = view.max_depth;
     scene->rr_depth = view.rr_depth;
+    scene->hides_emitters = view.hides_emitters;
     note_near_plane(scene->sensor, scene->transient, scene->notes);
 
     TextureCache cache;
@@ -449,7 +451,9 @@ std::unique_ptr<Scene> build_scene(SceneDescription description) {
     build_choice_of_lights(emitters, *scene);
     find_features(*scene);
     find_bounds(*scene);
-    scene->rays = std::make_shared<RayEngine>(scene->shapes);
+    scene->rays = scene->camera_rays = std::make_shared<RayEngine>(scene->shapes);
+    const bool has_area_lights = std::any_of(scene->shapes.begin(), scene->shapes.end(), [](const Shape& s) { return s.emitter >= 0; });
+    if (scene->hides_emitters && has_area_lights) scene->camera_rays = std::make_shared<RayEngine>(scene->shapes, RayEngine::Use::camera_rays);
     if (const ObjectPtr o = root.child(Category::integrator); o && o->plugin == "transient_nlos_path")
         build_nlos(root, relay_wall < 0 ? nullptr : shapes[std::size_t(relay_wall)].get(), std::uint32_t(relay_wall), *scene);
 

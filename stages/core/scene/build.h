@@ -19,6 +19,7 @@ struct View {
     Sensor sensor;
     TransientFilm transient;
     int max_depth = -1, rr_depth = 5;
+    bool hides_emitters = false;
 };
 /// From the root of a description; opens no file.
 /// throws: InputError with the place in the file

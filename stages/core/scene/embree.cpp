@@ -158,16 +158,17 @@ struct RayEngine::Impl {
     }
 };
 
-RayEngine::RayEngine(const std::vector<Shape>& shapes, bool for_crossings) : impl_(std::make_unique<Impl>()) {
+RayEngine::RayEngine(const std::vector<Shape>& shapes, Use use) : impl_(std::make_unique<Impl>()) {
     prepare_ray_thread();
     impl_->device = rtcNewDevice(nullptr);
     if (!impl_->device) throw std::runtime_error("Embree cannot make a device");
     rtcSetDeviceErrorFunction(impl_->device, on_error, nullptr);
     impl_->scene = rtcNewScene(impl_->device);
-    if (for_crossings) rtcSetSceneFlags(impl_->scene, RTC_SCENE_FLAG_CONTEXT_FILTER_FUNCTION);
+    if (use == Use::crossings) rtcSetSceneFlags(impl_->scene, RTC_SCENE_FLAG_CONTEXT_FILTER_FUNCTION);
     rtcSetSceneBuildQuality(impl_->scene, RTC_BUILD_QUALITY_HIGH);
     for (std::size_t i = 0; i < shapes.size(); ++i) {
         const Shape& shape = shapes[i];
+        if (use == Use::camera_rays && shape.emitter >= 0) continue;
         RTCGeometry geometry;
         if (shape.kind == ShapeKind::mesh) {
             geometry = rtcNewGeometry(impl_->device, RTC_GEOMETRY_TYPE_TRIANGLE);

@@ -12,8 +12,12 @@ struct Hit;
 /// The acceleration structure over all shapes of a scene. The shapes are borrowed and must outlive it.
 class RayEngine {
   public:
-    /// in: for_crossings  it will be asked for crossings(), which costs the others a little
-    explicit RayEngine(const std::vector<Shape>& shapes, bool for_crossings = false);
+    enum class Use {
+        all_rays,
+        crossings,   // crossings() too, which costs the others a little
+        camera_rays  // of a scene that hides its emitters: shapes that emit are not there
+    };
+    explicit RayEngine(const std::vector<Shape>& shapes, Use use = Use::all_rays);
     ~RayEngine();
     RayEngine(const RayEngine&) = delete;
     RayEngine& operator=(const RayEngine&) = delete;

@@ -56,6 +56,7 @@ Normal3f perturbed_normal(const Scene& scene, const Material& m, const Framef& b
 }  // namespace
 
 Hit Scene::intersect(const Ray& ray) const { return rays->intersect(ray); }
+Hit Scene::intersect_from_camera(const Ray& ray) const { return camera_rays->intersect(ray); }
 bool Scene::occluded(const Ray& ray) const { return rays->occluded(ray); }
 
 void Scene::prefetch_triangle(const Hit& hit) const {

@@ -139,8 +139,11 @@ struct Scene {
     std::uint64_t content_hash = 0;           // of the scene file, its overrides and all it refers to
     std::vector<std::string> notes;
     std::shared_ptr<const RayEngine> rays;
+    bool hides_emitters = false;  // camera rays pass through area lights, and the sky is black until a path has been scattered
+    std::shared_ptr<const RayEngine> camera_rays;  // what they meet
 
     Hit intersect(const Ray& ray) const;
+    Hit intersect_from_camera(const Ray& ray) const;
     /// True when something opaque or not lies in (t_min, t_max): masks and glass block shadow rays,
     /// light through them is found by sampling the BSDF.
     bool occluded(const Ray& ray) const;

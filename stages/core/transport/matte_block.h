@@ -105,6 +105,7 @@ class MatteBlock {
             return step;
         }
         path.lobe = Lobe::diffuse;
+        path.is_straight = false;
         path.pdf_w = c.next_pdf_w[m];
         path.from = c.p.get<Point3f>(m);
         path.beta = c.next_beta.get<Spectrum>(m);

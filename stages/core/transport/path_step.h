@@ -24,6 +24,7 @@ struct alignas(64) PathState {
     float pdf_w = 0;      // of the ray's direction, roulette folded in; for a delta lobe its pmf
     Point3f from;         // vertex that it left
     Lobe lobe = Lobe::none;
+    bool is_straight = true;  // nothing has scattered it since the camera: see goes_straight_on()
     PathResult result;
     Sampler sampler;
     MediumStack media;
@@ -39,6 +40,14 @@ struct alignas(64) PathState {
     /// Number of the edge that its ray is about to make.
     int depth() const { return int(result.n_vertices) + 1; }
 };
+
+/// A lobe that leaves a ray as it was: of a mask, a null surface or a thin pane.
+constexpr bool goes_straight_on(Lobe lobe, BsdfKind kind) {
+    return lobe == Lobe::null || (lobe == Lobe::delta_transmission && kind == BsdfKind::thin_dielectric);
+}
+
+/// Whether a ray that leaves the scene finds the sky black: that of a camera, in a scene that hides its emitters.
+inline bool hides_sky(const Scene& scene, bool is_straight) { return scene.hides_emitters && is_straight; }
 
 /// A point on a surface as light that leaves along wo sees it.
 inline ShadingPoint shading_point(const Scene& scene, const SurfacePoint& at, const Vector3f& wo) {
@@ -146,7 +155,7 @@ Step arrive(const Scene& scene, const PathOptions& options, int depth, const Hit
     const bool mis = depth > 1 && !is_delta(path.lobe);
     const bool dark = options.max_depth == 0;  // not even light that is directly visible
     if (!hit) {
-        const Spectrum Le = dark ? Spectrum(0) : lights.Le;
+        const Spectrum Le = dark || hides_sky(scene, path.is_straight) ? Spectrum(0) : lights.Le;
         if (depth == 1) {
             path.result.L = Le;
             if constexpr (recording) record.path().Le = Le;
@@ -242,6 +251,7 @@ template <bool recording>
         return step;
     }
     path.lobe = s.lobe;
+    path.is_straight &= goes_straight_on(s.lobe, model.kind);
     path.pdf_w = s.pdf_w * q;
     path.from = here.p;
     path.beta *= s.weight * (1 / q);

@@ -36,7 +36,7 @@ PathResult trace_path(const Scene& scene, const PathOptions& options, PathId id,
     records.paths[0].origin = path.ray.o;
     const PathRecorder record(records, 0);
     for (int depth = 1;; ++depth) {
-        const Hit hit = scene.intersect(path.ray);
+        const Hit hit = depth == 1 ? scene.intersect_from_camera(path.ray) : scene.intersect(path.ray);
         ++path.result.n_rays;
         ShadowRequest shadow;
         LightQuery lights = light_query(hit, path.ray, path.sampler.pair(dimension(depth, Place::light)), depth == options.max_depth);
@@ -181,7 +181,7 @@ struct PathBatch::Impl {
             join(depth);
             const std::size_t n = active.size();
             for (std::size_t k = 0; k < n; ++k) rays[k] = &paths[active[k]].ray;
-            scene.rays->intersect(rays.data(), n, hits.data(), depth == 1);
+            (depth == 1 ? scene.camera_rays : scene.rays)->intersect(rays.data(), n, hits.data(), depth == 1);
             sampler_pairs(options.sampler, key_lo.data(), key_hi.data(), index.data(), dimension(depth, Place::light), n,
                            light_x.data(), light_y.data());
             sampler_pairs(options.sampler, key_lo.data(), key_hi.data(), index.data(), dimension(depth, Place::direction),
