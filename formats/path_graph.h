@@ -159,7 +159,7 @@ struct PathGraphHeader {
 
     struct Materials {
         std::vector<std::string> id;
-        Column<std::uint8_t> kind, distribution, two_sided, nonlinear, sample_visible, textured;
+        Column<std::uint8_t> kind, distribution, two_sided, nonlinear, sample_visible, textured, variant, bump_shadowing;
         Column<float> int_ior, ext_ior, opacity, alpha, exponent;
         Column<float> diffuse, specular, transmittance, eta_c, k_c;
         Column<float> fdr_int, fdr_ext, external_transmittance;
@@ -183,7 +183,7 @@ struct PathGraphHeader {
 /// The declaration of the format; the same for every way in which the columns can lie in memory.
 template <template <class> class ColumnOf>
 struct PathGraphOf : PathGraphHeader, PathRows<ColumnOf> {
-    static constexpr FormatId format{"path_graph", 1, 2};
+    static constexpr FormatId format{"path_graph", 1, 3};
 
     template <class Self, class Visitor>
     static void fields(Self& g, Visitor& v);
@@ -370,6 +370,10 @@ void PathGraphOf<ColumnOf>::fields(Self& g, Visitor& v) {
     v.field("materials/textured", m.textured, 1, "material", "1",
             "parameters that a texture gives, to be read at the vertex: bit 0 diffuse, bit 1 specular, "
             "bit 2 transmittance, bit 3 alpha, bit 4 opacity");
+    v.optional("materials/variant", m.variant, 1, "material", "1",
+               "ward: 0 Ward's own normalisation, 1 Duer's, 2 balanced; absent: 2");
+    v.optional("materials/bump_shadowing", m.bump_shadowing, 1, "material", "1",
+               "bump or normal map: 1 darkens light from near the horizon, 0 does not; absent: 1");
     v.field("materials/int_ior", m.int_ior, 1, "material", "1",
             "absolute refractive index behind the normal");
     v.field("materials/ext_ior", m.ext_ior, 1, "material", "1", "absolute refractive index outside");

@@ -37,14 +37,14 @@ bool same_image(const TextureImage& a, const TextureImage& b) {
 }
 
 bool same_texture(const Texture& a, const Texture& b) {
-    const auto numbers = [](const Texture& t) { return std::tie(t.kind, t.wrap, t.nearest, t.to_uv, t.color0, t.color1); };
+    const auto numbers = [](const Texture& t) { return std::tie(t.kind, t.wrap, t.nearest, t.to_uv, t.color0, t.color1, t.swaps_numbers); };
     if (numbers(a) != numbers(b) || !a.image != !b.image) return false;
     return a.image == b.image || same_image(*a.image, *b.image);
 }
 
 bool same_model(const BsdfModel& a, const BsdfModel& b) {
     const auto numbers = [](const BsdfModel& m) {
-        return std::tie(m.kind, m.distribution, m.two_sided, m.nonlinear, m.sample_visible, m.int_ior, m.ext_ior, m.opacity, m.alpha_u, m.alpha_v, m.exponent,
+        return std::tie(m.kind, m.distribution, m.two_sided, m.nonlinear, m.sample_visible, m.variant, m.bump_shadowing, m.int_ior, m.ext_ior, m.opacity, m.alpha_u, m.alpha_v, m.exponent,
                         m.diffuse, m.specular, m.transmittance, m.eta_c, m.k_c, m.fdr_int, m.fdr_ext, m.external_transmittance);
     };
     return numbers(a) == numbers(b);
@@ -62,7 +62,7 @@ class Comparison {
         const auto known = materials_.find({a, b});
         if (known != materials_.end()) return known->second;
         const Material &m = old_.materials[std::size_t(a)], &n = new_.materials[std::size_t(b)];
-        bool same = same_model(m.model, n.model) && m.bump_scale == n.bump_scale && same_material(m.back, n.back);
+        bool same = same_model(m.model, n.model) && m.bump_scale == n.bump_scale && m.flips_invalid_normals == n.flips_invalid_normals && same_material(m.back, n.back);
         for (const auto texture : {&Material::diffuse, &Material::specular, &Material::transmittance, &Material::alpha_u, &Material::alpha_v,
                                    &Material::opacity, &Material::normal_map, &Material::bump_map})
             same = same && same_texture(m.*texture, n.*texture);

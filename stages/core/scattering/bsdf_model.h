@@ -28,6 +28,9 @@ inline constexpr int n_bsdf_kinds = 12;
 
 enum class Microfacet : std::uint8_t { ggx = 0, beckmann = 1 };
 
+/// Normalisation of Ward's lobe; the value is what `materials/variant` holds on disk. Append only.
+enum class WardVariant : std::uint8_t { ward = 0, duer = 1, balanced = 2 };
+
 /// Which lobe a sample came from; the value is what `vertices/lobe` holds on disk. Append only.
 enum class Lobe : std::uint8_t {
     none = 0,
@@ -52,6 +55,8 @@ inline constexpr int n_transmittance = 64;
 struct BsdfModel {
     BsdfKind kind = BsdfKind::diffuse;
     Microfacet distribution = Microfacet::beckmann;
+    WardVariant variant = WardVariant::balanced;
+    bool bump_shadowing = true;            // bump or normal map: darkens the terminator of the bumps
     bool two_sided = false;                // reflects alike from behind (never with transmission)
     bool nonlinear = false;                // plastic: colour shifts by internal scattering
     bool sample_visible = true;            // microfacets: sample the normals that wo sees, else all of them

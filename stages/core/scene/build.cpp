@@ -457,6 +457,9 @@ std::unique_ptr<Scene> build_scene(SceneDescription description) {
     if (const ObjectPtr o = root.child(Category::integrator); o && o->plugin == "transient_nlos_path")
         build_nlos(root, relay_wall < 0 ? nullptr : shapes[std::size_t(relay_wall)].get(), std::uint32_t(relay_wall), *scene);
 
+    const std::vector<std::string> unread = unread_parameters(root);
+    scene->notes.insert(scene->notes.end(), unread.begin(), unread.end());
+
     std::string identity;
     for (const auto& [name, value] : description.parameters) identity += name + "=" + value + "\n";
     if (description.sensor > 0) identity += fmt::format("sensor {}\n", description.sensor);

@@ -50,6 +50,7 @@ struct Property {
     std::string name;
     Value value;
     Location at;
+    mutable bool is_read = false;  // a getter has returned it; see unread_parameters()
 };
 
 /// One plugin of a scene file: its parameters by name and its unnamed children. A child that several
@@ -66,6 +67,7 @@ class Object {
     std::vector<Property> properties;                    // in the order of the file
     std::vector<std::pair<ObjectPtr, Location>> nested;  // children without a parameter name, in order
 
+    /// Neither counts as reading the parameter.
     const Property* find(std::string_view name) const;
     bool has(std::string_view name) const { return find(name) != nullptr; }
 
@@ -103,7 +105,16 @@ class Object {
 
     /// InputError at the place of the parameter, or of the object when `parameter` is empty or absent.
     [[noreturn]] void fail(std::string_view parameter, const std::string& message) const;
+
+    /// The parameter, counted as read; null when absent.
+    const Property* read(std::string_view name) const;
+    /// Whether any parameter was asked for, given or not; false for an object that the scene does not use.
+    mutable bool is_used = false;
 };
+
+/// A warning for each parameter below `root` that a used object was given, that no getter has returned, and that is not
+/// known to be without effect (flag::ignored): what a file says is used, or it is named. Once per plugin and parameter.
+std::vector<std::string> unread_parameters(const Object& root);
 
 struct SceneDescription {
     ObjectPtr root;                     // category scene; its nested objects are the scene's

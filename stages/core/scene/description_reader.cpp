@@ -92,6 +92,7 @@ class Reader {
             for (std::size_t i = objects_.size(); i-- > 0;)
                 check_object(*objects_[i].object, *objects_[i].plugin);
             substitutions_.check_all_used();
+            forget_reads();
         } catch (...) {
             // References may have closed a ring of shared pointers: open it.
             for (const Made& made : objects_) {
@@ -583,6 +584,14 @@ class Reader {
         for (const auto& [child, at] : object.nested) collect(*child, used);
         for (const Property& property : object.properties)
             if (const auto* child = std::get_if<ObjectPtr>(&property.value)) collect(**child, used);
+    }
+
+    /// The checks of the reader have looked at parameters that nobody may use.
+    void forget_reads() {
+        for (const Made& made : objects_) {
+            made.object->is_used = false;
+            for (const Property& property : made.object->properties) property.is_read = false;
+        }
     }
 
     void check_cycles() {

@@ -29,6 +29,10 @@ BsdfKind kind_of(const Object& bsdf) {
     return found->second;
 }
 
+WardVariant ward_variant(const std::string& name) {
+    return name == "ward" ? WardVariant::ward : name == "ward-duer" ? WardVariant::duer : WardVariant::balanced;
+}
+
 bool transmits(BsdfKind kind) {
     return kind == BsdfKind::dielectric || kind == BsdfKind::thin_dielectric || kind == BsdfKind::rough_dielectric ||
            kind == BsdfKind::null;
@@ -116,18 +120,20 @@ MaterialBuilder::Sides MaterialBuilder::build(const Object& o) {
             m.model.opacity = constant;
         });
     } else {
-        ObjectPtr map = o.plugin == "normalmap" ? o.get_object("normalmap") : o.get_object("map");
-        if (!map)
-            for (const Property& p : o.properties)
-                if (const auto* t = std::get_if<ObjectPtr>(&p.value); t && (*t)->category == Category::texture) map = *t;
+        ObjectPtr map;
+        for (const Property& p : o.properties)
+            if (const auto* t = std::get_if<ObjectPtr>(&p.value); t && (*t)->category == Category::texture) map = o.get_object(p.name);
         if (!map) map = o.child(Category::texture);
         if (!map) o.fail("", "'" + o.plugin + "' needs a texture");
         const int index = texture(map);
         const float scale = o.get_float("scale", 1.0f);
+        const bool flips = o.get_bool("flip_invalid_normals", true), shadows = o.get_bool("use_shadowing_function", true);
         each([&](Material& m) {
             if (m.perturbed()) o.fail("", "a bump or normal map inside another is not supported yet");
             (o.plugin == "normalmap" ? m.normal_map : m.bump_map) = index;
             m.bump_scale = scale;
+            m.flips_invalid_normals = flips;
+            m.model.bump_shadowing = shadows;
         });
     }
     return sides;
@@ -175,6 +181,7 @@ Material MaterialBuilder::build_plain(const Object& o) {
             m.specular = colour(o, "specular_reflectance", model.specular);
             break;
         case BsdfKind::ward:
+            model.variant = ward_variant(o.get_string("variant", "balanced"));
             model.specular = Spectrum(0.2f);
             m.diffuse = colour(o, "diffuse_reflectance", model.diffuse);
             m.specular = colour(o, "specular_reflectance", model.specular);
@@ -229,7 +236,7 @@ int MaterialBuilder::roughness(const Object& o, const char* name, float& value) 
 }
 
 EnvironmentMap load_environment(const Object& o, TextureCache& cache, std::vector<std::string>& notes) {
-    const auto image = cache.image(o.get_path("filename"), Decode{});
+    const auto image = cache.image(o.get_path("filename"), decode_of(o));
     const float scale = o.get_float("scale", 1.0f);
     EnvironmentMap map;
     map.width = image->width;

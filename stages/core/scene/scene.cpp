@@ -33,7 +33,7 @@ Partials triangle_partials(const Mesh& mesh, const std::uint32_t* i, const Norma
 }
 
 /// Normal that a map asks for, in world space. A normal that turns away from the viewer while the surface
-/// does not is mirrored about the surface normal, as Mitsuba does.
+/// does not is mirrored about the surface normal, as Mitsuba does, unless the material forbids it.
 Normal3f perturbed_normal(const Scene& scene, const Material& m, const Framef& base, const Partials& d, Point2f uv,
                           const Vector3f& wo) {
     Vector3f local;
@@ -49,7 +49,7 @@ Normal3f perturbed_normal(const Scene& scene, const Material& m, const Framef& b
         if (dot(bumped, base.n) < 0) bumped = -bumped;
         local = base.to_local(bumped);
     }
-    if (dot(base.n, wo) * dot(local, base.to_local(wo)) <= 0) local = {-local.x, -local.y, local.z};
+    if (m.flips_invalid_normals && dot(base.n, wo) * dot(local, base.to_local(wo)) <= 0) local = {-local.x, -local.y, local.z};
     return Normal3f(base.to_world(local));
 }
 

@@ -42,6 +42,7 @@ struct Material {
     int opacity = -1;
     int normal_map = -1, bump_map = -1;
     float bump_scale = 1;
+    bool flips_invalid_normals = true;  // of a map: see perturbed_normal()
     int back = -1;  // material seen from behind; -1: this one
     BsdfModel model;
     bool textured() const {

@@ -69,6 +69,8 @@ struct PluginSchema {
 /// Null when no plugin of that category has the type. Integrators, films, filters and samplers may have any.
 const PluginSchema* find_plugin(Category category, std::string_view type);
 const PluginSchema& scene_schema();
+/// Every plugin, the unsupported ones too.
+const std::vector<PluginSchema>& all_plugins();
 /// Types of the category that can be used, those of the 0.x dialect too when `legacy`.
 std::vector<std::string> plugin_names(Category category, bool legacy);
 std::vector<std::string> parameter_names(const PluginSchema& plugin, bool legacy);

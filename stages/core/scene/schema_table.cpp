@@ -211,9 +211,9 @@ std::vector<PluginSchema> make_table() {
     add(film, any_type, image, {{rfilter}}, ignored | open);
     add(rfilter, "box", {{"radius", number, positive}});
     add(rfilter, "tent", {{"radius", number, positive}});
-    add(rfilter, "gaussian", {{"stddev", number, positive}, {"radius", number, positive}});
+    add(rfilter, "gaussian", {{"stddev", number, positive}, {"radius", number, positive | ignored}});
     add(rfilter, any_type, {}, {}, ignored | open);
-    const Parameters samples{{"sample_count", integer, positive},
+    const Parameters samples{{"sample_count", integer, positive | ignored},
                              {"seed", integer, ignored},
                              {"jitter", boolean, ignored},
                              {"dimension", integer, ignored},
@@ -233,7 +233,7 @@ std::vector<PluginSchema> make_table() {
                                                    {"temporal_filter", string, 0, "box|gaussian"},
                                                    {"gaussian_stddev", number, positive},
                                                    {"block_size", integer, ignored}};
-    add(integrator, "transient_path", in_time + Parameters{{"discard_direct_light", boolean}});
+    add(integrator, "transient_path", in_time + Parameters{{"discard_direct_light", boolean, ignored}});
     for (const std::string_view type : {"transient_prbvolpath", "transient_prb_volpath"})
         add(integrator, type, in_time, {}, ignored | open);
     add(integrator, "transient_nlos_path",
@@ -276,16 +276,16 @@ std::vector<PluginSchema> make_table() {
     return table;
 }
 
-const std::vector<PluginSchema>& table() {
+}  // namespace
+
+const std::vector<PluginSchema>& all_plugins() {
     static const std::vector<PluginSchema> plugins = make_table();
     return plugins;
 }
 
-}  // namespace
-
 const PluginSchema* find_plugin(Category category, std::string_view type) {
     const PluginSchema* any = nullptr;
-    for (const PluginSchema& plugin : table()) {
+    for (const PluginSchema& plugin : all_plugins()) {
         if (plugin.category != category) continue;
         if (plugin.type == type) return &plugin;
         if (plugin.type == any_type) any = &plugin;
@@ -294,12 +294,12 @@ const PluginSchema* find_plugin(Category category, std::string_view type) {
 }
 
 const PluginSchema& scene_schema() {
-    return table().front();
+    return all_plugins().front();
 }
 
 std::vector<std::string> plugin_names(Category category, bool legacy_dialect) {
     std::vector<std::string> names;
-    for (const PluginSchema& plugin : table())
+    for (const PluginSchema& plugin : all_plugins())
         if (plugin.category == category && plugin.type != any_type && !(plugin.flags & unsupported) &&
             (legacy_dialect || !(plugin.flags & legacy)))
             names.emplace_back(plugin.type);

@@ -151,6 +151,10 @@ Spectrum Texture::mean() const {
     return kind == TextureKind::checkerboard ? (color0 + color1) * 0.5f : image->mean;
 }
 
+Decode decode_of(const Object& o) {
+    return {o.get_bool("raw", false), o.get_float("gamma", 0.0f)};
+}
+
 Texture make_texture(const Object& o, TextureCache& cache) {
     Texture texture;
     texture.id = o.id;
@@ -168,10 +172,8 @@ Texture make_texture(const Object& o, TextureCache& cache) {
     const std::string wrap = o.get_string("wrap_mode", "repeat");
     texture.wrap = wrap == "mirror" ? WrapMode::mirror : wrap == "clamp" ? WrapMode::clamp : WrapMode::repeat;
     texture.nearest = o.get_string("filter_type", "bilinear") == "nearest";
-    const float gamma = o.get_float("gamma", 0.0f);
     try {
-        texture.image =
-            cache.image(o.get_path("filename"), {o.get_bool("raw", false), std::max(gamma, 0.0f)});
+        texture.image = cache.image(o.get_path("filename"), decode_of(o));
     } catch (const InputError& error) {
         o.fail("filename", error.what());
     }

@@ -18,7 +18,7 @@ class Object;
 /// How the numbers of an image file become linear values.
 struct Decode {
     bool raw = false;  // as they are
-    float gamma = 0;   // 0: as the type says (integers: sRGB, floating point: linear); else value^gamma
+    float gamma = 0;   // 0: as the type says (integers: sRGB, floating point: linear); below 0: sRGB; else value^gamma
     bool operator<(const Decode& o) const { return std::pair(raw, gamma) < std::pair(o.raw, o.gamma); }
 };
 
@@ -77,6 +77,9 @@ class TextureCache {
     std::mutex mutex_;
     std::map<std::pair<std::string, Decode>, std::shared_ptr<Entry>> entries_;
 };
+
+/// As a bitmap or an envmap says: `raw`, and in 0.x files `gamma`.
+Decode decode_of(const Object& description);
 
 /// The texture of a description (bitmap or checkerboard).
 Texture make_texture(const Object& description, TextureCache& cache);

@@ -13,7 +13,7 @@ namespace {
 float decoded(float value, Decode decode, bool integers) {
     if (decode.raw) return value;
     if (decode.gamma > 0) return std::pow(std::max(value, 0.0f), decode.gamma);
-    return integers ? linear_from_srgb(value) : value;
+    return integers || decode.gamma < 0 ? linear_from_srgb(value) : value;
 }
 
 /// Drops alpha and pads a colour to `stride`: n_in interleaved channels to 1 or `stride` per pixel.

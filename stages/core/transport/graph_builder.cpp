@@ -112,6 +112,11 @@ void describe_scene(const Scene& scene, PathGraphHeader& g) {
     out.two_sided = gather<std::uint8_t>(in, one(&M::two_sided));
     out.nonlinear = gather<std::uint8_t>(in, one(&M::nonlinear));
     out.sample_visible = gather<std::uint8_t>(in, one(&M::sample_visible));
+    const auto any_material = [&in](auto differs) { return std::any_of(in.begin(), in.end(), [&](const Material& m) { return differs(m.model); }); };
+    if (any_material([](const M& m) { return m.variant != WardVariant::balanced; }))
+        out.variant = gather<std::uint8_t>(in, one(&M::variant));
+    if (any_material([](const M& m) { return !m.bump_shadowing; }))
+        out.bump_shadowing = gather<std::uint8_t>(in, one(&M::bump_shadowing));
     out.int_ior = gather<float>(in, one(&M::int_ior));
     out.ext_ior = gather<float>(in, one(&M::ext_ior));
     out.opacity = gather<float>(in, one(&M::opacity));

@@ -18,6 +18,8 @@ GraphReader::GraphReader(const PathGraph& graph) : graph_(graph) {
         m.two_sided = in.two_sided[i] != 0;
         m.nonlinear = in.nonlinear[i] != 0;
         m.sample_visible = in.sample_visible[i] != 0;
+        if (!in.variant.empty()) m.variant = WardVariant(in.variant[i]);
+        if (!in.bump_shadowing.empty()) m.bump_shadowing = in.bump_shadowing[i] != 0;
         m.int_ior = in.int_ior[i];
         m.ext_ior = in.ext_ior[i];
         m.opacity = in.opacity[i];

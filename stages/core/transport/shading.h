@@ -23,11 +23,12 @@ struct ShadingPoint {
 };
 
 /// Shadowing of a bump or normal map for light from wi, so that the darkening at the terminator of the
-/// bumps is smooth.       [Estevez2019] "A Microfacet-Based Shadowing Function to Solve the Bump
+/// bumps is smooth; 1 where the material switches it off.       [Estevez2019] "A Microfacet-Based Shadowing Function to Solve the Bump
 ///                        Terminator Problem", section 3.2; 0 when wi lies on different sides of the two normals
 inline float bump_shadowing(const ShadingPoint& at, const Vector3f& wi, float cos_perturbed) {
     const float cos_side = dot(at.n_side, wi);
     if (!(cos_side * cos_perturbed > 0)) return 0;
+    if (!at.bsdf.model->bump_shadowing) return 1;
     const float cos_n = dot(at.n_side, at.frame.n);
     const float tan2_n = std::max(1 - sqr(cos_n), 0.0f) / sqr(cos_n);
     const float alpha2 = std::min(0.125f * tan2_n, 1.0f);
