@@ -235,9 +235,21 @@ TEST_F(FindEdit, Lights) {
     EXPECT_FALSE(edit.new_emitters[0].changed);
     EXPECT_TRUE(edit.new_emitters[1].changed);
     EXPECT_EQ(words({{"<emitter type=\"point\"", "<emitter type=\"point\" id=\"second\"/><emitter type=\"point\""}}), Words{"light added: second"});
-    EXPECT_EQ(words({{"<emitter type=\"area\"><rgb name=\"radiance\" value=\"5 5 5\"/></emitter>", ""}}), Words{"light removed: lamp"});
+    EXPECT_EQ(words({{"<emitter type=\"area\"><rgb name=\"radiance\" value=\"5 5 5\"/></emitter>", ""}}),
+              (Words{"repainted: lamp: diffuse -> the default", "light removed: lamp"}));  // without BSDF an emitter is black, a shape grey
     EXPECT_EQ(words({{"type=\"point\" id=\"bulb\"", "type=\"point\" id=\"torch\""}, {"value=\"1 1 1\"", "value=\"3 1 1\""}}),
               (Words{"light removed: bulb", "light added: torch"}));
+}
+
+TEST_F(FindEdit, HiddenLights) {
+    const std::string shown = base, hidden = std::string(base) + "<integrator type='path'><boolean name='hide_emitters' value='true'/></integrator>";
+    const auto refusal = [&](const std::string& before, const std::string& after) {
+        return error_of([&] { find_edit(described("old.xml", before), described("new.xml", after)); });
+    };
+    EXPECT_NE(refusal(shown, hidden).find("hide_emitters is true, not false as in the old scene"), std::string::npos) << refusal(shown, hidden);
+    const std::string brighter = with({{"value=\"5 5 5\"", "value=\"9 5 5\""}}, hidden);
+    EXPECT_NE(refusal(hidden, brighter).find("an edit of a light with an area is not supported yet where hide_emitters"), std::string::npos);
+    EXPECT_EQ(find_edit(described("old.xml", hidden), described("new.xml", with({{"name=\"intensity\" value=\"1 1 1\"", "name=\"intensity\" value=\"2 2 2\""}}, hidden))).n_emitters(), 1u);
 }
 
 TEST_F(FindEdit, Sky) {
