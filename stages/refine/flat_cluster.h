@@ -21,6 +21,8 @@ class FlatCluster {
     const Normal3f& normal() const { return columns_.normal; }
     /// Attempts to continue, each with its probability; a continuation above the surface passes albedo / this.
     float survival_sum() const { return survival_sum_; }
+    /// Survival of roulette in a lane; 0 where no BSDF sample was drawn.
+    float survival(int lane) const { return columns_.survival[lane]; }
 
     /// Takes the light edges of all vertices.
     /// in:      place  of the first lane

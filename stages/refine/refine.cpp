@@ -15,6 +15,9 @@
 namespace loom::refine {
 namespace {
 
+/// From this share of the energy on, what the clamp takes is a warning.
+constexpr double clamped_share_to_warn = 0.01;
+
 /// Up to here a depth limit is kept exactly, by as many steps from darkness as it allows bounces.
 constexpr int longest_exact_depth = 16;
 
@@ -118,6 +121,9 @@ Radiance refine_radiance(const PathGraph& graph, const Clusters& clusters, const
         report.warn("the iteration diverges at step {} of {}: use --clamp column", log.size() + 1, plan.iterations);
     if (options.clamp == Clamp::column) result.clamped_share = system.clamped_share;
 
+    if (result.clamped_share >= clamped_share_to_warn)
+        report.warn("the clamp took {:.1f} % of the energy: the image is darker by up to that; --clamp none shows by how much", 100 * result.clamped_share);
+
     result.graph_vertices = system.n_unknowns;
     result.L = interleaved(system.n_unknowns, options.threads, [&](std::size_t j) { return system.at[system.unknown[j]].X; });
     result.direct = of_first_vertices(graph, options.threads, [&](std::size_t j) { return system.at[system.unknown[j]].B; });
@@ -182,6 +188,9 @@ void run(const Options& options, app::Report& report) {
         if (clusters.settings.max_size > max_lanes)
             throw InputError(fmt::format("{}: clusters of up to {} vertices; at most {} can be refined", options.clusters,
                                          clusters.settings.max_size, max_lanes));
+        if (!clusters.separation.occluded.empty())
+            report.info("clusters: {} vertices kept apart by media, {} by occlusion, of {}", clusters.separation.other_media[0], clusters.separation.occluded[0],
+                        clusters.n_members());
         radiance = refine_radiance(graph, clusters, options, report);
         radiance.provenance.inputs = {graph_id, identify(options.clusters)};
         radiance.clusters = radiance.provenance.inputs[1].hash;

@@ -27,7 +27,7 @@ struct Options {
     Clamp clamp = Clamp::column;
     Start start = Start::automatic;
     int iterations = 6;
-    float epsilon = 1e-3f;
+    float epsilon = 1e-4f;
     bool as_printed = false;
     std::uint32_t neighbours = 16;    // Method::west
     float private_roughness = 0.03f;  // Method::west; the clusters say it else

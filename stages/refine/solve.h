@@ -14,7 +14,7 @@ struct Iteration {
 struct SolveOptions {
     int iterations = 6;
     Clamp clamp = Clamp::column;
-    float epsilon = 1e-3f;
+    float epsilon = 1e-4f;
     int threads = 0;
     bool last_for_first_hits = false;  // the last step is for first hits alone: all others keep the light that it took
 };

@@ -15,6 +15,9 @@ constexpr std::uint64_t clusters_per_chunk = 1024;
 struct Lanes {
     alignas(64) float r[max_lanes + lane_block], g[max_lanes + lane_block], b[max_lanes + lane_block];
     float inv_eta2[max_lanes + lane_block];
+    float clamp_weight[max_lanes + lane_block];  // inv_eta2 times survival of roulette; 0 where no BSDF sample was drawn
+    bool even = false;                           // all clamp weights are 1
+    bool unsampled = false;                      // a lane drew no BSDF sample
 };
 
 /// Sums that a chunk hands back; chunks are added in order.
@@ -44,31 +47,30 @@ struct Builder {
     }
 
     /// One column of a block: f_j cos_j / rho at all vertices of the cluster, in 16 bits of its largest value.
-    /// in:  inv_eta2  of each lane   edge_eta2  of the medium that the light comes through
-    void add_column(const ClusterShading& shading, const float* inv_eta2, float edge_eta2, float* scale, std::uint16_t* out,
-                    float inv_rho, float q, ChunkResult& result) const {
+    /// in:  edge_eta2  of the medium that the light comes through
+    void add_column(const ClusterShading& shading, const Lanes& lanes, float edge_eta2, float* scale, std::uint16_t* out,
+                    float inv_rho, ChunkResult& result) const {
         float sum[3];
         shading.fix_row(out, scale, sum);
         for (int channel = 0; channel < 3; ++channel) {
-            if (!graph.vertices.eta.empty()) {
+            if (!lanes.even) {
                 sum[channel] = 0;
-                for (int l = 0; l < shading.size(); ++l) sum[channel] += shading.f(channel)[l] * inv_eta2[l];
-                sum[channel] *= edge_eta2;
+                for (int l = 0; l < shading.size(); ++l) sum[channel] += shading.f(channel)[l] * lanes.clamp_weight[l];
             }
-            sum[channel] *= inv_rho;
+            sum[channel] *= edge_eta2 * inv_rho;
             scale[channel] *= inv_rho * (1.0f / 65535.0f);
         }
-        const float factor = clamped({sum[0], sum[1], sum[2]}, q, result);
+        const float factor = clamped({sum[0], sum[1], sum[2]}, result);
         for (int channel = 0; channel < 3; ++channel) scale[channel] *= factor;
     }
 
     /// The same as base and coat.
-    void add_split_column(const ClusterShading& shading, const System::Shape& shape, const float* inv_eta2, float edge_eta2, float* scale,
-                          std::uint16_t* out, float inv_rho, float q, ChunkResult& result) const {
+    void add_split_column(const ClusterShading& shading, const System::Shape& shape, const Lanes& lanes, float edge_eta2, float* scale,
+                          std::uint16_t* out, float inv_rho, ChunkResult& result) const {
         float largest[2], sum[3];
-        shading.fix_lobes(shape.base_plane, shape.coat, inv_eta2, out, largest, sum);
+        shading.fix_lobes(shape.base_plane, shape.coat, lanes.clamp_weight, out, largest, sum);
         for (float& s : sum) s *= edge_eta2 * inv_rho;
-        const float unit = inv_rho * clamped({sum[0], sum[1], sum[2]}, q, result);
+        const float unit = inv_rho * clamped({sum[0], sum[1], sum[2]}, result);
         if (shape.base) *scale++ = unit * (shape.base_plane ? largest[0] * (1.0f / 65535.0f) : shading.columns().base[0]);
         if (shape.coat) *scale = unit * (largest[1] * (1.0f / 65535.0f));
     }
@@ -79,11 +81,12 @@ struct Builder {
         return {.base = lobes.base, .base_plane = lobes.base && !lobes.one_base, .coat = lobes.coat};
     }
 
-    /// Factor of a column with these sums of basic radiance.
-    float clamped(const Spectrum& sum, float q, ChunkResult& result) const {
+    /// Factor of a column with these sums of basic radiance, each vertex weighted with its survival of roulette, as in the
+    /// density that the column is divided by: where no BSDF gives more than it takes no sum is above 1. Vertices at the
+    /// depth limit drew no sample and do not count: what they receive goes no further.
+    float clamped(const Spectrum& sum, ChunkResult& result) const {
         const float most = std::max({sum.r, sum.g, sum.b}), total = sum.r + sum.g + sum.b;
-        // An edge that survived roulette with q stands for 1 / q of its kind.
-        const float bound = (1 - options.epsilon) / q;
+        const float bound = 1 - options.epsilon;
         float factor = 1;
         if (options.clamp == Clamp::column && most > bound) {
             factor = bound / most;
@@ -92,7 +95,7 @@ struct Builder {
         }
         ++result.n_columns;
         result.sum += total;
-        result.largest = std::max(result.largest, most * q);
+        result.largest = std::max(result.largest, most);
         return factor;
     }
 
@@ -119,7 +122,7 @@ struct Builder {
         const auto vertex = members(c);
         const float per_attempt = flat.survival_sum() > 0 ? 1 / flat.survival_sum() : 0.0f;
         Spectrum passed(0);  // by a continuation, as basic radiance but for its own eta^2
-        for (int l = 0; l < flat.size(); ++l) passed += flat.albedo(l) * (per_attempt / sqr(flat.row(l).eta));
+        for (int l = 0; l < flat.size(); ++l) passed += flat.albedo(l) * (flat.survival(l) * per_attempt / sqr(flat.row(l).eta));
         int n_edges = 0;
         for (int l = 0; l < flat.size(); ++l) {
             const VertexRow row = flat.row(l);  // a copy: its place is taken by the result
@@ -132,7 +135,7 @@ struct Builder {
                 const bool above = cos > 0;
                 const std::size_t slot = begin + std::size_t(n_edges++);
                 if (above) own_weight = albedo * (cos * inv_pi<float> / row.pdf_w);
-                system.edges[slot] = {clamped(passed * (above ? eta2_of_next(row, j) : 0.0f), row.q, result) * (above ? per_attempt : 0.0f), j + 1};
+                system.edges[slot] = {clamped(passed * (above ? eta2_of_next(row, j) : 0.0f), result) * (above ? per_attempt : 0.0f), j + 1};
             }
             new (&system.at[k]) System::Row{{direct.r, direct.g, direct.b}, {albedo.r, albedo.g, albedo.b}, {own.r, own.g, own.b}, {own_weight.r, own_weight.g, own_weight.b}};
         }
@@ -145,7 +148,14 @@ struct Builder {
         shading.load(members(c), vertex_rows);
         const int lanes = shading.padded();
         for (int l = 0; l < lanes; ++l) direct.r[l] = direct.g[l] = direct.b[l] = 0;
-        for (int l = 0; l < lanes; ++l) direct.inv_eta2[l] = l < shading.size() ? 1 / sqr(shading.row(l).eta) : 1.0f;
+        direct.even = true, direct.unsampled = false;
+        for (int l = 0; l < lanes; ++l) {
+            const bool there = l < shading.size();
+            direct.inv_eta2[l] = there ? 1 / sqr(shading.row(l).eta) : 1.0f;
+            direct.clamp_weight[l] = shading.columns().survival[l] * direct.inv_eta2[l];
+            direct.even &= !there || direct.clamp_weight[l] == 1;
+            direct.unsampled |= there && direct.clamp_weight[l] == 0;
+        }
         Spectrum own_light_of[max_lanes], own_weight[max_lanes];
         for (int l = 0; l < shading.size(); ++l) {
             system.unknown[shading.vertex(l)] = begin + l;
@@ -166,16 +176,17 @@ struct Builder {
         const auto sink = [&](int lane, std::uint32_t end, float inv_rho) {
             const std::size_t j = shading.vertex(lane);
             const VertexRow& row = shading.row(lane);
-            const float q = row.q, end_eta2 = eta2_of_next(row, j);
+            const float end_eta2 = eta2_of_next(row, j);
+            if (direct.unsampled && inv_rho > 0 && options.clamp != Clamp::none) shading.limit_unsampled(!shape.channels(), direct.inv_eta2, 1 / (inv_rho * end_eta2));
             if (shape.channels()) {
                 const float back = shading.to_solid_angle(lane);
                 own_weight[lane] = back > 0 ? shading.f(lane, back / row.pdf_w) : own_continuation(reader, reader.vertex(j), j, row.next);
-                add_column(shading, direct.inv_eta2, end_eta2, at.scale, at.fraction, inv_rho, q, result);
+                add_column(shading, direct, end_eta2, at.scale, at.fraction, inv_rho, result);
             } else {
                 own_weight[lane] = shading.f_of_lobes(lane, 1 / row.pdf_w);
-                add_split_column(shading, shape, direct.inv_eta2, end_eta2, at.scale, at.fraction, inv_rho, q, result);
+                add_split_column(shading, shape, direct, end_eta2, at.scale, at.fraction, inv_rho, result);
             }
-            if (!system.edge_survival.empty()) system.edge_survival[slot] = q * end_eta2;
+            if (!system.edge_survival.empty()) system.edge_survival[slot] = row.q * end_eta2;
             at.scale += shape.n_scales();
             at.fraction += shape.n_planes() * lanes;
             system.edges[slot++] = {1, end};

@@ -26,7 +26,7 @@ enum class Clamp {
 struct SystemOptions {
     SharingOptions sharing;
     Clamp clamp = Clamp::column;
-    float epsilon = 1e-3f;
+    float epsilon = 1e-4f;
     int threads = 0;
 };
 

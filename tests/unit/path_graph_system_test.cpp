@@ -90,13 +90,13 @@ Vector3d row(const Column<float>& column, std::size_t i, std::size_t width = 3) 
 /// One cluster by the equations at the top of cluster_edges.h, each sum written out: O(K^2) per edge.
 struct PlainCluster {
     std::map<std::uint32_t, std::vector<Rgbd>> columns;  // by the vertex that light comes from: coefficient of each member
-    std::map<std::uint32_t, double> survival;            // of that edge
+    std::vector<double> survival;                        // of each member, 0 where it drew no BSDF sample
     std::vector<Rgbd> direct;                            // of each member
 
     PlainCluster(const GraphReader& reader, std::span<const std::uint32_t> member, Reuse reuse) : direct(member.size()) {
         const PathGraph& g = reader.graph();
         std::vector<PlainVertex> v;
-        for (const std::uint32_t j : member) v.emplace_back(reader, j);
+        for (const std::uint32_t j : member) survival.push_back(v.emplace_back(reader, j).q);
         for (std::size_t source = 0; source < member.size(); ++source) {
             const std::uint32_t j = member[source];
             const bool delta_lobe = is_delta(Lobe(g.vertices.lobe[j]));
@@ -112,7 +112,6 @@ struct PlainCluster {
                 if (rho > 0) {
                     auto& column = columns[j + 1];
                     for (const PlainVertex& k : v) column.push_back(light.at(k).f_cos / rho);
-                    survival[j + 1] = v[source].q;
                 }
             }
             const auto& e = g.light_edges;
@@ -211,17 +210,21 @@ TEST_P(SystemTwin, CoefficientsAndDirectLight) {
                     const std::uint32_t end = vertex[s.edges[slot].end];
                     ASSERT_TRUE(seen.insert(end).second);
                     if (!twin.columns.contains(end)) continue;
-                    const auto& column = twin.columns.at(end);
-                    Rgbd column_sum, most;  // the sum is of basic radiance, L / eta^2
+                    auto column = twin.columns.at(end);
+                    Rgbd column_sum, most;  // the sum is of basic radiance, L / eta^2, weighted with survival
                     const auto eta2 = [&](std::uint32_t j) { return graph.vertices.eta.empty() ? 1.0 : sqr(double(graph.vertices.eta[j])); };
                     for (std::size_t k = 0; k < column.size(); ++k) {
-                        const Rgbd& a = column[k];
-                        column_sum += a * (eta2(end) / eta2(member[k]));
+                        Rgbd& a = column[k];
+                        // A vertex that drew no BSDF sample reflects at most what comes in; a grey coat loses the rest, else all channels are scaled.
+                        const double limit = eta2(member[k]) / eta2(end), largest_of_vertex = max_channel_of(a);
+                        if (clamp == Clamp::column && twin.survival[k] == 0 && largest_of_vertex > limit && !s.shape[c].flat)
+                            a = s.shape[c].channels() ? a * (limit / largest_of_vertex) : a - Rgbd(largest_of_vertex - limit);
+                        column_sum += a * (twin.survival[k] * eta2(end) / eta2(member[k]));
                         most = {std::max(most.r, a.r), std::max(most.g, a.g), std::max(most.b, a.b)};
                     }
-                    const double q = twin.survival.at(end), bound = (1 - 0.05) / q;
+                    const double bound = 1 - 0.05;
                     double factor = 1;
-                    largest = std::max(largest, max_channel_of(column_sum) * q);
+                    largest = std::max(largest, max_channel_of(column_sum));
                     if (clamp == Clamp::column && max_channel_of(column_sum) > bound) {
                         factor = bound / max_channel_of(column_sum);
                         n_clamped += max_channel_of(column_sum) > bound * (1 + 1e-5);

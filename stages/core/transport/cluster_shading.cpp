@@ -95,6 +95,20 @@ void ClusterShading::load(std::span<const std::uint32_t> vertices, std::span<con
     lobes_.one_base = lobes_.base && has_one_base(g.materials.textured[material[0]]);
 }
 
+void ClusterShading::limit_unsampled(bool lobes, const float* weight, float most) {
+    ClusterColumns& c = columns_;
+    for (int l = 0; l < c.n; ++l) {
+        if (c.survival[l] > 0) continue;
+        const float limit = most / weight[l];
+        if (lobes) {
+            const float largest_tint = std::max({c.tint_r[l], c.tint_g[l], c.tint_b[l]});
+            c.coat[l] = std::max(std::min(c.coat[l], limit - largest_tint * c.base[l]), 0.0f);
+        } else if (const float largest = std::max({c.f_r[l], c.f_g[l], c.f_b[l]}); largest > limit) {
+            c.f_r[l] *= limit / largest, c.f_g[l] *= limit / largest, c.f_b[l] *= limit / largest;
+        }
+    }
+}
+
 /// One normal, seen from one side, of one material that is opaque.
 bool ClusterShading::has_one_base(std::uint8_t textured) const {
     const ClusterColumns& c = columns_;

@@ -70,6 +70,10 @@ class ClusterShading {
     void fix_lobes(bool base, bool coat, const float* weight, std::uint16_t* row, float* largest, float* sum) const {
         kernels_.fix_lobes(columns_, base, coat, weight, row, largest, sum);
     }
+    /// Limits what each lane that drew no BSDF sample reflects: narrow lobes there, which nobody sampled for its wo, would make
+    /// of one sample of a neighbour more light than the neighbour found. Grey coats lose the excess, else all channels are scaled.
+    /// in:  lobes  of base and coat;  weight  of each lane, most  largest product of weight and channel
+    void limit_unsampled(bool lobes, const float* weight, float most);
 
   private:
     bool has_one_base(std::uint8_t textured) const;
