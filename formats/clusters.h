@@ -22,7 +22,7 @@ namespace loom {
 struct PathGraph;
 
 struct Clusters {
-    static constexpr FormatId format{"clusters", 1, 0};
+    static constexpr FormatId format{"clusters", 1, 1};
 
     std::string graph;                 // content hash of the path graph, as in Provenance::inputs
     std::uint64_t graph_vertices = 0;  // how many vertices that graph has
@@ -34,6 +34,12 @@ struct Clusters {
         float private_roughness = 0.03f;
         std::uint64_t seed = 0;
     } settings;
+
+    // What was kept apart although it is close and faces alike, in vertices; empty in files of version 1.0.
+    struct Separation {
+        Column<std::uint64_t> other_media;
+        Column<std::uint64_t> occluded;  // empty: visibility was not tested
+    } separation;
 
     Column<std::uint32_t> first;   // cluster+1 offsets into member
     Column<std::uint32_t> member;  // rows of the graph's vertices, cluster by cluster
@@ -82,6 +88,11 @@ void Clusters::fields(Self& c, Visitor& v) {
     v.value("settings/private_roughness", s.private_roughness, "", "1",
             "vertices with a smaller microfacet roughness are in no cluster");
     v.value("settings/seed", s.seed, "", "1", "seed of what is drawn anew in each pass");
+
+    v.optional("separation/other_media", c.separation.other_media, 1, "one", "1",
+               "vertices cut off from their cell because they lie in another medium; absent: not tested");
+    v.optional("separation/occluded", c.separation.occluded, 1, "one", "1",
+               "vertices cut off from their cell because a surface hides them from its middle; absent: not tested");
 
     v.field("clusters/first", c.first, 1, "cluster+1", "1",
             "offsets into clusters/member; neighbouring clusters lie close in space");

@@ -45,14 +45,12 @@ $(numbers:%=$(graph_work)/$(1)-%.h5) &: $($(1)_stamp) $(graph_work)/trace.parame
 endef
 $(foreach s,$(sides),$(eval $(call traced,$(s))))
 
-cluster_parameters = --k $(K)$(if $(CLUSTER), $(CLUSTER))
+cluster_parameters = --scene $(old_scene_parameters) --with-scene $(call quote,$(NEW))$(call defines,--with-define,$(DEFINES) $(NEW_DEFINES)) --k $(K)$(if $(CLUSTER), $(CLUSTER))
 $(eval $(call parameter,$(graph_work)/cluster.parameters,$(cluster_parameters)))
-define clustered
-$(graph_work)/old-$(1).clusters.h5 $(graph_work)/new-$(1).clusters.h5 &: $(graph_work)/old-$(1).h5 $(graph_work)/new-$(1).h5 $(graph_work)/cluster.parameters $(cluster)
-	$(LAUNCH) $(cluster) $(graph_work)/old-$(1).h5 --with $(graph_work)/new-$(1).h5 $(cluster_parameters) --seed $(1) \
-		-o $(graph_work)/old-$(1).clusters.h5 --with-output $(graph_work)/new-$(1).clusters.h5$(threads)
-endef
-$(foreach i,$(numbers),$(eval $(call clustered,$(i))))
+# One process, which reads both scenes once.
+$(call in_pass,clusters.h5) &: $(graphs) $(graph_work)/cluster.parameters $(cluster)
+	$(LAUNCH) $(cluster) $(numbers:%=$(graph_work)/old-%.h5) --with $(numbers:%=$(graph_work)/new-%.h5) $(cluster_parameters) \
+		-o $(graph_work)/%.clusters.h5 --with-output $(graph_work)/%.clusters.h5$(threads)
 
 refine_parameters = --iterations $(ITERATIONS)$(if $(REFINE), $(REFINE))
 $(eval $(call parameter,$(graph_work)/refine.parameters,$(refine_parameters)))

@@ -1,8 +1,8 @@
 # Passes of samples of one scene, for pipelines that include this: OUT/FOLDER/pass-I.KIND, traced in batches.
 #
-# in:   SCENE SPP PASSES BATCH OUT SEED THREADS DEFINES SENSOR TRACE LAUNCH BUILD
+# in:   SCENE SPP PASSES BATCH OUT SEED THREADS DEFINES SENSOR TRACE LAUNCH BUILD;  K CLUSTER where passes are clustered
 #       folder  of the passes within OUT;  kind  h5 or exr;  made  ending of what says that a pass is there
-# out:  OUT, work, numbers, last (of the passes), the rules of the passes, scene_stamp, scene_parameters,
+# out:  OUT, work, numbers, last (of the passes), the rules of the passes, cluster_passes, scene_stamp, scene_parameters,
 #       common_parameters, threads, and what words.mk has
 
 include pipelines/words.mk
@@ -41,3 +41,16 @@ batches := $(shell i=0; was=; for i in $(numbers); do \
 	elif [ $$((i % $(BATCH))) = 0 ] || { [ $$is = missing ] && [ $$was = there ]; }; then printf ' %s' $$i; \
 	else printf ',%s' $$i; is=$$was; fi; was=$$is; done)
 $(foreach b,$(batches),$(eval $(call batch,$(subst $(comma),$(space),$(b)))))
+
+# $(eval $(cluster_passes)): rules of OUT/FOLDER/pass-I.clusters.h5. Clusters of a batch are made by one process, which reads
+# the scene once. Borders between clusters are drawn anew in each pass, so that they average out.
+cluster := $(BUILD)/bin/loom-cluster
+cluster_parameters = --scene $(scene_parameters) --k $(K)$(if $(CLUSTER), $(CLUSTER))
+define clustered_batch
+$(1:%=$(work)/pass-%.clusters.h5) &: $(1:%=$(work)/pass-%.h5) $(work)/cluster.parameters $(cluster)
+	$(LAUNCH) $(cluster) $(1:%=$(work)/pass-%.h5) $(cluster_parameters) --seed $(firstword $(1)) -o $(work)/%.clusters.h5$(threads)
+endef
+define cluster_passes
+$(call parameter,$(work)/cluster.parameters,$(cluster_parameters))
+$(foreach b,$(batches),$(eval $(call clustered_batch,$(subst $(comma),$(space),$(b)))))
+endef

@@ -55,7 +55,6 @@ include pipelines/passes.mk
 K ?= $(default_k)
 K := $(K)
 
-cluster := $(BUILD)/bin/loom-cluster
 refine := $(BUILD)/bin/loom-refine
 denoise := $(BUILD)/bin/loom-denoise
 gather := $(BUILD)/bin/loom-gather
@@ -82,10 +81,7 @@ demo: $(OUT)/image.exr $(OUT)/image.png $(clean)
 # looked at. Secondary: that it is gone does not make it be traced again.
 .SECONDARY: $(graphs) $(clusters) $(radiances)
 
-# Borders between clusters are drawn anew in each pass, so that they average out.
-$(eval $(call parameter,$(work)/cluster.parameters,--k $(K)$(if $(CLUSTER), $(CLUSTER))))
-$(clusters): $(work)/pass-%.clusters.h5: $(work)/pass-%.h5 $(work)/cluster.parameters $(cluster)
-	$(LAUNCH) $(cluster) $< --k $(K)$(if $(CLUSTER), $(CLUSTER)) --seed $* -o $@$(threads)
+$(if $(clusters),$(eval $(cluster_passes)))
 
 refine_parameters = $(if $(filter west,$(METHOD)),--method west --neighbours $(K),--iterations $(ITERATIONS))$(if $(REFINE), $(REFINE))
 $(eval $(call parameter,$(work)/refine.parameters,$(refine_parameters)))

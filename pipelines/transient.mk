@@ -54,7 +54,6 @@ ifneq ($(if $(keep),,$(K)),)
 $(error K=$(K) KEEP=0: graphs that share light within are samples of each other; they are binned together)
 endif
 
-cluster := $(BUILD)/bin/loom-cluster
 bin := $(BUILD)/bin/loom-transient
 merge := $(BUILD)/bin/loom-merge
 draw := $(BUILD)/bin/loom-frames
@@ -81,11 +80,9 @@ $(eval $(call parameter,$(work)/cube.parameters,$(cube_parameters)))
 $(if $(option_files),$(eval $(call stamp,$(work)/cube.stamp,$(option_files))))
 $(eval $(call parameter,$(OUT)/passes.parameters,$(PASSES) $(if $(keep),together,merged)$(if $(K), $(K))))
 ifneq ($(keep),)
-$(eval $(call parameter,$(work)/cluster.parameters,--k $(K)$(if $(CLUSTER), $(CLUSTER))))
 # Secondary: clusters may go, as a chart's do, and are made again where another cube is wanted.
 .SECONDARY: $(graphs) $(clusters)
-$(clusters): $(work)/pass-%.clusters.h5: $(work)/pass-%.h5 $(work)/cluster.parameters $(cluster)
-	$(LAUNCH) $(cluster) $< --k $(K)$(if $(CLUSTER), $(CLUSTER)) --seed $* -o $@$(threads)
+$(if $(clusters),$(eval $(cluster_passes)))
 
 $(OUT)/cube.h5: $(graphs) $(clusters) $(cube_parameter_files) $(OUT)/passes.parameters $(bin)
 	$(LAUNCH) $(bin) $(graphs)$(if $(K), --clusters $(clusters)) $(cube_parameters) -o $@$(threads)

@@ -77,11 +77,13 @@ inline PathGraph trace_graph(const Scene& scene, const PathOptions& path, std::u
     return graph;
 }
 
-inline Clusters clusters_of(const PathGraph& graph, std::uint32_t k, std::uint64_t seed = 0, float private_roughness = 0.03f) {
+/// in:  scene  that the graph was traced in, for the test of visibility; null: no test
+inline Clusters clusters_of(const PathGraph& graph, std::uint32_t k, std::uint64_t seed = 0, float private_roughness = 0.03f, const Scene* scene = nullptr) {
     cluster::ClusterOptions options;
     options.k = k;
     options.seed = seed;
     options.private_roughness = private_roughness;
+    options.scene = scene;
     return cluster::make_clusters(graph, options);
 }
 

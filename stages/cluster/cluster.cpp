@@ -12,7 +12,9 @@
 #include "stages/cluster/nearest_centres.h"
 #include "stages/cluster/pool.h"
 #include "stages/cluster/scratch.h"
+#include "stages/cluster/separate.h"
 #include "stages/core/sampling/sampler.h"
+#include "stages/core/scene/scene.h"
 #include "stages/core/transport/parallel.h"
 
 namespace loom::cluster {
@@ -132,11 +134,6 @@ std::vector<std::uint32_t> offsets_of(const std::vector<std::vector<std::uint32_
     return first;
 }
 
-/// Cells of a pool: runs of members, which are vertices of the pool.
-struct Cells {
-    std::vector<std::uint32_t> first, member;
-};
-
 Cells balanced_cells(const BucketedPoints& in, const ClusterOptions& options, const Splits& splits) {
     const std::size_t n_buckets = in.first.size() - 1;
     std::vector<std::vector<std::uint32_t>> sizes(n_buckets);
@@ -233,6 +230,7 @@ Cells centre_cells(const BucketedPoints& in, const ClusterOptions& options, std:
 struct PooledCells {
     Cells cells;
     Clusters::Settings settings;
+    Separation separation;
 };
 
 PooledCells make_cells(const Pool& pool, const ClusterOptions& options, Workspace::Parts& memory) {
@@ -248,8 +246,16 @@ PooledCells make_cells(const Pool& pool, const ClusterOptions& options, Workspac
     splits.k = options.method == Method::balanced ? options.k : max_size;
     Cells cells = options.method == Method::balanced ? balanced_cells(points, options, splits)
                                                      : centre_cells(points, options, n_graphs * options.k, splits, memory);
+    const auto rays = [](const Scene* scene) { return scene ? scene->rays.get() : nullptr; };
+    const Separation separation = separate(pool, rays(options.scene), rays(options.with_scene), options.threads, cells);
     return {std::move(cells),
-            {std::string(method_name(options.method)), options.k, max_size, options.normal_weight, length_scale, options.private_roughness, options.seed}};
+            {std::string(method_name(options.method)), options.k, max_size, options.normal_weight, length_scale, options.private_roughness, options.seed},
+            separation};
+}
+
+void set_separation(Clusters& clusters, const Separation& separation) {
+    clusters.separation.other_media = {separation.n_media};
+    if (separation.tested_visibility) clusters.separation.occluded = {separation.n_occluded};
 }
 
 /// The members of each cell that are vertices [begin, end) of the pool, as clusters of a graph of its own.
@@ -263,6 +269,7 @@ Clusters clusters_within(const PooledCells& pooled, std::size_t begin, std::size
     Clusters out;
     out.graph_vertices = end - begin;
     out.settings = pooled.settings;
+    set_separation(out, pooled.separation);
     out.first = std::move(first);
     out.member = std::move(member);
     return out;
@@ -276,9 +283,11 @@ std::string_view method_name(Method method) {
 
 Clusters make_clusters(const PathGraph& graph, const ClusterOptions& options, Workspace& workspace) {
     PooledCells pooled = make_cells(Pool(graph, nullptr, options.private_roughness), options, workspace.parts());
+    workspace.n_rays = pooled.separation.n_rays;
     Clusters out;
     out.graph_vertices = graph.n_vertices();
     out.settings = std::move(pooled.settings);
+    set_separation(out, pooled.separation);
     out.first = std::move(pooled.cells.first);
     out.member = std::move(pooled.cells.member);
     return out;
@@ -294,7 +303,7 @@ JointClusters make_joint_clusters(const PathGraph& first, const PathGraph& secon
     if (n >= Splits::no_second) throw std::logic_error("make_joint_clusters: too many vertices");
     Workspace workspace;
     const PooledCells pooled = make_cells(Pool(first, &second, options.private_roughness), options, workspace.parts());
-    return {clusters_within(pooled, 0, n_first), clusters_within(pooled, n_first, n)};
+    return {clusters_within(pooled, 0, n_first), clusters_within(pooled, n_first, n), pooled.separation.n_rays};
 }
 
 std::string plan(const PathGraph& graph, const PathGraph* with, const ClusterOptions& options) {
@@ -303,6 +312,8 @@ std::string plan(const PathGraph& graph, const PathGraph* with, const ClusterOpt
     std::string on = options.method == Method::balanced ? "median splits" : "nearest of random centres", off;
     (options.normal_weight > 0 ? on : off) += options.normal_weight > 0 ? ", normals" : "normals (weight 0)";
     if (with) on += ", cells of two graphs";
+    std::string& visibility = options.scene ? on : off;
+    visibility += std::string(visibility.empty() ? "" : ", ") + (options.scene ? "visibility of members" : "visibility of members (no --scene)");
     if (n_solitary == 0) off += std::string(off.empty() ? "" : ", ") + "solitary vertices (all share)";
     else on += fmt::format(", {} solitary vertices", n_solitary);
     return "on: " + on + "; off: " + (off.empty() ? "nothing" : off);

@@ -2,9 +2,14 @@
 #include <cstdint>
 #include <memory>
 #include <string>
+#include <vector>
 
 #include "formats/clusters.h"
 #include "formats/path_graph.h"
+
+namespace loom {
+struct Scene;
+}
 
 namespace loom::app {
 class Command;
@@ -25,6 +30,8 @@ struct ClusterOptions {
     float private_roughness = 0.03f;  // narrower vertices are in no cluster
     std::uint64_t seed = 0;           // another one moves all borders
     int threads = 0;                  // 0: all
+    const Scene* scene = nullptr;       // that the graph was traced in, for the test of visibility; null: no test
+    const Scene* with_scene = nullptr;  // that of a second graph
 };
 
 /// Working memory, kept from call to call: a second pass then touches no fresh pages.
@@ -34,6 +41,7 @@ class Workspace {
     ~Workspace();
     struct Parts;
     Parts& parts() { return *parts_; }
+    std::uint64_t n_rays = 0;  // that the last call traced
 
   private:
     std::unique_ptr<Parts> parts_;
@@ -44,6 +52,8 @@ class Workspace {
 ///   centres:   N/k random vertices, each other one to its nearest; larger than max_size: split by medians
 /// With a normal weight, no cluster of either method holds two normals 90 degrees or more apart.
 /// Clusters are numbered so that neighbours in number are neighbours in space; members ascend within a cluster.
+/// Members of a cell that lie in different media, or that a surface of the scene hides from one another, are put into
+/// clusters of their own (separate.h), so those can be smaller.
 /// The result depends on graph and options, not on the number of threads. `graph` (the content hash) and the
 /// provenance are left to who knows the file.
 /// needs:   k >= 1, max_size 0 or >= k
@@ -61,13 +71,18 @@ Clusters make_clusters(const PathGraph& graph, const ClusterOptions& options);
 /// needs:   fewer than 2^32 - 1 vertices in both
 struct JointClusters {
     Clusters first, second;
+    std::uint64_t n_rays = 0;  // that were traced for both
 };
 JointClusters make_joint_clusters(const PathGraph& first, const PathGraph& second, const ClusterOptions& options);
 
 struct Options {
-    std::string graph;   // path graph (.h5)
-    std::string output;  // clusters (.h5)
-    std::string with, with_output;  // another graph in the same cells, and its clusters
+    std::vector<std::string> graphs;  // path graphs (.h5)
+    std::string output;  // clusters (.h5); % stands for the name of the graph, without its ending
+    std::vector<std::string> with;  // for each graph another one in the same cells, or none for all
+    std::string with_output;        // their clusters, named as output
+    std::string scene, with_scene;  // scene files that the graphs were traced in
+    std::vector<std::string> defines, with_defines;  // of those scenes, name=value
+    std::string sensor;             // of both scenes, id or number; empty: the first
     ClusterOptions cluster;
     bool plan = false;   // print the plan and stop
 };

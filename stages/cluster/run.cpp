@@ -1,12 +1,17 @@
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <filesystem>
+#include <memory>
 
 #include "formats/io/cost.h"
 #include "formats/io/error.h"
 #include "stages/cluster/cluster.h"
 #include "stages/core/app/command.h"
+#include "stages/core/scene/build.h"
+#include "stages/core/scene/embree.h"
 #include "stages/core/transport/cluster_quality.h"
+#include "stages/core/transport/graph_reader.h"
 
 namespace loom::cluster {
 namespace {
@@ -21,14 +26,164 @@ PathGraph read_graph(const std::string& file) {
     return graph;
 }
 
+std::string output_of(std::string name, const std::string& graph) {
+    const auto at = name.rfind('%');
+    return at == std::string::npos ? name : name.replace(at, 1, std::filesystem::path(graph).stem().string());
+}
+
+void check(const Options& options) {
+    if (options.graphs.empty()) throw InputError("no graph is named; loom-cluster GRAPH -o CLUSTERS, or --help");
+    const bool joint = !options.with.empty();
+    if (joint && options.with.size() != options.graphs.size())
+        throw InputError(fmt::format("--with: {} for {} graphs; one for each", options.with.size(), options.graphs.size()));
+    if (joint == options.with_output.empty() && !(options.plan && joint))
+        throw InputError(joint ? fmt::format("--with {}: needs --with-output", options.with[0]) : fmt::format("--with-output {}: needs --with", options.with_output));
+    if (!options.plan) {
+        if (options.output.empty()) throw InputError("--output: missing (a .h5 file)");
+        std::vector<std::string> outputs;
+        const auto add = [&](const std::string& name, const std::vector<std::string>& graphs) {
+            if (graphs.size() > 1 && name.find('%') == std::string::npos)
+                throw InputError(name + ": several graphs need a % in the name of the output, for the names of the graphs");
+            for (const std::string& graph : graphs) {
+                outputs.push_back(output_of(name, graph));
+                check_output_path(outputs.back());
+            }
+        };
+        add(options.output, options.graphs);
+        add(options.with_output, options.with);
+        std::sort(outputs.begin(), outputs.end());
+        if (const auto twice = std::adjacent_find(outputs.begin(), outputs.end()); twice != outputs.end()) throw InputError(fmt::format("{}: is named twice", *twice));
+    }
+    if (options.scene.empty() && !options.defines.empty()) throw InputError("--define: needs --scene");
+    if (options.with_scene.empty() && !options.with_defines.empty()) throw InputError("--with-define: needs --with-scene");
+    if (joint && options.scene.empty() != options.with_scene.empty())
+        throw InputError("--scene, --with-scene: of two graphs both scenes are needed, or none");
+    if (!joint && !options.with_scene.empty()) throw InputError(fmt::format("--with-scene {}: needs --with", options.with_scene));
+    const ClusterOptions& c = options.cluster;
+    if (c.max_size != 0 && c.max_size < c.k) throw InputError(fmt::format("--max-size {}: smaller than --k {}", c.max_size, c.k));
+}
+
+/// The command that makes the clusters of graph i alone.
+std::string command_of(const Options& options, std::string command, std::size_t i) {
+    if (options.graphs.size() == 1) return command;
+    const auto replace = [&](const std::string& from, const std::string& to) {
+        if (const auto at = command.find(from); at != std::string::npos) command.replace(at, from.size(), to);
+    };
+    const auto leave_one = [&](const std::string& before, const std::vector<std::string>& graphs) {
+        std::string all;
+        for (const std::string& graph : graphs) all += before + std::filesystem::path(graph).filename().string();
+        if (!graphs.empty()) replace(all, before + std::filesystem::path(graphs[i]).filename().string());
+    };
+    leave_one(" ", options.graphs);
+    leave_one(" --with ", options.with);
+    replace(fmt::format(" --seed {}", options.cluster.seed), fmt::format(" --seed {}", options.cluster.seed + i));
+    return command;
+}
+
+/// Makes clusters of one graph, or of two, and writes them.
+class Maker {
+  public:
+    Maker(const Options& options, app::Report& report, const Scene* scene, const Scene* with_scene) : options_(options), report_(report) {
+        settings_ = options.cluster;
+        settings_.scene = scene, settings_.with_scene = with_scene;
+    }
+
+    /// in: loading  this graph's share of what reading the scene has cost
+    void make(std::size_t i, const Cost& loading) {
+        const Cost before = report_.cost();
+        const std::string& file = options_.graphs[i];
+        settings_.seed = options_.cluster.seed + i;
+        command_ = command_of(options_, report_.command(), i);
+        const bool joint = !options_.with.empty();
+        const std::string with_file = joint ? options_.with[i] : std::string();
+        const PathGraph graph = read_graph(file), with = joint ? read_graph(with_file) : PathGraph{};
+        if (settings_.scene) require_scene_of(graph, file, *settings_.scene, options_.scene);
+        if (settings_.with_scene) require_scene_of(with, with_file, *settings_.with_scene, options_.with_scene);
+        if (graph.n_vertices() + with.n_vertices() >= no_cluster)
+            throw InputError(fmt::format("{}, {}: more than {} vertices together; trace fewer samples in a pass", file, with_file, no_cluster));
+        plan_ = plan(graph, joint ? &with : nullptr, settings_);
+        if (options_.plan) {
+            report_.answer(plan_ + "\n");
+            return;
+        }
+        report_.info("plan: {}", plan_);
+        if (!settings_.scene)
+            report_.warn("no --scene: members of a cluster that a wall hides from one another share their light, and an image from them can be wrong");
+        const std::string output = output_of(options_.output, file);
+        const InputId id = identify(file);
+        Cost cost;
+        if (!joint) {
+            Clusters clusters = make_clusters(graph, settings_, workspace_);
+            write(clusters, graph, output, id, {id});
+            cost = report_.cost();
+            cost.rays = workspace_.n_rays;
+            cost.parents = {parent_of(output, file)};
+            report_.done("{}", text_of_done(clusters));
+        } else {
+            const InputId with_id = identify(with_file);
+            const std::string with_output = output_of(options_.with_output, with_file);
+            JointClusters clusters = make_joint_clusters(graph, with, settings_);
+            write(clusters.first, graph, output, id, {id, with_id});
+            write(clusters.second, with, with_output, with_id, {with_id, id});
+            cost = report_.cost();
+            cost.rays = clusters.n_rays;
+            cost.parents = {parent_of(output, file), parent_of(output, with_file)};
+            // What both cost together is counted once, with the first.
+            Cost second;
+            second.stage = report_.name();
+            second.command = cost.command;
+            second.plan = plan_;
+            second.bytes_written = std::filesystem::file_size(with_output);
+            second.parents = {parent_of(with_output, output)};
+            write_cost(second, with_output);
+            report_.done("{}; {}", text_of_done(clusters.first), text_of_done(clusters.second));
+        }
+        cost.wall_s += loading.wall_s - before.wall_s;
+        cost.cpu_s += loading.cpu_s - before.cpu_s;
+        cost.load_s = loading.load_s;
+        cost.plan = plan_;
+        cost.bytes_written = std::filesystem::file_size(output);
+        write_cost(cost, output);
+    }
+
+  private:
+    void write(Clusters& clusters, const PathGraph& of, const std::string& output, const InputId& own, const std::vector<InputId>& inputs) const {
+        clusters.graph = own.hash;
+        clusters.provenance.stage = report_.name();
+        clusters.provenance.command = command_;
+        clusters.provenance.seed = settings_.seed;
+        clusters.provenance.inputs = inputs;
+        clusters.provenance.plan = plan_;
+        write_clusters(clusters, output);
+        report_.info("{}", text_of(cluster_sizes(clusters)));
+        report_.info("{}", text_of(cluster_spread(of, clusters, clusters_to_measure)));
+        if (!clusters.separation.occluded.empty())
+            report_.info("kept apart: {} vertices in another medium, {} hidden by a surface, of {}", clusters.separation.other_media[0], clusters.separation.occluded[0], clusters.n_members());
+    }
+    static std::string text_of_done(const Clusters& clusters) {
+        return fmt::format("{} vertices in {} clusters, {} solitary", clusters.n_members(), clusters.n_clusters(), clusters.graph_vertices - clusters.n_members());
+    }
+
+    const Options& options_;
+    app::Report& report_;
+    ClusterOptions settings_;
+    Workspace workspace_;
+    std::string plan_, command_;
+};
+
 }  // namespace
 
 void declare(app::Command& command, Options& options) {
     ClusterOptions& c = options.cluster;
-    command.file("graph", options.graph, "path graph (.h5)");
-    command.output("-o,--output", options.output, "clusters (.h5)");
-    command.file("--with", options.with, "another path graph, of nearly the same scene, that is put into the same cells; for differences of the two");
-    command.output("--with-output", options.with_output, "its clusters (.h5)");
+    command.files("graphs", options.graphs, "path graphs (.h5), clustered one after the other");
+    command.output("-o,--output", options.output, "clusters (.h5); % stands for the name of the graph without its ending");
+    command.file("--scene", options.scene, "scene file that the graphs were traced in: members that a surface hides from one another are kept apart");
+    command.option("-D,--define", options.defines, "NAME=VALUE of a parameter of that scene");
+    command.option("--sensor", options.sensor, "sensor of that scene, as loom-trace had it");
+    command.files("--with", options.with, "for each graph another one, of nearly the same scene, that is put into the same cells; for differences of the two");
+    command.output("--with-output", options.with_output, "their clusters (.h5), named as those of --output");
+    command.file("--with-scene", options.with_scene, "their scene file");
+    command.option("--with-define", options.with_defines, "NAME=VALUE of a parameter of their scene");
     command.choice("--method", c.method, "median splits, or nearest of random centres",
                    {{"balanced", Method::balanced}, {"centres", Method::centres}});
     command.option("--k", c.k, "balanced: largest cluster; centres: mean size", app::Range<std::uint32_t>{1, 65536});
@@ -37,81 +192,28 @@ void declare(app::Command& command, Options& options) {
                    "distance of normals in cluster radii per unit; 0: positions alone", app::Range<float>{0, 1e6f});
     command.option("--private-roughness", c.private_roughness, "vertices with a smaller microfacet alpha share nothing",
                    app::Range<float>{0, 1});
-    command.option("--seed", c.seed, "another seed moves the borders");
+    command.option("--seed", c.seed, "of the first graph, the next ones count on; another seed moves the borders");
     command.threads(c.threads);
     command.flag("--plan", options.plan, "print what is on and what is off, and stop");
-    command.example("loom-cluster graph.h5 -o clusters.h5 --k 16");
-    command.example("loom-cluster old.h5 --with new.h5 -o old.clusters.h5 --with-output new.clusters.h5");
+    command.example("loom-cluster graph.h5 --scene scene.xml -o clusters.h5 --k 16");
+    command.example("loom-cluster pass-0.h5 pass-1.h5 --scene scene.xml -o %.clusters.h5");
+    command.example("loom-cluster old.h5 --with new.h5 --scene old.xml --with-scene new.xml -o old.clusters.h5 --with-output new.clusters.h5");
 }
 
 void run(const Options& options, app::Report& report) {
-    if (options.graph.empty()) throw InputError("no graph is named; loom-cluster GRAPH -o CLUSTERS, or --help");
-    if (!options.plan) {
-        if (options.output.empty()) throw InputError("--output: missing (a .h5 file)");
-        check_output_path(options.output);
-    }
-    const bool joint = !options.with.empty();
-    if (joint == options.with_output.empty() && !(options.plan && joint))
-        throw InputError(joint ? fmt::format("--with {}: needs --with-output", options.with) : fmt::format("--with-output {}: needs --with", options.with_output));
-    if (joint && !options.plan) {
-        check_output_path(options.with_output);
-        if (options.with_output == options.output) throw InputError(fmt::format("{}: is named twice", options.output));
-    }
-    const ClusterOptions& c = options.cluster;
-    if (c.max_size != 0 && c.max_size < c.k)
-        throw InputError(fmt::format("--max-size {}: smaller than --k {}", c.max_size, c.k));
-    const PathGraph graph = read_graph(options.graph);
-    const PathGraph with = joint ? read_graph(options.with) : PathGraph{};
-    if (graph.n_vertices() + with.n_vertices() >= no_cluster)
-        throw InputError(fmt::format("{}, {}: more than {} vertices together; trace fewer samples in a pass", options.graph, options.with, no_cluster));
-    const std::string planned = plan(graph, joint ? &with : nullptr, c);
-    if (options.plan) {
-        report.answer(planned + "\n");
-        return;
-    }
-    report.info("plan: {}", planned);
-
-    const InputId id = identify(options.graph), with_id = joint ? identify(options.with) : InputId{};
-    const auto write = [&](Clusters& clusters, const PathGraph& of, const std::string& output, const InputId& own, const std::vector<InputId>& inputs) {
-        clusters.graph = own.hash;
-        clusters.provenance.stage = report.name();
-        clusters.provenance.command = report.command();
-        clusters.provenance.seed = c.seed;
-        clusters.provenance.inputs = inputs;
-        clusters.provenance.plan = planned;
-        write_clusters(clusters, output);
-        report.info("{}", text_of(cluster_sizes(clusters)));
-        report.info("{}", text_of(cluster_spread(of, clusters, clusters_to_measure)));
+    check(options);
+    const auto load = [&](const std::string& file, const std::vector<std::string>& defines) {
+        return file.empty() ? nullptr : load_scene(file, parse_defines(defines), options.sensor);
     };
-    const auto done = [&](const Clusters& clusters) {
-        return fmt::format("{} vertices in {} clusters, {} solitary", clusters.n_members(), clusters.n_clusters(), clusters.graph_vertices - clusters.n_members());
-    };
-    Cost cost;
-    if (!joint) {
-        Clusters clusters = make_clusters(graph, c);
-        write(clusters, graph, options.output, id, {id});
-        cost = report.cost();
-        cost.parents = {parent_of(options.output, options.graph)};
-        report.done("{}", done(clusters));
-    } else {
-        JointClusters clusters = make_joint_clusters(graph, with, c);
-        write(clusters.first, graph, options.output, id, {id, with_id});
-        write(clusters.second, with, options.with_output, with_id, {with_id, id});
-        cost = report.cost();
-        cost.parents = {parent_of(options.output, options.graph), parent_of(options.output, options.with)};
-        // What both cost together is counted once, with the first.
-        Cost second;
-        second.stage = report.name();
-        second.command = cost.command;
-        second.plan = planned;
-        second.bytes_written = std::filesystem::file_size(options.with_output);
-        second.parents = {parent_of(options.with_output, options.output)};
-        write_cost(second, options.with_output);
-        report.done("{}; {}", done(clusters.first), done(clusters.second));
-    }
-    cost.plan = planned;
-    cost.bytes_written = std::filesystem::file_size(options.output);
-    write_cost(cost, options.output);
+    const double before_s = report.cost().cpu_s;
+    const auto scene = load(options.scene, options.defines), with_scene = load(options.with_scene, options.with_defines);
+    // What reading the scene has cost, each graph carries a part of.
+    Cost loading = report.cost();
+    const auto n = double(options.graphs.size());
+    loading.load_s = (loading.cpu_s - before_s) / n;
+    loading.wall_s /= n, loading.cpu_s /= n;
+    Maker maker(options, report, scene.get(), with_scene.get());
+    for (std::size_t i = 0; i < options.graphs.size(); ++i) maker.make(i, loading);
 }
 
 }  // namespace loom::cluster

@@ -202,9 +202,7 @@ void run(const Options& options, app::Report& report) {
             const double before_s = report.cost().cpu_s;
             scene = load_scene(options.scene, parse_defines(options.defines), options.sensor);
             load_s = report.cost().cpu_s - before_s;
-            const std::string hash = content_hash_text(scene->content_hash);
-            if (graph.provenance.inputs.empty() || graph.provenance.inputs[0].hash != hash)
-                throw InputError(fmt::format("{}: {} was traced in another scene, or with other -D values", options.scene, options.graph));
+            require_scene_of(graph, options.graph, *scene, options.scene);
         }
         image = gathered_image(graph, radiance, options.gather, options.threads, {&clusters, scene.get(), graph.provenance.seed}, &rays);
     }

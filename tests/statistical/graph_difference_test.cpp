@@ -45,6 +45,7 @@ Image pass_of(const Pair& scenes, std::uint64_t seed, std::uint32_t k, std::uint
     cluster::ClusterOptions options;
     options.k = k;
     options.seed = seed;
+    options.scene = &scenes.before, options.with_scene = &scenes.after;
     const auto joint = cluster::make_joint_clusters(before, after, options);
     gather::GatherOptions gather;
     gather.estimates = true;

@@ -17,6 +17,7 @@ struct Recipe {
     refine::Options refine;
     gather::GatherOptions gather;
     SamplerKind sampler = SamplerKind::independent;
+    bool visibility = true;  // members that a surface hides from one another are kept apart
 };
 
 struct Pass {
@@ -28,7 +29,7 @@ struct Pass {
 /// One graph, with its own random numbers and borders of clusters.
 inline Pass make_pass(const Scene& scene, std::uint64_t seed, const Recipe& recipe) {
     const PathGraph graph = testing::trace_graph(scene, testing::path_options(scene, seed, recipe.sampler), recipe.spp);
-    const Clusters clusters = testing::clusters_of(graph, recipe.k, seed);
+    const Clusters clusters = testing::clusters_of(graph, recipe.k, seed, 0.03f, recipe.visibility ? &scene : nullptr);
     Radiance radiance = testing::radiance_of(graph, clusters, recipe.refine);
     Image image = gather::gathered_image(graph, radiance, recipe.gather, 0, {&clusters, &scene, seed});
     return {std::move(image), gather::path_traced_image(graph, 0), std::move(radiance)};

@@ -1,5 +1,11 @@
 #include "stages/core/transport/graph_reader.h"
 
+#include <fmt/format.h>
+
+#include "formats/io/content_hash.h"
+#include "formats/io/error.h"
+#include "stages/core/scene/scene.h"
+
 namespace loom {
 namespace {
 
@@ -8,6 +14,11 @@ Spectrum rgb(const Column<Half>& column, std::size_t i) {
 }
 
 }  // namespace
+
+void require_scene_of(const PathGraph& graph, const std::string& graph_file, const Scene& scene, const std::string& scene_file) {
+    if (graph.provenance.inputs.empty() || graph.provenance.inputs[0].hash != content_hash_text(scene.content_hash))
+        throw InputError(fmt::format("{}: {} was traced in another scene, or with other -D values", scene_file, graph_file));
+}
 
 GraphReader::GraphReader(const PathGraph& graph) : graph_(graph) {
     const auto& in = graph.materials;

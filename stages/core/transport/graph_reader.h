@@ -1,4 +1,5 @@
 #pragma once
+#include <string>
 #include <vector>
 
 #include "formats/io/octahedral.h"
@@ -6,6 +7,11 @@
 #include "stages/core/transport/shading.h"
 
 namespace loom {
+
+struct Scene;
+
+/// throws: InputError when the graph was traced in another scene, or with other values of its parameters
+void require_scene_of(const PathGraph& graph, const std::string& graph_file, const Scene& scene, const std::string& scene_file);
 
 /// Row i of a column of colours.
 inline Spectrum rgb(const Column<float>& column, std::size_t i) {

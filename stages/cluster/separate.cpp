@@ -1,0 +1,175 @@
+#include "stages/cluster/separate.h"
+
+#include <algorithm>
+#include <bit>
+#include <cmath>
+#include <memory>
+
+#include "stages/core/scattering/bsdf_model.h"
+#include "stages/core/scene/embree.h"
+#include "stages/core/scene/scene.h"
+#include "stages/core/transport/graph_reader.h"
+#include "stages/core/transport/parallel.h"
+
+namespace loom::cluster {
+namespace {
+
+constexpr std::uint64_t cells_per_chunk = 512;
+/// A segment between members is raised by this part of its length.
+constexpr float raise = 0.1f;
+/// Planes closer than this part of the distance between two members are one plane: half floats and 16-bit normals are no finer.
+constexpr float one_plane = 1e-3f;
+
+struct Place {
+    Point3f p;
+    Normal3f n;  // geometric, on the side of wo
+};
+
+Place place_of(const PathGraph& g, std::size_t j) {
+    const auto& v = g.vertices;
+    Normal3f n = unit_vector<Normal3f>(v.ng.empty() ? v.ns : v.ng, j);
+    if (dot(n, Vector3f{v.wo[3 * j], v.wo[3 * j + 1], v.wo[3 * j + 2]}) < 0) n = -n;
+    return {{v.p[3 * j], v.p[3 * j + 1], v.p[3 * j + 2]}, n};
+}
+
+/// Indices of refraction on the side of wo and, at surfaces that transmit, across; equal keys may share.
+std::uint64_t media_key(const PathGraph& g, std::size_t j) {
+    const auto& v = g.vertices;
+    if (v.eta.empty()) return 0;
+    const auto bits = [](float x) { return std::uint64_t{std::bit_cast<std::uint32_t>(x)}; };
+    const std::size_t m = v.material[j];
+    if (BsdfKind(g.materials.kind[m]) != BsdfKind::rough_dielectric) return bits(v.eta[j]) << 32;
+    const Normal3f n = unit_vector<Normal3f>(v.ns, j);
+    const bool outside = dot(n, Vector3f{v.wo[3 * j], v.wo[3 * j + 1], v.wo[3 * j + 2]}) >= 0;
+    return bits(v.eta[j]) << 32 | bits(outside ? g.materials.int_ior[m] : g.materials.ext_ior[m]);
+}
+
+/// The segment between two members, raised off their surface; see separate().
+Ray segment(const Place& a, const Place& b) {
+    const Vector3f d = b.p - a.p;
+    const float distance = length(d);
+    const float plane_offset = 0.5f * std::abs(dot(a.n, d) + dot(b.n, d)), turn = length(Vector3f(b.n) - Vector3f(a.n));
+    float height = raise * distance;
+    if (plane_offset > one_plane * distance) height = std::clamp(0.25f * plane_offset, std::min(0.25f * turn * distance, height), height);
+    const Point3f from = a.p + Vector3f(a.n) * height, to = b.p + Vector3f(b.n) * height;
+    const Vector3f along = to - from;
+    const float l = length(along);
+    return {from, along / l, 0, l};
+}
+
+/// Working memory of one thread.
+struct Group {
+    std::vector<std::uint32_t> members, rest;
+    std::vector<Place> places;
+    std::vector<Ray> rays;
+    std::vector<const Ray*> pointers[2];
+    std::vector<std::uint32_t> whose[2];
+    std::unique_ptr<bool[]> blocked;
+    std::vector<std::uint8_t> hidden;
+};
+
+class Separator {
+  public:
+    Separator(const Pool& pool, const RayEngine* first, const RayEngine* second) : pool_(pool), engines_{first, second} {}
+
+    /// Appends groups of one cell to `out`, their sizes to `sizes`.
+    void cut(std::span<const std::uint32_t> cell, Group& w, std::vector<std::uint32_t>& out, std::vector<std::uint32_t>& sizes, Separation& count) const {
+        w.rest.assign(cell.begin(), cell.end());
+        while (!w.rest.empty()) {
+            w.members.swap(w.rest);
+            w.rest.clear();
+            keep_one_medium(w, count);
+            if (engines_[0]) keep_visible(w, count);
+            sizes.push_back(std::uint32_t(w.members.size()));
+            out.insert(out.end(), w.members.begin(), w.members.end());
+        }
+    }
+
+  private:
+    void keep_one_medium(Group& w, Separation& count) const {
+        const auto key = [&](std::uint32_t vertex) {
+            const auto [graph, row] = pool_[vertex];
+            return media_key(graph, row);
+        };
+        const std::uint64_t kept = key(w.members[0]);
+        const auto other = std::stable_partition(w.members.begin(), w.members.end(), [&](std::uint32_t v) { return key(v) == kept; });
+        count.n_media += std::uint64_t(w.members.end() - other);
+        w.rest.assign(other, w.members.end());
+        w.members.erase(other, w.members.end());
+    }
+
+    void keep_visible(Group& w, Separation& count) const {
+        const std::size_t n = w.members.size();
+        if (n < 2) return;
+        w.places.clear();
+        Vector3f sum{};
+        for (const std::uint32_t vertex : w.members) {
+            const auto [graph, row] = pool_[vertex];
+            w.places.push_back(place_of(graph, row));
+            sum = sum + (w.places.back().p - w.places[0].p);
+        }
+        const Point3f centroid = w.places[0].p + sum * (1 / float(n));
+        std::size_t middle = 0;
+        for (std::size_t i = 1; i < n; ++i)
+            if (length2(w.places[i].p - centroid) < length2(w.places[middle].p - centroid)) middle = i;
+
+        w.rays.resize(n);
+        for (int e = 0; e < 2; ++e) w.pointers[e].clear(), w.whose[e].clear();
+        for (std::size_t i = 0; i < n; ++i) {
+            w.rays[i] = segment(w.places[i], w.places[middle]);
+            if (i == middle || !(w.rays[i].t_max > 0)) continue;  // at one point
+            const int e = w.members[i] < pool_.n_first() ? 0 : 1;
+            w.pointers[e].push_back(&w.rays[i]);
+            w.whose[e].push_back(std::uint32_t(i));
+        }
+        w.hidden.assign(n, 0);
+        w.blocked = std::make_unique<bool[]>(n);
+        for (int e = 0; e < 2; ++e) {
+            if (w.pointers[e].empty()) continue;
+            engines_[e]->occluded(w.pointers[e].data(), w.pointers[e].size(), w.blocked.get());
+            count.n_rays += w.pointers[e].size();
+            for (std::size_t i = 0; i < w.whose[e].size(); ++i) w.hidden[w.whose[e][i]] = w.blocked[i];
+        }
+        std::size_t kept = 0;
+        const std::size_t n_before = w.rest.size();
+        for (std::size_t i = 0; i < n; ++i) {
+            if (w.hidden[i]) w.rest.push_back(w.members[i]);
+            else w.members[kept++] = w.members[i];
+        }
+        count.n_occluded += w.rest.size() - n_before;
+        w.members.resize(kept);
+    }
+
+    const Pool& pool_;
+    const RayEngine* engines_[2];
+};
+
+}  // namespace
+
+Separation separate(const Pool& pool, const RayEngine* first, const RayEngine* second, int threads, Cells& cells) {
+    const std::size_t n_cells = cells.first.empty() ? 0 : cells.first.size() - 1;
+    const Separator separator(pool, first, second);
+    const std::uint64_t n_chunks = (n_cells + cells_per_chunk - 1) / cells_per_chunk;
+    std::vector<std::vector<std::uint32_t>> sizes(n_chunks);
+    std::vector<Separation> counts(n_chunks);
+    parallel_chunks(n_cells, cells_per_chunk, threads, [&](std::uint64_t chunk, std::uint64_t begin, std::uint64_t end) {
+        Group group;
+        std::vector<std::uint32_t> out;
+        out.reserve(cells.first[end] - cells.first[begin]);
+        for (std::uint64_t c = begin; c < end; ++c)
+            separator.cut(std::span(cells.member).subspan(cells.first[c], cells.first[c + 1] - cells.first[c]), group, out, sizes[chunk], counts[chunk]);
+        std::copy(out.begin(), out.end(), cells.member.begin() + cells.first[begin]);
+    });
+    cells.first.assign(1, 0);
+    for (const auto& of_chunk : sizes)
+        for (const std::uint32_t size : of_chunk) cells.first.push_back(cells.first.back() + size);
+    Separation sum{.tested_visibility = first != nullptr};
+    for (const Separation& c : counts) {
+        sum.n_rays += c.n_rays;
+        sum.n_media += c.n_media;
+        sum.n_occluded += c.n_occluded;
+    }
+    return sum;
+}
+
+}  // namespace loom::cluster
