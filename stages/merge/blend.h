@@ -26,10 +26,12 @@ bool has_estimates(const Image& image);
 /// in:      part   reads part i; called twice for each, so that memory does not grow with their number
 ///          direct  emission and direct light of independent samples, with VarMean: then A for direct light in place of
 ///                  the parts' own samples, since many such samples cost as much as few whole paths   PG figure 10
+///          test_bias  false for differences of images: the test bounds the noise of light, which is not negative
 /// needs:   at least min_blend_parts parts of one size with estimates
 /// out:     R, G, B with VarMean over parts; layers that all parts have, without the estimates; Blend.Direct,
-///          Blend.Own and Blend.Path, the mean weights t
-Image blend_images(std::size_t n_parts, const std::function<Image(std::size_t)>& part, const Image* direct = nullptr);
+///          Blend.Own and Blend.Path, the mean weights t, and Blend.Distrust, the share of the parts in which a test of
+///          bias refused the blend of direct or of indirect light
+Image blend_images(std::size_t n_parts, const std::function<Image(std::size_t)>& part, const Image* direct = nullptr, bool test_bias = true);
 
 /// How many samples of direct light alone the parts' blend should be given.
 struct DirectPlan {

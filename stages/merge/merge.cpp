@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <filesystem>
+#include <numeric>
 
 #include "formats/io/cost.h"
 #include "formats/io/error.h"
@@ -13,6 +14,9 @@
 
 namespace loom::merge {
 namespace {
+
+/// From this share of the pixels on, a blend that the test of bias refused is a warning.
+constexpr double distrust_to_warn = 0.01;
 
 constexpr std::string_view variance_layer = "VarMean.";
 
@@ -252,13 +256,19 @@ void run(const Options& options, app::Report& report) {
             return image;
         };
         merged = two_levels ? two_level_image(options.parts.size(), options.unbiased, part)
-                 : blend    ? blend_images(options.parts.size(), part, options.direct.empty() ? nullptr : &direct)
+                 : blend    ? blend_images(options.parts.size(), part, options.direct.empty() ? nullptr : &direct, !differences)
                             : average_images(options.parts.size(), part);
     } else {
         std::vector<Image> parts{first};
         for (std::size_t i = 1; i < options.parts.size(); ++i) parts.push_back(read_part(i));
         merged = merge_images(parts, options.parts);
         if (differences) report.warn("{}: one difference does not know its noise, so there is no VarMean; give two or more", options.output);
+    }
+    if (const auto distrust = merged.find("Blend.Distrust"); !distrust.empty()) {
+        const double share = std::accumulate(distrust.begin(), distrust.end(), 0.0) / double(distrust.size());
+        const std::string text = fmt::format("clusters are not trusted in {:.2f} % of the pixels (layer Blend.Distrust): the paths alone are taken there", 100 * share);
+        if (share >= distrust_to_warn) report.warn("{}", text);
+        else report.info("{}", text);
     }
     const std::string why = two_levels ? fmt::format("on: {} parts, corrected by what the paths of {} say; off: blend", options.parts.size(), options.unbiased)
                             : blend ? fmt::format("on: blend with the paths' own estimates; off: {}", options.direct.empty() ? "further direct light (none given)" : "nothing")

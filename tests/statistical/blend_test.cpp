@@ -92,6 +92,47 @@ TEST(Blend, DoesNotTakeRareLightForBias) {
     EXPECT_NEAR(mean, 1, 0.01);
 }
 
+/// What the blend makes of clusters that are `bias` too bright where one in `rare` pixels of a part is hit by all the light, so that
+/// its noise hides much: mean of the blend, and the share of pixels in which the test of bias refused it.
+struct Guarded {
+    double mean = 0, refused = 0;
+};
+Guarded guarded(double bias, int rare, std::mt19937_64& random, bool test_bias = true) {
+    std::bernoulli_distribution found(1.0 / rare);
+    std::vector<Image> parts;
+    for (int i = 0; i < 4; ++i) {
+        Image part = noise_part(96, random, 0, true);
+        std::vector<float> path(3 * part.n_pixels()), shared = part.interleaved("IndirectCluster");
+        for (std::size_t p = 0; p < path.size(); p += 3) path[p] = path[p + 1] = path[p + 2] = found(random) ? float(rare) : 0.0f;
+        for (float& value : shared) value *= float(1 + bias);
+        part.set_layer("IndirectPath", "RGB", path);
+        part.set_layer("IndirectOwn", "RGB", shared);
+        part.set_layer("IndirectCluster", "RGB", shared);
+        parts.push_back(std::move(part));
+    }
+    const Image blend = merge::blend_images(4, [&](std::size_t i) { return parts[i]; }, nullptr, test_bias);
+    return {mean_of(blend), mean_of(blend, "Blend.Distrust")};
+}
+
+// Bias that is left is no larger than what the test finds for sure, 0.33 sqrt(v / f), and a quarter, which the noise of the blend hides,
+// whatever the bias of the clusters; where there is none, refusals are rare.
+TEST(Blend, LeavesNoBiasThatNoiseDoesNotExplain) {
+    std::mt19937_64 random(21);
+    double refused = 0;
+    for (const int rare : {2, 10, 50, 200}) {
+        const double found = 0.33 * std::sqrt(rare - 1);
+        for (const double bias : {0.0, -0.5, found / 2, found, 2 * found, 28.0}) {
+            const Guarded g = guarded(bias, rare, random);
+            std::printf("    one in %d, clusters off by %+.2f: blend by %+.3f (found for sure: %.2f), refused in %.4f\n", rare, bias, g.mean - 1, found, g.refused);
+            EXPECT_LT(std::abs(g.mean - 1), 1.25 * found);
+            if (bias == 0) EXPECT_LT(g.refused, 0.002);
+            refused += g.refused;
+        }
+    }
+    EXPECT_GT(refused, 0.1);
+    EXPECT_EQ(guarded(-0.5, 2, random, false).refused, 0);
+}
+
 /// Direct light by itself: each pixel the mean of n exponential numbers around 1, with their variance.
 Image direct_noise(std::uint32_t size, int n, std::mt19937_64& random) {
     Image image;
