@@ -160,6 +160,22 @@ void declare(app::Command& command, Options& options) {
     command.example("loom-trace scenes/cornell-box.xml --spp 4 -o graph.h5");
 }
 
+namespace {
+
+/// What the camera stands in.
+std::string camera_medium(const Scene& scene) {
+    if (scene.sensor_media.varies) return "camera in media that differ from ray to ray";
+    const MediumStack& media = scene.sensor_media.everywhere;
+    std::string shapes;
+    for (const MediumStack::Entry& entry : media.entries()) {
+        const std::string& id = scene.shapes[entry.shape].id;
+        shapes += fmt::format("{}shape {}", shapes.empty() ? "" : " and ", id.empty() ? fmt::format("number {}", entry.shape + 1) : "'" + id + "'");
+    }
+    return fmt::format("camera {}(index {:.4g})", shapes.empty() ? "in a medium " : "inside of " + shapes + " ", media.index());
+}
+
+}  // namespace
+
 std::string plan(const Scene& scene, const PathOptions& path, bool graph) {
     const SceneFeatures& f = scene.features;
     std::string on, off;
@@ -183,6 +199,7 @@ std::string plan(const Scene& scene, const PathOptions& path, bool graph) {
         say(f.textured_alpha, "roughness column", " (no texture)");
         say(f.textured_opacity, "opacity column", " (no texture)");
         say(f.dielectric, "index of refraction", " (no dielectric)");
+        if (!scene.sensor_media.vacuum) say(true, camera_medium(scene).c_str(), "");
     }
     return "on: " + on + "; off: " + (off.empty() ? "nothing" : off);
 }

@@ -1,9 +1,11 @@
 // The index of refraction along a path, worked out by hand. Breaks that were watched to fail: leaving pops the
 // innermost entry whatever the shape; the outside of the first surface is not kept.
 
-#include "stages/core/transport/media.h"
+#include "stages/core/scene/media.h"
 
 #include <gtest/gtest.h>
+
+#include "tests/traced_graph.h"
 
 namespace loom::test {
 namespace {
@@ -54,12 +56,75 @@ TEST(MediumStack, APathThatBeginsInsideLearnsTheOutsideWhenItLeaves) {
     EXPECT_EQ(media.index(), 1.01f);
 }
 
+TEST(MediumStack, AnObjectMadeOfTwoShapesIsLeftByEither) {
+    MediumStack media;  // front and back of a pane; a bottle whose inside is another mesh
+    EXPECT_TRUE(media.cross(1, true, 1.5f, 1.0f));
+    EXPECT_TRUE(media.cross(2, false, 1.5f, 1.0f));
+    EXPECT_EQ(media.index(), 1.0f);
+    EXPECT_FALSE(media.cross(2, false, 1.5f, 1.0f));
+}
+
 TEST(MediumStack, ShapesCrossedWithoutTheirOppositeDoNoHarm) {
     MediumStack media;  // open surfaces: entered again and again, deeper than the stack is high
     for (std::uint32_t shape = 0; shape < 40; ++shape) media.cross(shape, true, 1.5f, 1.0f);
     EXPECT_EQ(media.index(), 1.5f);
     for (std::uint32_t shape = 0; shape < 40; ++shape) media.cross(shape, false, 1.5f, 1.0f);
     EXPECT_EQ(media.index(), 1.0f);
+}
+
+std::string dielectric(const char* shape, double int_ior, double ext_ior = 1) {
+    return fmt::format(R"(<shape {}<bsdf type="dielectric"><float name="int_ior" value="{}"/><float name="ext_ior" value="{}"/></bsdf></shape>)", shape, int_ior, ext_ior);
+}
+constexpr const char* ball = R"(type="sphere">)";
+constexpr const char* box = R"(type="cube"><transform name="to_world"><scale value="5"/></transform>)";
+constexpr const char* surface = R"(type="rectangle"><transform name="to_world"><scale value="20"/></transform>)";  // of water, in z = 0
+constexpr const char* tiles = R"(<shape type="cube"><transform name="to_world"><scale value="1"/></transform><boolean name="flip_normals" value="true"/></shape>)";
+constexpr const char* basement = R"(<shape type="cube"><transform name="to_world"><scale value="1"/><translate z="-3"/></transform></shape>)";
+
+/// Index at a point of a scene of these shapes.
+float index_at(const std::string& body, const Point3f& p) {
+    return media_at(*testing::load_inline({.sensor = R"(type="perspective">)", .body = body}), p).index();
+}
+
+TEST(MediaAt, InsideOfAClosedShape) {
+    EXPECT_EQ(index_at(dielectric(ball, 1.5), {0.3f, 0.1f, -0.9f}), 1.5f);
+    EXPECT_EQ(index_at(dielectric(ball, 1.5), {0.8f, 0.8f, 0}), 1.0f);
+    EXPECT_EQ(index_at(dielectric(box, 1.25), {4.99f, 0, 0}), 1.25f);
+}
+
+TEST(MediaAt, NestedShapesCountFromOutsideIn) {
+    const std::string both = dielectric(ball, 1.5, 1.25) + dielectric(box, 1.25);
+    const auto scene = testing::load_inline({.sensor = R"(type="perspective">)", .body = both});
+    MediumStack media = media_at(*scene, {0, 0.2f, 0});
+    ASSERT_EQ(media.entries().size(), 2u);
+    EXPECT_EQ(media.entries()[0].shape, 1u);
+    EXPECT_EQ(media.index(), 1.5f);
+    media.cross(0, false, 1.5f, 1.25f);
+    EXPECT_EQ(media.index(), 1.25f);
+    EXPECT_EQ(media_at(*scene, {3, 0, 0}).index(), 1.25f);
+    EXPECT_EQ(media_at(*scene, {6, 0, 0}).index(), 1.0f);
+}
+
+TEST(MediaAt, AnOpenSurfaceHasItsInsideBehindIt) {
+    EXPECT_EQ(index_at(dielectric(surface, 1.25), {1, 2, -0.5f}), 1.25f);
+    EXPECT_EQ(index_at(dielectric(surface, 1.25), {1, 2, 0.5f}), 1.0f);
+}
+
+TEST(MediaAt, AnOpaqueWallEndsWhatIsSeen) {
+    // A pool that is tiled within the water sees it through its open side alone; a dry basement does not see the lake above.
+    EXPECT_EQ(index_at(dielectric(surface, 1.25) + basement, {0, 0, -3}), 1.0f);
+    EXPECT_EQ(index_at(dielectric(box, 1.25) + tiles, {0, 0, 3}), 1.25f);
+}
+
+TEST(MediaAt, OutsideOfEverythingTheFirstSurfaceTells) {
+    EXPECT_EQ(index_at(dielectric(ball, 1.5, 1.25), {0, 0, 3}), 1.25f);
+    EXPECT_EQ(index_at("", {0, 0, 3}), 1.0f);
+}
+
+TEST(MediaAt, APaneOfTwoShapesSeenFromBothSides) {
+    const std::string pane = dielectric(R"(type="rectangle"><transform name="to_world"><translate z="0.01"/></transform>)", 1.5) +
+                             dielectric(R"(type="rectangle"><transform name="to_world"><rotate x="1" angle="180"/><translate z="-0.01"/></transform>)", 1.5);
+    for (const float z : {-2.0f, 2.0f}) EXPECT_EQ(index_at(pane, {0, 0, z}), 1.0f);
 }
 
 }  // namespace

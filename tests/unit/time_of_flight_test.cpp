@@ -109,6 +109,42 @@ TEST(TimeOfFlight, OneBounceIsInTheBinWorkedOutByHand) {
     EXPECT_NEAR(cube.bin(0, 80), 0.8 / pi_double * 0.8 / 25, 1e-6);
 }
 
+/// Camera at the origin, looking down.
+constexpr const char* pinhole = R"(type="perspective"><float name="fov" value="0.2"/><transform name="to_world"><lookat origin="0,0,0" target="0,0,-1" up="0,1,0"/></transform>)";
+
+std::string glass_ball(double int_ior, double ext_ior = 1) {
+    return fmt::format(R"(<shape type="sphere"><bsdf type="dielectric"><float name="int_ior" value="{}"/><float name="ext_ior" value="{}"/></bsdf></shape>)", int_ior, ext_ior);
+}
+
+TEST(TimeOfFlight, ACameraInsideOfGlassCountsItsFirstSegmentByTheGlass) {
+    const std::string body = glass_ball(1.5) + plate(-3, shining);
+    EXPECT_EQ(cube_of(graph_of(pinhole, body, 4, 2), bins(100, -0.05, 0.1)).only_bin(), 35u);  // 1.5 * 1 + 2
+    // An orthographic sensor of which only a part is inside.
+    const PathGraph graph = graph_of(looking_down(0, 2), body, 8, 2, 64);
+    ASSERT_FALSE(graph.vertices.eta.empty());
+    std::size_t inside = 0;
+    for (std::size_t path = 0; path + 1 < graph.paths.first_vertex.size(); ++path) {
+        const float* o = graph.paths.origin.data() + 3 * path;
+        const bool in_ball = o[0] * o[0] + o[1] * o[1] < 1;
+        inside += in_ball;
+        EXPECT_EQ(graph.vertices.eta[graph.paths.first_vertex[path]], in_ball ? 1.5f : 1.0f) << o[0] << " " << o[1];
+    }
+    EXPECT_GT(inside, 100u);
+}
+
+TEST(TimeOfFlight, CameraAndLightUnderWater) {
+    // 4 m to the floor and 5 m to the bulb, under an open surface of water.
+    const std::string floor = plate(-4, white), bulb = R"(<emitter type="point"><point name="position" x="3" y="0" z="0"/></emitter>)";
+    const std::string water = R"(<shape type="rectangle"><transform name="to_world"><scale value="50"/><translate z="0.5"/></transform>
+<bsdf type="dielectric"><float name="int_ior" value="1.25"/></bsdf></shape>)";
+    EXPECT_EQ(cube_of(graph_of(pinhole, floor + bulb + water, 4, 2), bins(200, 0, 0.1)).only_bin(), 112u);  // 1.25 * (4 + 5)
+    // In a ball of glass in a box of water.
+    const std::string immersed = glass_ball(1.5, 1.25) + glass_box(0, 6, 1.25) + plate(-4, shining);
+    EXPECT_EQ(cube_of(graph_of(pinhole, immersed, 4, 2), bins(200, 0, 0.1)).only_bin(), 52u);  // 1.5 * 1 + 1.25 * 3
+    // A scene that lies in water without a surface.
+    EXPECT_EQ(cube_of(graph_of(looking_down(3, 1e-4), plate(-2, shining) + glass_ball(1.5, 1.25), 4, 3), bins(200, 0, 0.1)).only_bin(), 67u);  // 1.25 * 2 + 1.5 * 2 + 1.25 * 1
+}
+
 TEST(TimeOfFlight, DirectlySeenLampArrivesAfterItsDistance) {
     const Cube cube = cube_of(graph_of(looking_down(3, 1), plate(0.25, shining)), bins(100, 0, 0.1));
     EXPECT_EQ(cube.only_bin(), 27u);

@@ -454,6 +454,7 @@ std::unique_ptr<Scene> build_scene(SceneDescription description) {
     scene->rays = scene->camera_rays = std::make_shared<RayEngine>(scene->shapes);
     const bool has_area_lights = std::any_of(scene->shapes.begin(), scene->shapes.end(), [](const Shape& s) { return s.emitter >= 0; });
     if (scene->hides_emitters && has_area_lights) scene->camera_rays = std::make_shared<RayEngine>(scene->shapes, RayEngine::Use::camera_rays);
+    scene->sensor_media = find_sensor_media(*scene);
     if (const ObjectPtr o = root.child(Category::integrator); o && o->plugin == "transient_nlos_path")
         build_nlos(root, relay_wall < 0 ? nullptr : shapes[std::size_t(relay_wall)].get(), std::uint32_t(relay_wall), *scene);
 

@@ -13,6 +13,7 @@
 #include "stages/core/math/vector.h"
 #include "stages/core/scattering/bsdf.h"
 #include "stages/core/scene/emitter.h"
+#include "stages/core/scene/media.h"
 #include "stages/core/scene/mesh.h"
 #include "stages/core/scene/ray.h"
 #include "stages/core/scene/sensor.h"
@@ -135,6 +136,7 @@ struct Scene {
     int environment = -1;  // index of the emitter that shines from infinity all around
     std::shared_ptr<const NlosCapture> nlos;  // of a capture around a corner; null for any other scene
     SceneFeatures features;
+    SensorMedia sensor_media;
     Point3f center;
     float radius = 1;  // bounding sphere of all shapes
     std::uint64_t content_hash = 0;           // of the scene file, its overrides and all it refers to

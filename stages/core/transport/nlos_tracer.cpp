@@ -1,7 +1,7 @@
 #include "stages/core/transport/nlos_tracer.h"
 
 #include "stages/core/scene/nlos.h"
-#include "stages/core/transport/media.h"
+#include "stages/core/scene/media.h"
 #include "stages/core/transport/path_step.h"
 
 namespace loom {
@@ -18,7 +18,7 @@ class NlosPath {
   public:
     NlosPath(const Scene& scene, const PathOptions& options, PathId id)
         : scene_(scene), options_(options), capture_(*scene.nlos), laser_(capture_.laser_points[capture_.laser_point(id.pixel)]),
-          projector_(scene.emitters[0]), sampler_(options.sampler, options.seed, id.pixel, id.sample) {
+          projector_(scene.emitters[0]), sampler_(options.sampler, options.seed, id.pixel, id.sample), media_(scene.sensor_media.everywhere) {
         if (capture_.relay_wall == NlosCapture::no_wall) {
             const std::uint64_t width = scene.sensor.width;
             ray_ = scene.sensor.sample_ray(std::uint32_t(id.pixel % width), std::uint32_t(id.pixel / width), sampler_.pair(film_pair));
@@ -146,7 +146,7 @@ class NlosPath {
         }
         if (s.lobe == Lobe::delta_transmission || s.lobe == Lobe::glossy_transmission) {
             eta_scale_ *= sqr(s.eta);
-            if (scene_.features.dielectric && model.kind != BsdfKind::thin_dielectric) media_.cross(at.shape, s.wi.z < 0, model.int_ior, model.ext_ior);
+            if (is_interface(model)) media_.cross(at.shape, s.wi.z < 0, model.int_ior, model.ext_ior);
         }
         if constexpr (recording) {
             record.last().lobe = s.lobe;
@@ -182,11 +182,7 @@ class NlosPath {
             edge.n = normal_code(light.n);
             edge.Li = light.Li;
             edge.pdf_nee_w = 1;
-            MediumStack beyond = media_;
-            const float side = dot(here.n_side, light.wi);
-            if (scene_.features.dielectric && side * dot(here.n_side, here.wo) < 0)
-                beyond.cross(at.shape, side < 0, here.bsdf.model->int_ior, here.bsdf.model->ext_ior);
-            edge.eta = beyond.index();
+            edge.eta = index_towards(media_, here, at.shape, light.wi);
             record.add(edge);
         }
     }

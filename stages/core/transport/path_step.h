@@ -4,7 +4,7 @@
 
 #include <type_traits>
 
-#include "stages/core/transport/media.h"
+#include "stages/core/scene/media.h"
 #include "stages/core/transport/path_tracer.h"
 
 namespace loom {
@@ -33,7 +33,9 @@ struct alignas(64) PathState {
     PathState(const Scene& scene, const Sampler& numbers, PathId id, Point2f u_film)
         : ray(scene.sensor.sample_ray(std::uint32_t(id.pixel % scene.sensor.width),
                                       std::uint32_t(id.pixel / scene.sensor.width), u_film)),
-          sampler(numbers) {}
+          sampler(numbers) {
+        if (!scene.sensor_media.vacuum) media = scene.sensor_media.at(scene, ray.o);
+    }
     /// One that others will say how it began.
     explicit PathState(const Sampler& numbers) : sampler(numbers) {}
 
@@ -62,6 +64,16 @@ inline ShadingPoint shading_point(const Scene& scene, const SurfacePoint& at, co
     here.perturbed = at.perturbed;
     here.bsdf = scene.bsdf(at);
     return here;
+}
+
+/// Index of the medium from a vertex towards wi. in: media  of the segment that arrives there
+inline float index_towards(const MediumStack& media, const ShadingPoint& here, std::uint32_t shape, const Vector3f& wi) {
+    const BsdfModel& model = *here.bsdf.model;
+    const float side = dot(here.n_side, wi);
+    if (!is_interface(model) || side * dot(here.n_side, here.wo) >= 0) return media.index();
+    MediumStack beyond = media;
+    beyond.cross(shape, side < 0, model.int_ior, model.ext_ior);
+    return beyond.index();
 }
 
 /// The visibility that next-event estimation waits for, and what it is worth.
@@ -131,11 +143,7 @@ bool sample_next_event(const Scene& scene, const PathState& path, const ShadingP
         edge.pdf_nee_w = light.pdf_w;
         edge.pdf_bsdf_w = pdf_bsdf;
         edge.emitter = light.emitter;
-        MediumStack beyond = path.media;
-        const float side = dot(here.n_side, light.wi);
-        if (scene.features.dielectric && side * dot(here.n_side, here.wo) < 0)
-            beyond.cross(shape, side < 0, here.bsdf.model->int_ior, here.bsdf.model->ext_ior);
-        edge.eta = beyond.index();
+        edge.eta = index_towards(path.media, here, shape, light.wi);
     }
     return true;
 }
@@ -257,8 +265,7 @@ template <bool recording>
     path.beta *= s.weight * (1 / q);
     if (s.lobe == Lobe::delta_transmission || s.lobe == Lobe::glossy_transmission) {
         path.eta_scale *= sqr(s.eta);
-        if (scene.features.dielectric && model.kind != BsdfKind::thin_dielectric)
-            path.media.cross(shape, s.wi.z < 0, model.int_ior, model.ext_ior);
+        if (is_interface(model)) path.media.cross(shape, s.wi.z < 0, model.int_ior, model.ext_ior);
     }
     path.ray = spawn_ray(here.end(), wi);
     if constexpr (recording) {

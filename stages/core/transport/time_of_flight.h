@@ -45,7 +45,8 @@ class OpticalLengths {
     double to_vertex(std::size_t j, const Point3<double>& from) const {
         return index_of(graph_.vertices.eta, j) * length(position(graph_, j) - from);
     }
-    /// Along light edge k from a point, and on to where the light starts if that is elsewhere (a lit spot).
+    /// Along light edge k from a point, and on to where the light starts if that is elsewhere (a lit spot, which reflects: the
+    /// laser is in the medium of the edge).
     double to_light(std::size_t k, const Point3<double>& from) const {
         const auto& e = graph_.light_edges;
         const float* y = e.y.data() + 4 * k;
@@ -55,7 +56,7 @@ class OpticalLengths {
         double sum = lit_spot || laser_segment_ ? index_of(e.eta, k) * length(light - from) : 0;
         if (lit_spot && laser_segment_) {
             const float* p = graph_.emitters.position.data() + 3 * e.emitter[k];
-            sum += length(Point3<double>{p[0], p[1], p[2]} - light);
+            sum += index_of(e.eta, k) * length(Point3<double>{p[0], p[1], p[2]} - light);
         }
         return sum;
     }
