@@ -24,7 +24,7 @@ Attributes of the root, and text attributes in the header of an EXR file:
 | attribute | what it is |
 |---|---|
 | `filetype` | name of the format |
-| `version` | [major, minor]; readers take any minor of their major (in EXR files "major.minor") |
+| `version` | [major, minor]; readers take any minor of their major and of older ones (in EXR files "major.minor") |
 | `producer` | stage, release and commit |
 | `command` | options as resolved, defaults included |
 | `seed` | seed of the random numbers |

@@ -169,20 +169,42 @@ std::string bad_capture(const PathGraph& g) {
 /// A parameter that some material leaves to its vertices must be there.
 std::string missing_parameter(const PathGraph& g) {
     const auto& x = g.vertices;
-    const std::array<std::pair<std::string_view, const Column<Half>*>, 5> columns{
-        {{"vertices/diffuse", &x.diffuse},
-         {"vertices/specular", &x.specular},
-         {"vertices/transmittance", &x.transmittance},
-         {"vertices/alpha", &x.alpha},
-         {"vertices/opacity", &x.opacity}}};  // in the order of the bits of textured_parameter
+    const std::array<std::pair<std::string_view, bool>, 7> columns{
+        {{"vertices/diffuse", x.diffuse.empty()},
+         {"vertices/specular", x.specular.empty()},
+         {"vertices/transmittance", x.transmittance.empty()},
+         {"vertices/alpha", x.alpha.empty()},
+         {"vertices/opacity", x.opacity.empty()},
+         {"vertices/exponent", x.exponent.empty()},
+         {"vertices/eta_c or vertices/k_c", x.eta_c.empty() || x.k_c.empty()}}};  // in the order of the bits of textured_parameter
     for (std::size_t row = 0; g.n_vertices() > 0 && row < g.materials.textured.size(); ++row) {
         for (std::size_t bit = 0; bit < columns.size(); ++bit) {
-            if ((g.materials.textured[row] >> bit & 1) == 0 || !columns[bit].second->empty()) continue;
+            if ((g.materials.textured[row] >> bit & 1) == 0 || !columns[bit].second) continue;
             return fmt::format("materials/textured: row {} leaves a parameter to {}, which is not there", row,
                                columns[bit].first);
         }
     }
     return {};
+}
+
+/// Rows of coats must be whole, of materials that there are, and of rising roughness.
+std::string bad_coats(const PathGraph& g) {
+    const auto& c = g.coats;
+    const std::size_t n = c.material.size();
+    if (c.alpha.size() != n || c.fdr_int.size() != n || c.fdr_ext.size() != n || c.external_transmittance.size() != 64 * n)
+        return "coats: some of its columns are there, some are not";
+    for (std::size_t i = 1; i < n; ++i)
+        if (c.material[i] < c.material[i - 1] || (c.material[i] == c.material[i - 1] && !(c.alpha[i] >= c.alpha[i - 1])))
+            return fmt::format("coats/material: row {} is not in order (by material, then alpha)", i);
+    return bad_index("coats/material", c.material, g.materials.id.size(), "materials");
+}
+
+/// Whether a reader of 1.2 would take one value where each vertex has its own, or a default for what a material says.
+bool misread_by_1_2(const PathGraphHeader& g) {
+    constexpr std::uint8_t newer = textured_parameter::exponent | textured_parameter::index;
+    const auto& textured = g.materials.textured;
+    if (!g.materials.variant.empty() || !g.materials.bump_shadowing.empty()) return true;
+    return !g.coats.material.empty() || std::any_of(textured.begin(), textured.end(), [](std::uint8_t bits) { return (bits & newer) != 0; });
 }
 
 template <class Graph>
@@ -193,7 +215,7 @@ void write_graph(const Graph& graph, const std::filesystem::path& path, Sync syn
                         "file",
                         path.native(), graph.n_vertices()));
     }
-    write_format(graph, path, sync);
+    write_format(graph, path, sync, misread_by_1_2(graph) ? Graph::format : Graph::format_of_most);
 }
 
 template <class Graph>
@@ -239,6 +261,7 @@ std::string PathGraph::problem(Check check) const {
     if (auto bad = bad_index("misses/vertex", misses.vertex, n_vertices(), "vertices"); !bad.empty()) return bad;
     if (auto bad = bad_index("misses/emitter", misses.emitter, emitters.id.size(), "emitters"); !bad.empty()) return bad;
     if (auto bad = missing_parameter(*this); !bad.empty()) return bad;
+    if (auto bad = bad_coats(*this); !bad.empty()) return bad;
     if (auto bad = bad_order_of_edges(*this); !bad.empty()) return bad;
     if (auto bad = bad_order_of_misses(*this); !bad.empty()) return bad;
     if (check == Check::structure) return {};

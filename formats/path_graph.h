@@ -38,6 +38,8 @@ inline constexpr std::uint8_t specular = 2;
 inline constexpr std::uint8_t transmittance = 4;
 inline constexpr std::uint8_t alpha = 8;
 inline constexpr std::uint8_t opacity = 16;
+inline constexpr std::uint8_t exponent = 32;
+inline constexpr std::uint8_t index = 64;  // eta_c and k_c
 }  // namespace textured_parameter
 
 /// Why a path has no vertex after this one.
@@ -91,7 +93,8 @@ struct PathRows {
         ColumnOf<std::uint32_t> shape;
         ColumnOf<std::uint8_t> lobe;
         ColumnOf<float> pdf_w, q, eta;
-        ColumnOf<Half> diffuse, specular, transmittance, alpha, opacity;
+        ColumnOf<Half> diffuse, specular, transmittance, alpha, opacity, eta_c, k_c;
+        ColumnOf<float> exponent;
     } vertices;
 
     struct LightEdges {
@@ -165,6 +168,12 @@ struct PathGraphHeader {
         Column<float> fdr_int, fdr_ext, external_transmittance;
     } materials;
 
+    /// Rough plastics with textured alpha: their interface over alpha; empty columns without such materials.
+    struct Coats {
+        Column<std::uint16_t> material;
+        Column<float> alpha, fdr_int, fdr_ext, external_transmittance;
+    } coats;
+
     struct Emitters {
         std::vector<std::string> id;
         Column<std::uint8_t> kind;
@@ -183,7 +192,9 @@ struct PathGraphHeader {
 /// The declaration of the format; the same for every way in which the columns can lie in memory.
 template <template <class> class ColumnOf>
 struct PathGraphOf : PathGraphHeader, PathRows<ColumnOf> {
-    static constexpr FormatId format{"path_graph", 1, 3};
+    static constexpr FormatId format{"path_graph", 2, 0, 1};
+    /// The version of a graph that uses nothing newer; older readers take it.
+    static constexpr FormatId format_of_most{"path_graph", 1, 2};
 
     template <class Self, class Visitor>
     static void fields(Self& g, Visitor& v);
@@ -264,6 +275,11 @@ void PathRows<ColumnOf>::row_fields(Self& g, Visitor& v) {
                "microfacet roughness, for materials where it is textured");
     v.optional("vertices/opacity", x.opacity, 1, "vertex", "1",
                "1 - probability of passing straight on, for materials where it is textured");
+    v.optional("vertices/exponent", x.exponent, 1, "vertex", "1", "Phong exponent, for materials where it is textured");
+    v.optional("vertices/eta_c", x.eta_c, 3, "vertex,rgb", "1",
+               "conductor: real part of the index, over outside, for materials where it or k_c is textured");
+    v.optional("vertices/k_c", x.k_c, 3, "vertex,rgb", "1",
+               "conductor: imaginary part of the index, over outside, for materials where it or eta_c is textured");
 
     auto& e = g.light_edges;
     v.field("light_edges/vertex", e.vertex, 1, "edge", "1", "row of vertices; never decreasing");
@@ -369,7 +385,7 @@ void PathGraphOf<ColumnOf>::fields(Self& g, Visitor& v) {
             "1: microfacets are sampled by their visible area");
     v.field("materials/textured", m.textured, 1, "material", "1",
             "parameters that a texture gives, to be read at the vertex: bit 0 diffuse, bit 1 specular, "
-            "bit 2 transmittance, bit 3 alpha, bit 4 opacity");
+            "bit 2 transmittance, bit 3 alpha, bit 4 opacity, bit 5 exponent, bit 6 eta_c and k_c");
     v.optional("materials/variant", m.variant, 1, "material", "1",
                "ward: 0 Ward's own normalisation, 1 Duer's, 2 balanced; absent: 2");
     v.optional("materials/bump_shadowing", m.bump_shadowing, 1, "material", "1",
@@ -394,6 +410,16 @@ void PathGraphOf<ColumnOf>::fields(Self& g, Visitor& v) {
             "plastic: diffuse Fresnel reflectance from outside");
     v.optional("materials/external_transmittance", m.external_transmittance, 64, "material,cos_theta", "1",
                "rough plastic: what the interface lets through, cosines evenly over [0, 1]");
+
+    auto& r = g.coats;
+    v.optional("coats/material", r.material, 1, "coat", "1",
+               "rough plastic with textured alpha: row of materials; its rows follow one another, evenly spaced in alpha; the "
+               "interface of a vertex is linear between two rows, and that of the nearest end outside");
+    v.optional("coats/alpha", r.alpha, 1, "coat", "1", "microfacet roughness");
+    v.optional("coats/fdr_int", r.fdr_int, 1, "coat", "1", "diffuse Fresnel reflectance from inside, at this roughness");
+    v.optional("coats/fdr_ext", r.fdr_ext, 1, "coat", "1", "diffuse Fresnel reflectance from outside, at this roughness");
+    v.optional("coats/external_transmittance", r.external_transmittance, 64, "coat,cos_theta", "1",
+               "what the interface lets through at this roughness, cosines evenly over [0, 1]");
 
     auto& l = g.emitters;
     v.names("emitters/id", l.id, "emitter", "id in the scene file, or a made-up one");

@@ -22,6 +22,7 @@ namespace loom {
 struct FormatId {
     std::string_view name;
     int major = 1, minor = 0;
+    int oldest_major = major;  // that a reader still takes
 };
 
 /// Types of elements on disk; all little-endian.

@@ -16,13 +16,14 @@
 namespace loom {
 
 /// Writes by write-then-rename; equal data give equal bytes.
+/// in:      as  the version that the file says
 /// needs:   columns of one axis of one length (else std::logic_error: a bug of the caller)
 template <class Format>
-void write_format(const Format& data, const std::filesystem::path& path, Sync sync = Sync::yes) {
+void write_format(const Format& data, const std::filesystem::path& path, Sync sync = Sync::yes, const FormatId& as = Format::format) {
     FieldChecker checker(false);
     Format::fields(data, checker);
     if (!checker.problem().empty()) throw std::logic_error(path.native() + ": " + checker.problem());
-    Hdf5Writer writer(path, Format::format, data.provenance);
+    Hdf5Writer writer(path, as, data.provenance);
     Format::fields(data, writer);
     writer.commit(sync);
 }

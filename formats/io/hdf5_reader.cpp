@@ -29,9 +29,10 @@ struct Hdf5Reader::Impl {
         }
         const auto version = integer_attribute(file.get(), "version");
         if (!version || version->size() != 2) refuse("attribute version is not [major, minor]");
-        if ((*version)[0] != static_cast<std::uint64_t>(format.major)) {
-            refuse(fmt::format("{} version {}.{}, this build reads {}.x", format.name, (*version)[0],
-                               (*version)[1], format.major));
+        if ((*version)[0] < static_cast<std::uint64_t>(format.oldest_major) || (*version)[0] > static_cast<std::uint64_t>(format.major)) {
+            const std::string readable = format.oldest_major < format.major ? fmt::format("{}.x to {}.x", format.oldest_major, format.major)
+                                                                            : fmt::format("{}.x", format.major);
+            refuse(fmt::format("{} version {}.{}, this build reads {}", format.name, (*version)[0], (*version)[1], readable));
         }
     }
 

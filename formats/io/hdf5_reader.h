@@ -12,7 +12,7 @@ namespace loom {
 /// and borrows the columns from the mapped file.
 class Hdf5Reader : public FieldVisitor<Hdf5Reader> {
   public:
-    /// throws:  InputError when the file is no such format or of another major version
+    /// throws:  InputError when the file is no such format or of a major version that it does not take
     Hdf5Reader(const std::filesystem::path& path, const FormatId& format);
     ~Hdf5Reader();
 

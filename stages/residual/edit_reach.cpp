@@ -45,7 +45,7 @@ bool same_texture(const Texture& a, const Texture& b) {
 bool same_model(const BsdfModel& a, const BsdfModel& b) {
     const auto numbers = [](const BsdfModel& m) {
         return std::tie(m.kind, m.distribution, m.two_sided, m.nonlinear, m.sample_visible, m.variant, m.bump_shadowing, m.int_ior, m.ext_ior, m.opacity, m.alpha_u, m.alpha_v, m.exponent,
-                        m.diffuse, m.specular, m.transmittance, m.eta_c, m.k_c, m.fdr_int, m.fdr_ext, m.external_transmittance);
+                        m.diffuse, m.specular, m.transmittance, m.eta_c, m.k_c, m.coat.fdr_int, m.coat.fdr_ext, m.coat.external_transmittance);
     };
     return numbers(a) == numbers(b);
 }
@@ -62,9 +62,9 @@ class Comparison {
         const auto known = materials_.find({a, b});
         if (known != materials_.end()) return known->second;
         const Material &m = old_.materials[std::size_t(a)], &n = new_.materials[std::size_t(b)];
-        bool same = same_model(m.model, n.model) && m.bump_scale == n.bump_scale && m.flips_invalid_normals == n.flips_invalid_normals && same_material(m.back, n.back);
+        bool same = same_model(m.model, n.model) && m.bump_scale == n.bump_scale && m.reflectance_scale == n.reflectance_scale && m.index_scale == n.index_scale && m.flips_invalid_normals == n.flips_invalid_normals && same_material(m.back, n.back);
         for (const auto texture : {&Material::diffuse, &Material::specular, &Material::transmittance, &Material::alpha_u, &Material::alpha_v,
-                                   &Material::opacity, &Material::normal_map, &Material::bump_map})
+                                   &Material::opacity, &Material::exponent, &Material::eta_c, &Material::k_c, &Material::normal_map, &Material::bump_map})
             same = same && same_texture(m.*texture, n.*texture);
         return materials_[{a, b}] = same;
     }

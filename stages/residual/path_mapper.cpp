@@ -16,7 +16,7 @@ bool PathMapper::smooth_enough(const Vertex& v) const {
         case BsdfKind::rough_dielectric:
         case BsdfKind::rough_plastic:
         case BsdfKind::ward: return b.opacity == 1 && std::min(b.alpha_u, b.alpha_v) >= limits_.alpha_min;
-        case BsdfKind::phong: return std::sqrt(2 / (2 + b.model->exponent)) >= limits_.alpha_min;
+        case BsdfKind::phong: return std::sqrt(2 / (2 + b.exponent)) >= limits_.alpha_min;
         case BsdfKind::plastic: return b.opacity == 1;  // joined by its diffuse part
         default: return false;
     }

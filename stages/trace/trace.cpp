@@ -198,6 +198,8 @@ std::string plan(const Scene& scene, const PathOptions& path, bool graph) {
         say(f.textured_specular, "specular column", " (no texture)");
         say(f.textured_alpha, "roughness column", " (no texture)");
         say(f.textured_opacity, "opacity column", " (no texture)");
+        if (f.textured_exponent) say(true, "exponent column", "");
+        if (f.textured_index) say(true, "conductor index columns", "");
         say(f.dielectric, "index of refraction", " (no dielectric)");
         if (!scene.sensor_media.vacuum) say(true, camera_medium(scene).c_str(), "");
     }

@@ -106,11 +106,11 @@ TEST_F(BadFiles, WrongFiletype) {
 
 TEST_F(BadFiles, OtherMajorVersion) {
     edit([](hid_t open) {
-        const std::int32_t version[] = {2, 0};
+        const std::int32_t version[] = {3, 0};
         const Hdf5Handle attribute(H5Aopen(open, "version", H5P_DEFAULT), H5Aclose);
         H5Awrite(attribute.get(), H5T_NATIVE_INT32, version);
     });
-    EXPECT_EQ(complaint(), "path_graph version 2.0, this build reads 1.x");
+    EXPECT_EQ(complaint(), "path_graph version 3.0, this build reads 1.x to 2.x");
 }
 
 TEST_F(BadFiles, NewerMinorVersionReads) {

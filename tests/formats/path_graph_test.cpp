@@ -1,12 +1,14 @@
 #include "formats/path_graph.h"
 
 #include <gtest/gtest.h>
+#include <hdf5.h>
 
 #include <array>
 #include <cstring>
 #include <fstream>
 #include <sstream>
 
+#include "formats/io/hdf5_handle.h"
 #include "tests/formats/field_bytes.h"
 #include "tests/formats/tiny_graph.h"
 
@@ -19,6 +21,7 @@ using testing::large_graph;
 using testing::ScratchFolder;
 using testing::tiny_graph;
 using testing::tiny_graph_with_misses;
+using testing::tiny_graph_with_own_lobes;
 
 // Would catch a column that is written but not read, read into another, or changed on the way.
 TEST(PathGraph, ReadsBackBitForBit) {
@@ -36,6 +39,51 @@ TEST(PathGraph, MissesReadBackBitForBit) {
     const PathGraph read = read_path_graph(folder / "g.h5");
     expect_equal(graph, read);
     EXPECT_EQ(read.n_misses(), 3u);
+}
+
+// A reader of 1.2 would take the material's exponent, index and coat for all its vertices: it must refuse such a graph by
+// its version, and go on reading all others.
+TEST(PathGraph, OnlyGraphsThatOlderReadersWouldMisreadAreOfVersion2) {
+    const ScratchFolder folder;
+    const auto version_of = [&](const PathGraph& graph) {
+        write_path_graph(graph, folder / "g.h5");
+        expect_equal(graph, read_path_graph(folder / "g.h5"));
+        const Hdf5Handle file(H5Fopen((folder / "g.h5").c_str(), H5F_ACC_RDONLY, H5P_DEFAULT), H5Fclose);
+        const Hdf5Handle attribute(H5Aopen(file.get(), "version", H5P_DEFAULT), H5Aclose);
+        std::array<std::int32_t, 2> version{};
+        H5Aread(attribute.get(), H5T_NATIVE_INT32, version.data());
+        return version;
+    };
+    EXPECT_EQ(version_of(tiny_graph()), (std::array{1, 2}));
+    EXPECT_EQ(version_of(tiny_graph_with_own_lobes()), (std::array{2, 0}));
+    PathGraph coats = tiny_graph();
+    coats.coats = tiny_graph_with_own_lobes().coats;
+    EXPECT_EQ(version_of(coats), (std::array{2, 0}));
+    for (const std::uint8_t bit : {textured_parameter::exponent, textured_parameter::index}) {
+        PathGraph one = tiny_graph_with_own_lobes();
+        one.coats = {};
+        one.materials.textured = std::vector<std::uint8_t>{bit, 0};
+        EXPECT_EQ(version_of(one), (std::array{2, 0}));
+    }
+}
+
+TEST(PathGraph, CoatsAndParametersOfVerticesMustBeWhole) {
+    PathGraph g = tiny_graph_with_own_lobes();
+    EXPECT_EQ(g.problem(), "");
+    g.coats.alpha = std::vector{0.5f, 0.1f};
+    EXPECT_EQ(g.problem(), "coats/material: row 1 is not in order (by material, then alpha)");
+    g.coats.alpha = std::vector{0.1f, 0.5f};
+    g.coats.material = std::vector<std::uint16_t>{1, 2};
+    EXPECT_EQ(g.problem(), "coats/material: row 1 is 2, but there are 2 materials");
+    g = tiny_graph_with_own_lobes();
+    g.coats.fdr_int = std::vector<float>{};
+    EXPECT_EQ(g.problem(), "coats: some of its columns are there, some are not");
+    g = tiny_graph_with_own_lobes();
+    g.vertices.exponent = std::vector<float>{};
+    EXPECT_EQ(g.problem(), "materials/textured: row 0 leaves a parameter to vertices/exponent, which is not there");
+    g = tiny_graph_with_own_lobes();
+    g.vertices.k_c = std::vector<Half>{};
+    EXPECT_EQ(g.problem(), "materials/textured: row 0 leaves a parameter to vertices/eta_c or vertices/k_c, which is not there");
 }
 
 TEST(PathGraph, AbsentColumnsStayAbsent) {
@@ -174,6 +222,9 @@ TEST(PathGraph, WriterRefusesColumnsOfUnequalLength) {
 // Every older minor version must read; the fixture is the file as that version wrote it.
 TEST(PathGraph, FixtureOfVersion_1_0_Reads) {
     expect_equal(tiny_graph(), read_path_graph("tests/fixtures/path_graph_1.0.h5"));
+}
+TEST(PathGraph, FixtureOfVersion_2_0_Reads) {
+    expect_equal(tiny_graph_with_own_lobes(), read_path_graph("tests/fixtures/path_graph_2.0.h5"));
 }
 
 }  // namespace

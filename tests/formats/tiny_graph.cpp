@@ -139,6 +139,20 @@ PathGraph tiny_graph_with_misses() {
     return g;
 }
 
+PathGraph tiny_graph_with_own_lobes() {
+    PathGraph g = tiny_graph();
+    g.materials.textured = {textured_parameter::exponent | textured_parameter::index, textured_parameter::alpha};
+    g.vertices.exponent = {30, 20, 10, 5, 2, 1e6f};
+    g.vertices.eta_c = halves(std::vector<float>(18, 0.25f));
+    g.vertices.k_c = halves(std::vector<float>(18, 3.5f));
+    g.coats.material = {1, 1};
+    g.coats.alpha = {0.1f, 0.5f};
+    g.coats.fdr_int = {0.6f, 0.5f};
+    g.coats.fdr_ext = {0.1f, 0.05f};
+    g.coats.external_transmittance = std::vector<float>(128, 0.8f);
+    return g;
+}
+
 PathGraph large_graph(std::uint32_t n) {
     PathGraph g;
     set_common(g);

@@ -13,6 +13,9 @@ PathGraph tiny_graph();
 /// The same, with what its vertices asked for and did not get, of each kind one.
 PathGraph tiny_graph_with_misses();
 
+/// The same, with materials whose exponent, index and coat each vertex has for itself.
+PathGraph tiny_graph_with_own_lobes();
+
 /// n vertices in paths of one vertex each: columns long enough to be mapped.
 PathGraph large_graph(std::uint32_t n);
 

@@ -17,6 +17,8 @@ TEST(Fixtures, DISABLED_WriteFixtures) {
     };
     unless_there("tests/fixtures/path_graph_1.0.h5",
                  [](const auto& path) { write_path_graph(testing::tiny_graph(), path); });
+    unless_there("tests/fixtures/path_graph_2.0.h5",
+                 [](const auto& path) { write_path_graph(testing::tiny_graph_with_own_lobes(), path); });
     unless_there("tests/fixtures/clusters_1.0.h5",
                  [](const auto& path) { write_clusters(testing::tiny_clusters(), path); });
     unless_there("tests/fixtures/radiance_1.0.h5",

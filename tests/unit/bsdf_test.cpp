@@ -131,7 +131,7 @@ TEST(Bsdf, RoughPlasticOverABrightBaseWeighsAtMostItsFresnelSpread) {
             const Bsdf<float> bsdf(model);
             for (const float cos : {1.0f, 0.3f, 0.05f, 0.005f, 0.0001f}) {
                 const Vector3f wo = direction(cos, 0);
-                const float mean = 1 - RoughPlasticFamily::transmittance(model, cos);
+                const float mean = 1 - RoughPlasticFamily::transmittance(Bsdf<float>(model), cos);
                 for (int i = 0; i < 10000; ++i) {
                     const Draw draw(SamplerKind::independent, 4, i);
                     const BsdfSample<float> s = sample(bsdf, wo, draw.u_lobe, draw.u);

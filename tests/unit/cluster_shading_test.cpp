@@ -34,11 +34,16 @@ PathGraph make_graph_of_all_bsdfs() {
     auto& m = g.materials;
     std::vector<std::uint8_t> kind, distribution, two_sided, nonlinear, sample_visible, textured;
     std::vector<float> int_ior, ext_ior, opacity, alpha, exponent, diffuse, specular, transmittance, eta_c, k_c, fdr_int, fdr_ext, table;
+    struct {
+        std::vector<std::uint16_t> material;
+        std::vector<float> alpha, fdr_int, fdr_ext, table;
+    } coats;
     const auto add_rgb = [](std::vector<float>& column, const Spectrum& s) { column.insert(column.end(), {s.r, s.g, s.b}); };
     std::vector<float> p, wo, q;
     std::vector<std::int16_t> ns, ng, n_side, tangent;
     std::vector<std::uint16_t> material, flags;
-    std::vector<Half> v_diffuse, v_specular, v_transmittance, v_alpha, v_opacity;
+    std::vector<Half> v_diffuse, v_specular, v_transmittance, v_alpha, v_opacity, v_eta_c, v_k_c;
+    std::vector<float> v_exponent;
     const auto add_code = [](std::vector<std::int16_t>& column, const Vector3f& v) {
         const auto code = octahedral_from_unit(v.x, v.y, v.z);
         column.insert(column.end(), code.begin(), code.end());
@@ -51,14 +56,21 @@ PathGraph make_graph_of_all_bsdfs() {
             kind.push_back(std::uint8_t(b.kind));
             distribution.push_back(std::uint8_t(b.distribution));
             two_sided.push_back(b.two_sided), nonlinear.push_back(b.nonlinear), sample_visible.push_back(b.sample_visible);
-            textured.push_back(variant == 1 ? 31 : 0);
+            textured.push_back(variant == 1 ? 127 : 0);
             int_ior.push_back(b.int_ior), ext_ior.push_back(b.ext_ior), opacity.push_back(b.opacity);
             alpha.insert(alpha.end(), {b.alpha_u, b.alpha_v});
             exponent.push_back(b.exponent);
             add_rgb(diffuse, b.diffuse), add_rgb(specular, b.specular), add_rgb(transmittance, b.transmittance);
             add_rgb(eta_c, b.eta_c), add_rgb(k_c, b.k_c);
-            fdr_int.push_back(b.fdr_int), fdr_ext.push_back(b.fdr_ext);
-            table.insert(table.end(), b.external_transmittance.begin(), b.external_transmittance.end());
+            fdr_int.push_back(b.coat.fdr_int), fdr_ext.push_back(b.coat.fdr_ext);
+            table.insert(table.end(), b.coat.external_transmittance.begin(), b.coat.external_transmittance.end());
+            if (variant == 1 && b.kind == BsdfKind::rough_plastic)
+                for (const float step : {0.0f, 0.3f, 1.0f}) {
+                    coats.material.push_back(std::uint16_t(i));
+                    coats.alpha.push_back(0.2f + 0.4f * step);
+                    coats.fdr_int.push_back(0.6f + 0.1f * step), coats.fdr_ext.push_back(0.1f - 0.05f * step);
+                    for (int k = 0; k < n_transmittance; ++k) coats.table.push_back(0.2f + 0.1f * step + 0.01f * float(k));
+                }
 
             Numbers n(i);
             const Vector3f up{0.2f, 0.3f, 0.9f}, normal = normalize(up + n.unit() * 0.3f);
@@ -79,16 +91,21 @@ PathGraph make_graph_of_all_bsdfs() {
                 for (int channel = 0; channel < 3; ++channel) column->push_back(half_from_float(n.u()));
             for (int axis = 0; axis < 2; ++axis) v_alpha.push_back(half_from_float(0.1f + 0.8f * n.u()));
             v_opacity.push_back(half_from_float(n.u()));
+            for (auto* column : {&v_eta_c, &v_k_c})
+                for (int channel = 0; channel < 3; ++channel) column->push_back(half_from_float(0.1f + 3 * n.u()));
+            v_exponent.push_back(50 * n.u());
         }
     m.kind = kind, m.distribution = distribution, m.two_sided = two_sided, m.nonlinear = nonlinear;
     m.sample_visible = sample_visible, m.textured = textured, m.int_ior = int_ior, m.ext_ior = ext_ior;
     m.opacity = opacity, m.alpha = alpha, m.exponent = exponent, m.diffuse = diffuse, m.specular = specular;
     m.transmittance = transmittance, m.eta_c = eta_c, m.k_c = k_c, m.fdr_int = fdr_int, m.fdr_ext = fdr_ext;
     m.external_transmittance = table;
+    g.coats.material = coats.material, g.coats.alpha = coats.alpha, g.coats.fdr_int = coats.fdr_int, g.coats.fdr_ext = coats.fdr_ext;
+    g.coats.external_transmittance = coats.table;
     auto& v = g.vertices;
     v.p = p, v.wo = wo, v.ns = ns, v.ng = ng, v.n_side = n_side, v.tangent = tangent, v.material = material;
     v.flags = flags, v.q = q, v.diffuse = v_diffuse, v.specular = v_specular, v.transmittance = v_transmittance;
-    v.alpha = v_alpha, v.opacity = v_opacity;
+    v.alpha = v_alpha, v.opacity = v_opacity, v.eta_c = v_eta_c, v.k_c = v_k_c, v.exponent = v_exponent;
     v.pdf_w = std::vector<float>(flags.size(), 1.0f), v.lobe = std::vector<std::uint8_t>(flags.size());
     return g;
 }
@@ -151,7 +168,7 @@ void fill(ClusterColumns& c, const GraphReader& reader, const std::vector<Shadin
     c.n = int(points.size());
     for (int l = 0; l < c.n; ++l) {
         const ShadingPoint& at = points[l];
-        c.runs.push_back({at.bsdf.model, l, l + 1});
+        c.runs.push_back({at.bsdf.model, l, l + 1, reader.graph().materials.textured[begin + std::size_t(l)] != 0});
         c.px[l] = at.p.x, c.py[l] = at.p.y, c.pz[l] = at.p.z;
         c.sx[l] = at.frame.s.x, c.sy[l] = at.frame.s.y, c.sz[l] = at.frame.s.z;
         c.tx[l] = at.frame.t.x, c.ty[l] = at.frame.t.y, c.tz[l] = at.frame.t.z;
@@ -162,6 +179,8 @@ void fill(ClusterColumns& c, const GraphReader& reader, const std::vector<Shadin
         c.specular_r[l] = b.specular.r, c.specular_g[l] = b.specular.g, c.specular_b[l] = b.specular.b;
         c.transmittance_r[l] = b.transmittance.r, c.transmittance_g[l] = b.transmittance.g, c.transmittance_b[l] = b.transmittance.b;
         c.alpha_u[l] = b.alpha_u, c.alpha_v[l] = b.alpha_v, c.eta[l] = b.eta, c.opacity[l] = b.opacity;
+        c.exponent[l] = b.exponent, c.eta_r[l] = b.eta_c.r, c.eta_g[l] = b.eta_c.g, c.eta_b[l] = b.eta_c.b;
+        c.k_r[l] = b.k_c.r, c.k_g[l] = b.k_c.g, c.k_b[l] = b.k_c.b;
         c.survival[l] = survival_of(reader.graph(), begin + l);
     }
 }

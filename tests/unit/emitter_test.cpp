@@ -3,6 +3,7 @@
 // cone's 1 - cos_max squared, sin(theta) left out of the environment's density or taken from its cosine (wrong by
 // 12 % near the poles), the choice of the emitter left out of pdf_light_w.
 
+#include <OpenImageIO/imageio.h>
 #include <fmt/format.h>
 #include <gtest/gtest.h>
 
@@ -128,6 +129,67 @@ TEST_F(Emitters, SphereFromInsideIsDarkWhenItShinesOutwards) {
 TEST_F(Emitters, Disk) {
     expect_samples_follow_density(*scene_of(lamp("disk", tilted)), origin, "disk");
     expect_samples_follow_density(*scene_of(lamp("disk", "<scale x='0.5' y='1.2'/>" + tilted)), origin, "ellipse");
+}
+
+/// Where a sample and a ray find the same point of a light, they must find the same radiance: with the densities above,
+/// next-event estimation and hits by the BSDF then estimate the same integral. The texture is smooth, 3 to 1 along both
+/// of its axes, so that texture coordinates that are swapped, turned or left out by one of the two show in every sample.
+/// Seen to fail with the radiance of a sphere taken without its texture.
+TEST_F(Emitters, TextureOfALightSampleIsThatOfTheHit) {
+    {
+        auto out = OIIO::ImageOutput::create(path("map.exr").string());
+        const OIIO::ImageSpec spec(16, 16, 3, OIIO::TypeDesc::FLOAT);
+        std::vector<float> texels;
+        for (int i = 0; i < 256; ++i) texels.insert(texels.end(), {1 + float(i % 16) / 8, 1 + float(i / 16) / 8, 1});
+        ASSERT_TRUE(out->open(path("map.exr").string(), spec) && out->write_image(OIIO::TypeDesc::FLOAT, texels.data()));
+        out->close();
+    }
+    write("triangle.obj", "v -1 -1 0\nv 1 -1 0\nv 0 1 0\nf 1 2 3\n");
+    write("mapped.obj", "v -1 -1 0\nv 1 -1 0\nv 0 1 0\nvt 0.9 0.1\nvt 0.2 0.3\nvt 0.4 0.8\nf 1/1 2/2 3/3\n");
+    const std::string emitter =
+        "<emitter type='area'><texture type='bitmap' name='radiance'><string name='filename' value='map.exr'/>"
+        "<string name='wrap_mode' value='clamp'/></texture></emitter></shape>\n";
+    const auto shape = [&](const std::string& type, const std::string& place, const std::string& more = "") {
+        return scene_of("<shape type='" + type + "'>" + more + "<transform name='to_world'>" + place + "</transform>" + emitter);
+    };
+    const std::string turned = "<rotate x='1' y='2' z='0.5' angle='205'/>", there = "<translate x='0.4' y='-0.3' z='1.4'/>";
+    const std::string flip = "<boolean name='flip_normals' value='true'/>";
+    const auto file = [](const std::string& name) { return "<string name='filename' value='" + name + "'/>"; };
+    const std::vector<std::pair<std::string, std::unique_ptr<Scene>>> scenes = [&] {
+        std::vector<std::pair<std::string, std::unique_ptr<Scene>>> s;
+        s.emplace_back("sphere from outside", shape("sphere", turned + there));
+        s.emplace_back("sphere from inside", shape("sphere", "<scale value='3'/>" + turned + there, flip));
+        s.emplace_back("mirrored sphere from inside", shape("sphere", "<scale x='-3' y='3' z='3'/>" + turned + there));
+        s.emplace_back("sphere close by", shape("sphere", "<scale value='1.36'/>" + turned + there));
+        s.emplace_back("disk", shape("disk", tilted));
+        s.emplace_back("rectangle", shape("rectangle", tilted));
+        s.emplace_back("mirrored rectangle", shape("rectangle", "<scale x='-1'/>" + tilted));
+        s.emplace_back("cube", shape("cube", "<scale value='0.4'/>" + tilted));
+        s.emplace_back("mesh without coordinates", shape("obj", tilted, file("triangle.obj")));
+        s.emplace_back("mesh", shape("obj", tilted, file("mapped.obj")));
+        return s;
+    }();
+    for (const auto& [name, scene] : scenes) {
+        constexpr int n = 2000;
+        int compared = 0;
+        double smallest = INFINITY, largest = 0;
+        for (int i = 0; i < n; ++i) {
+            const LightSample s = sample_light(*scene, origin, Sampler(SamplerKind::independent, 5, 0, i).pair(0));
+            if (s.pdf_w == 0) continue;
+            const Ray ray{origin, s.wi};
+            const Hit hit = scene->intersect(ray);
+            if (!hit) continue;  // at the very edge
+            const SurfacePoint at = scene->surface(ray, hit);
+            if (length(at.p - s.y) > 1e-3f) continue;  // the far side of a cube or sphere
+            ++compared;
+            const Spectrum Le = emitted(*scene, at, -s.wi);
+            EXPECT_NEAR(s.Li.r / Le.r, 1, 2e-3) << name;
+            EXPECT_NEAR(s.Li.g / Le.g, 1, 2e-3) << name;
+            smallest = std::min(smallest, double(Le.r)), largest = std::max(largest, double(Le.r));
+        }
+        EXPECT_GT(compared, n / 8) << name;
+        EXPECT_GT(largest, 1.05 * smallest) << name;  // by far more than the tolerance
+    }
 }
 
 TEST_F(Emitters, Constant) {

@@ -20,6 +20,7 @@ using enum Category;
 /// What a parameter needs beside itself to have an effect, by "plugin.parameter", ".parameter" or "plugin": more parameters.
 const std::map<std::string, std::string> companions = {
     {"perspective.fov_axis", "<float name='fov' value='30'/>"},
+    {"projector.fov_axis", "<float name='fov' value='30'/>"},
     {"bitmap", "<string name='filename' value='image.ppm'/>"},
     {"envmap", "<string name='filename' value='image.ppm'/>"},
     {"obj", "<string name='filename' value='mesh.obj'/>"},

@@ -4,6 +4,7 @@
 #include "stages/core/scene/texture.h"
 
 #include <OpenImageIO/imageio.h>
+#include <fmt/format.h>
 
 #include <cmath>
 
@@ -18,15 +19,29 @@ class TextureFile : public SceneFolder {
     /// Writes an 8-bit or float image; returns its path.
     template <class T>
     std::filesystem::path image(const std::string& name, int w, int h, int channels,
-                                const std::vector<T>& values) {
+                                const std::vector<T>& values, const std::vector<std::string>& names = {}) {
         const std::filesystem::path file = path(name);
         auto out = OIIO::ImageOutput::create(file.string());
         OIIO::ImageSpec spec(w, h, channels, OIIO::BaseTypeFromC<T>::value);
+        if (!names.empty()) spec.channelnames = names;
         spec.attribute("oiio:UnassociatedAlpha", 1);
         EXPECT_TRUE(out->open(file.string(), spec));
         EXPECT_TRUE(out->write_image(OIIO::BaseTypeFromC<T>::value, values.data()));
         out->close();
         return file;
+    }
+    /// The first pixel of an EXR file of one row of two pixels with these channels, or what is wrong with the file.
+    template <class T = float>
+    std::string colour_of(const std::vector<std::string>& names, const std::vector<T>& values) {
+        std::vector<T> row = values;
+        row.insert(row.end(), values.begin(), values.end());
+        const auto file = image<T>(fmt::format("colour-{}.exr", ++n_files_), 2, 1, int(names.size()), row, names);
+        std::string colour;
+        const std::string error = error_of([&] {
+            const Spectrum c = cache_.image(file, {})->texel(1, 0);
+            colour = fmt::format("{:.3g} {:.3g} {:.3g}", c.r, c.g, c.b);
+        });
+        return colour.empty() ? error : colour;
     }
     std::shared_ptr<const TextureImage> grey_ramp() {
         std::vector<float> v;
@@ -34,6 +49,7 @@ class TextureFile : public SceneFolder {
         return cache_.image(image("ramp.exr", 5, 3, 1, v), {});
     }
     TextureCache cache_;
+    int n_files_ = 0;
 };
 
 int wrap_slowly(int i, int n, WrapMode mode) {
@@ -133,6 +149,51 @@ TEST_F(TextureFile, SixteenBitIsSrgbAndFloatLinear) {
     EXPECT_NE(error_of([&] { cache_.image(nan, {}); }).find("n.exr: pixel (0, 0) is not finite"),
               std::string::npos);
     EXPECT_EQ(error_of([&] { cache_.image(path("none.png"), {}); }), "none.png: no such file");
+}
+
+// Seen to fail with channels by position: 9 0.2 0.5, and R and G alone as grey.
+TEST_F(TextureFile, ChannelsOfExrFilesGoByName) {
+    EXPECT_EQ(colour_of({"Z", "color.R", "color.G", "color.B"}, {9, 0.2f, 0.5f, 0.8f}), "0.2 0.5 0.8");
+    EXPECT_EQ(colour_of({"B", "G", "R", "A", "depth.Z", "N.X"}, {0.8f, 0.5f, 0.2f, 0.1f, 9, 7}), "0.2 0.5 0.8");
+    EXPECT_EQ(colour_of({"diffuse.R", "diffuse.G", "diffuse.B", "R", "G", "B"}, {3, 4, 5, 0.2f, 0.5f, 0.8f}), "0.2 0.5 0.8");
+    EXPECT_EQ(colour_of({"N.X", "N.Y", "N.Z", "main.Combined.B", "main.Combined.G", "main.Combined.R"}, {7, 8, 9, 0.8f, 0.5f, 0.2f}), "0.2 0.5 0.8");
+    EXPECT_EQ(colour_of({"A", "Y"}, {0.1f, 0.4f}), "0.4 0.4 0.4");
+    EXPECT_EQ(colour_of({"Y", "Z"}, {0.4f, 9}), "0.4 0.4 0.4");
+    EXPECT_EQ(colour_of({"height"}, {0.4f}), "0.4 0.4 0.4");
+    // Y = 0.2126 0.2 + 0.7152 0.5 + 0.0722 0.8, RY = R / Y - 1, BY = B / Y - 1.
+    EXPECT_EQ(colour_of({"BY", "RY", "Y"}, {0.8f / 0.45788f - 1, 0.2f / 0.45788f - 1, 0.45788f}), "0.2 0.5 0.8");
+    // Numbers stay numbers, whatever their type.
+    EXPECT_EQ(colour_of<std::uint32_t>({"R", "G", "B"}, {0, 1, 3}), "0 1 3");
+}
+
+TEST_F(TextureFile, ExrFilesWithoutOneColourAreErrorsThatNameTheirChannels) {
+    EXPECT_EQ(colour_of({"R", "G"}, {0.2f, 0.5f}), "colour-1.exr: no colour among its channels: R, G; a colour has R, G, B or Y");
+    EXPECT_EQ(colour_of({"Z"}, {9}), "colour-2.exr: no colour among its channels: Z; a colour has R, G, B or Y");
+    EXPECT_EQ(colour_of({"Depth.Z"}, {9}), "colour-3.exr: no colour among its channels: Depth.Z; a colour has R, G, B or Y");
+    EXPECT_EQ(colour_of({"N.X", "N.Y", "N.Z"}, {7, 8, 9}), "colour-4.exr: no colour among its channels: N.X, N.Y, N.Z; a colour has R, G, B or Y");
+    const std::string two = colour_of({"diffuse.R", "diffuse.G", "diffuse.B", "gloss.R", "gloss.G", "gloss.B"}, {3, 4, 5, 0.2f, 0.5f, 0.8f});
+    EXPECT_EQ(two, "colour-5.exr: which of its layers is the colour is not clear: diffuse, gloss; keep one of them, or name its channels R, G, B");
+}
+
+// A part of a file is chosen as a layer is, and a data window is the texture, with a note.
+TEST_F(TextureFile, PartsAndWindowsOfExrFiles) {
+    std::vector<OIIO::ImageSpec> parts{{2, 1, 1, OIIO::TypeDesc::FLOAT}, {2, 1, 3, OIIO::TypeDesc::HALF}};
+    parts[0].channelnames = {"Z"};
+    parts[1].channelnames = {"R", "G", "B"};
+    for (OIIO::ImageSpec& part : parts) part.full_width = 8;  // EXR files have one display window
+    parts[1].x = 5;
+    const std::vector<std::vector<float>> values{{9, 9}, {0.25f, 0.5f, 0.75f, 0.25f, 0.5f, 0.75f}};
+    auto out = OIIO::ImageOutput::create(path("parts.exr").string());
+    for (int i = 0; i < 2; ++i) {
+        parts[std::size_t(i)].attribute("oiio:subimagename", i == 0 ? "depth" : "beauty");
+        ASSERT_TRUE(i == 0 ? out->open(path("parts.exr").string(), 2, parts.data()) : out->open(path("parts.exr").string(), parts[1], OIIO::ImageOutput::AppendSubimage)) << out->geterror();
+        ASSERT_TRUE(out->write_image(OIIO::TypeDesc::FLOAT, values[std::size_t(i)].data()));
+    }
+    out->close();
+    const auto in = cache_.image(path("parts.exr"), {});
+    EXPECT_EQ(in->texel(1, 0), Spectrum(0.25f, 0.5f, 0.75f));
+    ASSERT_EQ(cache_.notes().size(), 1u);
+    EXPECT_NE(cache_.notes()[0].find("the stored pixels (2 x 1 at (5, 0)), not the display window (8 x 1 at (0, 0))"), std::string::npos) << cache_.notes()[0];
 }
 
 TEST_F(TextureFile, DescriptionsBecomeTextures) {

@@ -81,18 +81,13 @@ double rough_transmittance(const MicrofacetDistribution<float>& facets, float mu
     });
 }
 
-struct RoughInterface {
-    float fdr_int = 0, fdr_ext = 0;
-    std::array<float, n_transmittance> external_transmittance{};
-};
-
 /// The interface of a rough plastic: a table from outside, means under diffuse light from both sides.
 /// differs: the mean from inside is the sum over the 64 entries that Mitsuba 3 takes for the integral, so
 ///          that values agree with its own
-RoughInterface rough_interface(Microfacet distribution, float alpha, float eta) {
+RoughCoat rough_coat(Microfacet distribution, float alpha, float eta) {
     const MicrofacetDistribution<float> facets(distribution, alpha, alpha);
     const Quadrature outside = gauss_legendre(32), inside = gauss_legendre(128);
-    RoughInterface table;
+    RoughCoat table;
     double internal = 0;
     for (int i = 0; i < n_transmittance; ++i) {
         const float mu = std::max(1e-6f, float(i) / float(n_transmittance - 1));
@@ -113,30 +108,49 @@ RoughInterface rough_interface(Microfacet distribution, float alpha, float eta) 
 }
 
 /// A tenth of a second each, and scenes have many plastics of one roughness: each is integrated once per process.
-void prepare_rough_plastic(BsdfModel& model) {
+const RoughCoat& known_rough_coat(Microfacet distribution, float alpha, float eta) {
     static std::mutex mutex;
-    static std::map<std::tuple<Microfacet, float, float>, RoughInterface> known;
+    static std::map<std::tuple<Microfacet, float, float>, RoughCoat> known;
     const std::lock_guard lock(mutex);
-    const auto [entry, inserted] = known.try_emplace({model.distribution, model.alpha_u, model.eta()});
-    if (inserted) entry->second = rough_interface(model.distribution, model.alpha_u, model.eta());
-    model.fdr_int = entry->second.fdr_int;
-    model.fdr_ext = entry->second.fdr_ext;
-    model.external_transmittance = entry->second.external_transmittance;
+    const auto [entry, inserted] = known.try_emplace({distribution, alpha, eta});
+    if (inserted) entry->second = rough_coat(distribution, alpha, eta);
+    return entry->second;
 }
 
-/// A model of two lobes that would reflect more than it gets is darkened, as Mitsuba 0.6 does.
-void conserve_energy(BsdfModel& model) {
-    const float total = max_channel(model.diffuse + model.specular);
-    if (total <= 1) return;
-    model.diffuse *= 0.99f / total;
-    model.specular *= 0.99f / total;
-}
+/// Rows of a table over roughness: enough that values between them are off by at most 5e-4 (5e-3 at grazing angles).
+constexpr float coat_rows_per_alpha = 24;
 
 }  // namespace
 
+float conserve_energy(BsdfModel& model) {
+    const float total = max_channel(model.diffuse + model.specular);
+    if (total <= 1) return 1;
+    const float factor = 0.99f / total;
+    model.diffuse *= factor;
+    model.specular *= factor;
+    return factor;
+}
+
 void prepare(BsdfModel& model) {
-    if (model.kind == BsdfKind::rough_plastic) prepare_rough_plastic(model);
+    if (model.kind == BsdfKind::rough_plastic) model.coat = known_rough_coat(model.distribution, model.alpha_u, model.eta());
     if (model.kind == BsdfKind::phong || model.kind == BsdfKind::ward) conserve_energy(model);
+}
+
+void prepare_coats(BsdfModel& model, float alpha_min, float alpha_max) {
+    static std::mutex mutex;
+    static std::map<std::tuple<Microfacet, float, float, float>, RoughCoats> known;  // never erased: models borrow
+    const std::lock_guard lock(mutex);
+    const auto [entry, inserted] = known.try_emplace({model.distribution, model.eta(), alpha_min, alpha_max});
+    RoughCoats& coats = entry->second;
+    if (inserted) {
+        coats.alpha_min = alpha_min;
+        coats.alpha_max = alpha_max;
+        const int n = alpha_max > alpha_min ? 2 + int(std::ceil(coat_rows_per_alpha * std::min(alpha_max - alpha_min, 1.0f))) : 1;
+        coats.rows.resize(std::size_t(n));
+        for (std::size_t k = 0; k < coats.rows.size(); ++k) coats.rows[k] = known_rough_coat(model.distribution, coats.alpha(k), model.eta());
+    }
+    model.coat = coats.rows[coats.rows.size() / 2];
+    model.coats = &coats;
 }
 
 }  // namespace loom

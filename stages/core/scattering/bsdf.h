@@ -16,6 +16,14 @@ namespace loom {
 /// Fills the derived fields of a model; call once per material after its parameters are known.
 void prepare(BsdfModel& model);
 
+/// Darkens a model of two lobes that would reflect more than it gets, as Mitsuba 0.6 does.
+/// returns: the factor on diffuse and specular; 1: none
+float conserve_energy(BsdfModel& model);
+
+/// Fills coat and coats of a rough_plastic whose roughness a texture gives.
+/// in:      alpha_min, alpha_max  of the texture; equal: one row, that of prepare() for this alpha
+void prepare_coats(BsdfModel& model, float alpha_min, float alpha_max);
+
 /// BSDF times |cos(theta_i)| (sr^-1), and the density (sr^-1) with which sample() gives wi; delta lobes
 /// are in neither.
 template <class T>

@@ -4,6 +4,7 @@
 
 #include <array>
 #include <cstdint>
+#include <vector>
 
 #include "stages/core/math/vector.h"
 
@@ -51,6 +52,35 @@ constexpr bool is_transmission(Lobe lobe) {
 /// Number of entries of BsdfModel::external_transmittance.
 inline constexpr int n_transmittance = 64;
 
+/// The interface of a rough plastic at one roughness: what it reflects of diffuse light from inside and from outside, and
+/// what it lets through per cos(theta), evenly spaced over [0, 1].
+struct RoughCoat {
+    float fdr_int = 0.0f, fdr_ext = 0.0f;
+    std::array<float, n_transmittance> external_transmittance{};
+};
+
+/// The interface over a range of roughness: rows evenly spaced from alpha_min to alpha_max, linear between.
+struct RoughCoats {
+    float alpha_min = 0, alpha_max = 0;
+    std::vector<RoughCoat> rows;
+
+    float alpha(std::size_t row) const {
+        return row + 1 == rows.size() ? alpha_max : alpha_min + (alpha_max - alpha_min) * float(row) / float(rows.size() - 1);
+    }
+    struct Place {
+        const RoughCoat *row, *next;
+        float t;  // of the way from row to next
+    };
+    Place place(float alpha) const {
+        const int last = int(rows.size()) - 1;
+        const float range = alpha_max - alpha_min;
+        const float part = range > 0 ? (alpha - alpha_min) / range : 0.0f;
+        const float x = (part > 0 ? (part < 1 ? part : 1.0f) : 0.0f) * float(last);
+        const int i = int(x) < last ? int(x) : last;
+        return {&rows[std::size_t(i)], &rows[std::size_t(i < last ? i + 1 : last)], x - float(i)};
+    }
+};
+
 /// What a material says apart from its textures. Plain data; all lengths of arrays fixed.
 struct BsdfModel {
     BsdfKind kind = BsdfKind::diffuse;
@@ -68,10 +98,9 @@ struct BsdfModel {
     Spectrum specular{1.0f};               // factor on specular reflection
     Spectrum transmittance{1.0f};          // factor on specular transmission
     Spectrum eta_c{0.0f}, k_c{1.0f};       // conductor: complex index relative to the outside
-    // Derived by prepare() for rough_plastic: what its interface reflects of diffuse light from inside and
-    // from outside, and what it lets through per cos(theta), evenly spaced over [0, 1].
-    float fdr_int = 0.0f, fdr_ext = 0.0f;
-    std::array<float, n_transmittance> external_transmittance{};
+    // Derived by prepare() for rough_plastic.
+    RoughCoat coat;                      // at alpha_u
+    const RoughCoats* coats = nullptr;   // where a texture gives alpha; borrowed
 
     float eta() const { return int_ior / ext_ior; }
 };
@@ -84,6 +113,8 @@ struct Bsdf {
     T alpha_u{}, alpha_v{};
     T eta{1};      // relative index, int_ior / ext_ior
     T opacity{1};  // 1 - probability of the null lobe
+    T exponent{};  // phong
+    Rgb<T> eta_c, k_c;
 
     Bsdf() = default;
     /// The model's own parameters; textures then overwrite what they give.
@@ -95,7 +126,10 @@ struct Bsdf {
           alpha_u(m.alpha_u),
           alpha_v(m.alpha_v),
           eta(m.eta()),
-          opacity(m.opacity) {}
+          opacity(m.opacity),
+          exponent(m.exponent),
+          eta_c(m.eta_c),
+          k_c(m.k_c) {}
 };
 
 /// BSDF times |cos(theta_i)| (sr^-1) and the density of sample() for wi (sr^-1); delta lobes excluded.

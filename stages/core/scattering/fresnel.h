@@ -55,9 +55,8 @@ template <class T>
     return (t1 - t2) * t3 / ((t1 + t2) * (t3 + t4));
 }
 template <class T>
-[[gnu::always_inline]] inline Rgb<T> fresnel_conductor(const T& cos_i, const Spectrum& eta, const Spectrum& k) {
-    return {fresnel_conductor(cos_i, T(eta.r), T(k.r)), fresnel_conductor(cos_i, T(eta.g), T(k.g)),
-            fresnel_conductor(cos_i, T(eta.b), T(k.b))};
+[[gnu::always_inline]] inline Rgb<T> fresnel_conductor(const T& cos_i, const Rgb<T>& eta, const Rgb<T>& k) {
+    return {fresnel_conductor(cos_i, eta.r, k.r), fresnel_conductor(cos_i, eta.g, k.g), fresnel_conductor(cos_i, eta.b, k.b)};
 }
 
 /// Reflectance of a dielectric interface under diffuse illumination, by fits.

@@ -16,9 +16,10 @@ struct PhongFamily : SmoothFamily {
     /// lobe times the largest cosine within about its width.
     template <class T>
     [[gnu::always_inline]] static T p_coat(const Bsdf<T>& b, const Vector3<T>& wo) {
-        const float n = b.model->exponent;
-        const T reach = wo.z + T(1.5f / std::sqrt(n + 1.0f));
-        const T largest = select(reach < T(1), reach, T(1)) * T((n + 2.0f) / (n + 1.0f));
+        using std::sqrt;
+        const T n = b.exponent;
+        const T reach = wo.z + T(1.5f) / sqrt(n + T(1));
+        const T largest = select(reach < T(1), reach, T(1)) * ((n + T(2)) / (n + T(1)));
         return share(max_channel(b.specular) * largest, max_channel(b.diffuse));
     }
     template <class T>
@@ -28,12 +29,12 @@ struct PhongFamily : SmoothFamily {
     template <class T>
     [[gnu::always_inline]] static LobeValues<T> lobes(const Bsdf<T>& b, const Vector3<T>& wo, const Vector3<T>& wi, const T& p) {
         using std::pow;
-        const float n = b.model->exponent;
+        const T n = b.exponent;
         const T cos_a = dot(reflect(wo), wi);
-        const T power = select(cos_a > T(0), T(pow(select(cos_a > T(0), cos_a, T(1)), T(n))), T(0)) *
+        const T power = select(cos_a > T(0), T(pow(select(cos_a > T(0), cos_a, T(1)), n)), T(0)) *
                         T(0.5f * inv_pi<float>);
         const T cosine = wi.z * inv_pi<T>;
-        return one_sided(wo, wi, {cosine, T(n + 2.0f) * power * wi.z, p * T(n + 1.0f) * power + (T(1) - p) * cosine});
+        return one_sided(wo, wi, {cosine, (n + T(2)) * power * wi.z, p * (n + T(1)) * power + (T(1) - p) * cosine});
     }
     template <class T>
     [[gnu::always_inline]] static BsdfValue<T> f_cos_pdf(const Bsdf<T>& b, const Vector3<T>& wo, const Vector3<T>& wi) {
@@ -43,7 +44,7 @@ struct PhongFamily : SmoothFamily {
     static ChosenDirection<T> choose(const Bsdf<T>& b, const Vector3<T>& wo, float u_lobe, Point2f u) {
         if (!(wo.z > T(0))) return {};
         if (!(T(u_lobe) < p_coat(b, wo))) return {Vector3<T>(sample_cosine_hemisphere(u)), Lobe::diffuse};
-        const float cos_a = std::pow(1.0f - u.y, 1.0f / (b.model->exponent + 1.0f));
+        const float cos_a = std::pow(1.0f - u.y, 1.0f / (value_of(b.exponent) + 1.0f));
         const float sin_a = safe_sqrt(1.0f - cos_a * cos_a);
         const SinCos phi = sin_cos_turn(u.x);
         const Frame<T> around(Normal3<T>(reflect(wo)));

@@ -75,33 +75,45 @@ struct PlasticFamily : SmoothFamily {
     }
 };
 
-/// differs: the passages through the rough coat come from the table that prepare() made for the model's
-///          own alpha and eta; a derivative by either holds the table fixed
+/// differs: the passages through the rough coat come from the tables that prepare() made; a derivative by alpha or
+///          eta holds them fixed
 struct RoughPlasticFamily : SmoothFamily {
     static constexpr bool coloured_base = true;
 
     /// What the coat lets through, by linear interpolation of the table.
     template <class T>
-    [[gnu::always_inline]] static T transmittance(const BsdfModel& model, const T& cos) {
+    [[gnu::always_inline]] static T transmittance(const Bsdf<T>& b, const T& cos) {
         const T x = cos * T(n_transmittance - 1);
         const int i = std::min(std::max(static_cast<int>(value_of(x)), 0), n_transmittance - 2);
         const T t = x - T(static_cast<float>(i));
-        const float* table = model.external_transmittance.data();
-        return T(table[i]) * (T(1) - t) + T(table[i + 1]) * t;
+        const auto at = [&](const RoughCoat& coat) __attribute__((always_inline)) {
+            const float* table = coat.external_transmittance.data();
+            return T(table[i]) * (T(1) - t) + T(table[i + 1]) * t;
+        };
+        if (!b.model->coats) return at(b.model->coat);
+        const RoughCoats::Place place = b.model->coats->place(value_of(b.alpha_u));
+        return at(*place.row) * T(1 - place.t) + at(*place.next) * T(place.t);
+    }
+    /// fdr_int or fdr_ext of the coat.
+    template <class T>
+    [[gnu::always_inline]] static T diffuse_reflectance(const Bsdf<T>& b, float RoughCoat::*side) {
+        if (!b.model->coats) return T(b.model->coat.*side);
+        const RoughCoats::Place place = b.model->coats->place(value_of(b.alpha_u));
+        return T(place.row->*side * (1 - place.t) + place.next->*side * place.t);
     }
     template <class T>
     [[gnu::always_inline]] static PlasticFamily::Energy<T> energy(const Bsdf<T>& b, const Vector3<T>& wo,
                                                                    const Rgb<T>& base) {
-        const T through = transmittance(*b.model, wo.z);
-        return {b.specular * (T(1) - through), base * (through * T(1.0f - b.model->fdr_ext)), through};
+        const T through = transmittance(b, wo.z);
+        return {b.specular * (T(1) - through), base * (through * (T(1) - diffuse_reflectance(b, &RoughCoat::fdr_ext))), through};
     }
     template <class T>
     [[gnu::always_inline]] static Rgb<T> base(const Bsdf<T>& b) {
-        return coated_diffuse(b, T(b.model->fdr_int));
+        return coated_diffuse(b, diffuse_reflectance(b, &RoughCoat::fdr_int));
     }
     template <class T>
     [[gnu::always_inline]] static Rgb<T> tint(const Bsdf<T>& b, const Vector3<T>& wo) {
-        return base(b) * transmittance(*b.model, wo.z);
+        return base(b) * transmittance(b, wo.z);
     }
     template <class T>
     [[gnu::always_inline]] static T p_coat(const Bsdf<T>& b, const Vector3<T>& wo) {
@@ -118,7 +130,7 @@ struct RoughPlasticFamily : SmoothFamily {
         const T specular_pdf =
             b.model->sample_visible ? d * facets.G1_exact(wo) / (T(4) * wo.z) : d * h.z / (T(4) * cos_h);
         const T cosine = wi.z * inv_pi<T>;
-        return one_sided(wo, wi, {transmittance(*b.model, wi.z) * cosine, specular,
+        return one_sided(wo, wi, {transmittance(b, wi.z) * cosine, specular,
                                   p * specular_pdf + (T(1) - p) * cosine});
     }
     template <class T>

@@ -228,6 +228,14 @@ int add_light_texture(const Object& texture, Scene& scene, TextureCache& cache) 
     return int(scene.textures.size()) - 1;
 }
 
+/// A parameter of an emitter that a texture may give: index of the texture, whose factor is then 1, or -1 and the constant.
+int textured_spectrum(const Object& o, const char* name, Spectrum& value, Scene& scene, TextureCache& cache) {
+    const auto got = o.get_texture_or_rgb(name, Spectrum(1));
+    const auto* texture = std::get_if<ObjectPtr>(&got);
+    value = texture ? Spectrum(1) : std::get<Spectrum>(got);
+    return texture ? add_light_texture(**texture, scene, cache) : -1;
+}
+
 bool emits_light(const Emitter& e, const Scene& scene) {
     if (e.map) return true;
     return !is_black(e.radiance) && (e.texture < 0 || !is_black(scene.textures[std::size_t(e.texture)].mean()));
@@ -269,9 +277,14 @@ void build_emitter(const Object& o, Scene& scene, TextureCache& cache) {
         }
     } else if (o.plugin == "projector") {
         e.kind = EmitterKind::projector;
-        e.radiance = o.get_rgb("irradiance", Spectrum(1)) * o.get_float("scale", 1.0f);
+        e.texture = textured_spectrum(o, "irradiance", e.radiance, scene, cache);
+        e.radiance = e.radiance * o.get_float("scale", 1.0f);
         e.position = to_point(world.point({0, 0, 0}));
-        e.tan_x = e.tan_y = float(tan_half_fov(o, 1));
+        const TextureImage* image = e.texture >= 0 ? scene.textures[e.texture].image.get() : nullptr;
+        const double aspect = image ? double(image->width) / image->height : 1.0;
+        const double tan_x = tan_half_fov(o, aspect);
+        e.tan_x = float(tan_x);
+        e.tan_y = float(tan_x / aspect);
     } else if (o.plugin == "directional") {
         e.kind = EmitterKind::directional;
         e.radiance = o.get_rgb("irradiance", Spectrum(1));
@@ -322,13 +335,7 @@ void build_area_light(const Object& o, bool parallelogram, std::uint32_t shape_i
     e.sampling_weight = o.get_float("sampling_weight", 1.0f);
     e.shape = shape_index;
     e.parallelogram = parallelogram;
-    const auto radiance = o.get_texture_or_rgb("radiance", Spectrum(1));
-    if (const auto* texture = std::get_if<ObjectPtr>(&radiance)) {
-        e.radiance = Spectrum(1);
-        e.texture = add_light_texture(**texture, scene, cache);
-    } else {
-        e.radiance = std::get<Spectrum>(radiance);
-    }
+    e.texture = textured_spectrum(o, "radiance", e.radiance, scene, cache);
     std::vector<double> areas;
     Shape& shape = scene.shapes[shape_index];
     e.area = shape_area(shape, &areas);
@@ -358,6 +365,8 @@ void find_features(Scene& scene) {
         f.textured_transmittance |= m.transmittance >= 0;
         f.textured_alpha |= m.alpha_u >= 0 || m.alpha_v >= 0;
         f.textured_opacity |= m.opacity >= 0;
+        f.textured_exponent |= m.exponent >= 0;
+        f.textured_index |= m.textured_index();
         f.perturbed_normals |= m.perturbed();
         const BsdfKind k = m.model.kind;
         const bool rough = k == BsdfKind::rough_conductor || k == BsdfKind::rough_dielectric || k == BsdfKind::ward;
@@ -446,6 +455,7 @@ std::unique_ptr<Scene> build_scene(SceneDescription description) {
         build_emitter(*o, *scene, cache);
         emitters.push_back(o);
     }
+    for (std::string& note : cache.notes()) scene->notes.push_back(std::move(note));
     if (scene->emitters.size() > 65535) root.fail("", "more than 65535 emitters");
     if (scene->materials.size() > 65535) root.fail("", "more than 65535 materials");
     build_choice_of_lights(emitters, *scene);

@@ -32,6 +32,13 @@ double as_number(const Property& property) {
     return as<double>(property, "a number");
 }
 
+/// A texture that is one value everywhere stands for that value.
+const Property& unwrapped(const Property& property) {
+    const auto* object = std::get_if<ObjectPtr>(&property.value);
+    const Property* value = object && (*object)->plugin == "rawconstant" ? (*object)->read("value") : nullptr;
+    return value ? *value : property;
+}
+
 Spectrum as_rgb(const Property& property) {
     if (const auto* rgb = std::get_if<Spectrum>(&property.value)) return *rgb;
     if (std::holds_alternative<ObjectPtr>(property.value)) wrong_kind(property, "a constant colour");
@@ -156,17 +163,19 @@ std::variant<Spectrum, ObjectPtr> Object::get_texture_or_rgb(std::string_view na
                                                              const Spectrum& fallback) const {
     const Property* found = read(name);
     if (!found) return fallback;
-    if (const auto* object = std::get_if<ObjectPtr>(&found->value)) return *object;
-    return as_rgb(*found);
+    const Property& property = unwrapped(*found);
+    if (const auto* object = std::get_if<ObjectPtr>(&property.value)) return *object;
+    return as_rgb(property);
 }
 
 std::variant<float, ObjectPtr> Object::get_texture_or_float(std::string_view name, float fallback) const {
     const Property* found = read(name);
     if (!found) return fallback;
-    if (const auto* object = std::get_if<ObjectPtr>(&found->value)) return *object;
-    if (const auto* rgb = std::get_if<Spectrum>(&found->value))
+    const Property& property = unwrapped(*found);
+    if (const auto* object = std::get_if<ObjectPtr>(&property.value)) return *object;
+    if (const auto* rgb = std::get_if<Spectrum>(&property.value))
         return rgb->r == rgb->g && rgb->g == rgb->b ? rgb->r : luminance(*rgb);
-    return float(as_number(*found));
+    return float(as_number(property));
 }
 
 float Object::get_ior(std::string_view name, std::string_view fallback) const {

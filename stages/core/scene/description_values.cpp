@@ -316,8 +316,9 @@ bool tag_fits(std::string_view tag, const Parameter& parameter) {
             return number || tag == "string";
         case ValueKind::reflectance:
         case ValueKind::emission:
-        case ValueKind::index:
             return number || tag == "rgb" || tag == "srgb" || tag == "spectrum";
+        case ValueKind::index:
+            return number || tag == "vector" || tag == "rgb" || tag == "srgb" || tag == "spectrum";
         case ValueKind::transform:
         case ValueKind::uv_transform:
             return tag == "transform";

@@ -57,8 +57,8 @@ void sample_area(const Scene& scene, const Emitter& e, Point2f u, Point3f& y, No
     if (shape.kind == ShapeKind::sphere) {
         n = Normal3f(sample_uniform_sphere(u));
         y = shape.center + Vector3f(n) * shape.radius;
+        if (e.texture >= 0) uv = shape.sphere_uv(Vector3f(n));
         if (shape.flip_normals) n = -n;
-        uv = {};
         return;
     }
     if (e.parallelogram) {
@@ -112,12 +112,17 @@ float one_minus_cos(const Cone& cone, float radius) {
     return sqr(radius / cone.distance) / (1 + cone.cos_max);
 }
 
+/// Radiance of an area light at its texture coordinates, to the side that it emits to.
+Spectrum radiance_at(const Scene& scene, const Emitter& e, Point2f uv) {
+    return e.texture < 0 ? e.radiance : e.radiance * scene.textures[e.texture].eval(uv);
+}
+
 void sample_area_point(const Scene& scene, const Emitter& e, Point2f u, LightPoint& point) {
     Point2f uv;
     sample_area(scene, e, u, point.y, point.n, uv);
     point.hit_error = scene.shapes[e.shape].hit_error;
     point.area = float(e.area);
-    point.Li = e.texture < 0 ? e.radiance : e.radiance * scene.textures[e.texture].eval(uv);
+    point.Li = radiance_at(scene, e, uv);
 }
 
 void sample_sphere_light(const Scene& scene, const Emitter& e, const Point3f& from, Point2f u, LightSample& s) {
@@ -144,7 +149,7 @@ void sample_sphere_light(const Scene& scene, const Emitter& e, const Point3f& fr
     s.hit_error = shape.hit_error;
     s.wi = normalize(s.y - from);  // as a reader of the stored point computes it
     s.pdf_w = 1.0f / (two_pi * omc);
-    s.Li = e.radiance;
+    s.Li = e.texture < 0 ? e.radiance : radiance_at(scene, e, shape.sphere_uv(Vector3f(s.n)));
 }
 
 /// A direction found in the density of an environment map. out: where its radiance stands
@@ -192,10 +197,16 @@ std::size_t choose_emitter(const Scene& scene, float& u, float& pmf) {
 
 }  // namespace
 
-Spectrum projected(const Emitter& projector, const Framef& beam, const Point3f& p) {
+Spectrum beam_radiance(const Scene& scene, const Emitter& projector, float x, float y) {
+    if (projector.texture < 0) return projector.radiance;
+    return projector.radiance * scene.textures[projector.texture].eval({0.5f - 0.5f * x, 0.5f - 0.5f * y});
+}
+
+Spectrum projected(const Scene& scene, const Emitter& projector, const Framef& beam, const Point3f& p) {
     const Vector3f local = beam.to_local(p - projector.position);
     if (!(local.z > 0 && std::abs(local.x) <= projector.tan_x * local.z && std::abs(local.y) <= projector.tan_y * local.z)) return Spectrum(0);
-    return projector.radiance * (pi<float> * length(local) / (local.z * local.z * local.z));
+    const Spectrum radiance = beam_radiance(scene, projector, local.x / (local.z * projector.tan_x), local.y / (local.z * projector.tan_y));
+    return radiance * (pi<float> * length(local) / (local.z * local.z * local.z));
 }
 
 EnvironmentMap::Place EnvironmentMap::place(Point2f uv) const {
@@ -335,7 +346,7 @@ LightSample sample_light(const Scene& scene, const Point3f& from, const LightQue
         s.y = e.position;
         s.wi = d / std::sqrt(d2);
         s.pdf_w = 1;
-        s.Li = e.kind == EmitterKind::projector ? projected(e, e.frame, from) : e.radiance / d2;
+        s.Li = e.kind == EmitterKind::projector ? projected(scene, e, e.frame, from) : e.radiance / d2;
         if (e.kind == EmitterKind::spot) s.Li *= spot_falloff(scene, e, e.frame.to_local(-s.wi));
     }
     s.pdf_w *= query.point.pmf;
@@ -369,7 +380,7 @@ Spectrum emitted(const Scene& scene, const SurfacePoint& at, const Vector3f& wo)
     const Shape& shape = scene.shapes[at.shape];
     if (shape.emitter < 0 || !(dot(at.ns_smooth, wo) > 0)) return Spectrum(0);
     const Emitter& e = scene.emitters[shape.emitter];
-    return e.texture < 0 ? e.radiance : e.radiance * scene.textures[e.texture].eval(at.uv);
+    return radiance_at(scene, e, at.uv);
 }
 
 Spectrum environment(const Scene& scene, const Vector3f& d) {

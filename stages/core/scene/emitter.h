@@ -41,7 +41,7 @@ struct Emitter {
     float sampling_weight = 1;
     Spectrum radiance;              // area, constant: W m^-2 sr^-1; point, spot: intensity; directional: irradiance;
                                     // projector: irradiance of a plane at distance 1, over pi
-    int texture = -1;               // area: factor on radiance by uv; spot: by position in the beam
+    int texture = -1;               // area: factor on radiance by uv; spot, projector: by position in the beam
     std::uint32_t shape = 0;        // area
     double area = 0;                // area: m^2
     bool parallelogram = false;     // area on a rectangle: its two triangles are sampled as one
@@ -64,7 +64,10 @@ struct Emitter {
 
 /// Irradiance of a plane at p that faces the projector, when its beam goes along z of `beam`.
 ///   pi irradiance r / z^3 within the beam: intensity pi irradiance / cos^3        [Mitsuba 3, "projector"]
-Spectrum projected(const Emitter& projector, const Frame<float>& beam, const Point3f& p);
+Spectrum projected(const Scene& scene, const Emitter& projector, const Frame<float>& beam, const Point3f& p);
+/// The projector's `radiance` with its texture at a point of the beam: x and y in units of half its width and height.
+/// The image stands upright for who looks along the beam, as that of a camera in its place.
+Spectrum beam_radiance(const Scene& scene, const Emitter& projector, float x, float y);
 
 /// A light point seen from a surface point.
 struct LightSample {

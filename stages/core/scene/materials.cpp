@@ -38,23 +38,6 @@ bool transmits(BsdfKind kind) {
            kind == BsdfKind::null;
 }
 
-void set_conductor(const Object& o, BsdfModel& m) {
-    const std::string name = o.get_string("material", o.has("eta") || o.has("k") ? "" : "none");
-    if (!name.empty()) {
-        const auto ior = conductor_ior(name);
-        if (!ior) o.fail("material", "unknown conductor '" + name + "'");
-        m.eta_c = ior->eta;
-        m.k_c = ior->k;
-    }
-    m.eta_c = o.get_rgb("eta", m.eta_c);
-    m.k_c = o.get_rgb("k", m.k_c);
-    if (o.has("ext_eta")) {
-        const float outside = o.get_ior("ext_eta", "air");
-        m.eta_c = m.eta_c / outside;
-        m.k_c = m.k_c / outside;
-    }
-}
-
 }  // namespace
 
 std::uint32_t MaterialBuilder::index(const ObjectPtr& bsdf) {
@@ -67,9 +50,9 @@ std::uint32_t MaterialBuilder::index(const ObjectPtr& bsdf) {
     } else {
         sides.front.id = "default";
     }
-    prepare(sides.front.model);
+    derive(sides.front);
     if (sides.back) {
-        prepare(sides.back->model);
+        derive(*sides.back);
         sides.front.back = int(scene_.materials.size());
         scene_.materials.push_back(*sides.back);
     }
@@ -155,7 +138,7 @@ Material MaterialBuilder::build_plain(const Object& o) {
             break;
         case BsdfKind::conductor:
         case BsdfKind::rough_conductor:
-            set_conductor(o, model);
+            set_conductor(o, m);
             m.specular = colour(o, "specular_reflectance", model.specular);
             break;
         case BsdfKind::dielectric:
@@ -175,7 +158,7 @@ Material MaterialBuilder::build_plain(const Object& o) {
             m.specular = colour(o, "specular_reflectance", model.specular);
             break;
         case BsdfKind::phong:
-            model.exponent = o.get_float("exponent", 30.0f);
+            m.exponent = number(o, "exponent", model.exponent);
             model.specular = Spectrum(0.2f);
             m.diffuse = colour(o, "diffuse_reflectance", model.diffuse);
             m.specular = colour(o, "specular_reflectance", model.specular);
@@ -207,6 +190,25 @@ Material MaterialBuilder::build_plain(const Object& o) {
     return m;
 }
 
+void MaterialBuilder::set_conductor(const Object& o, Material& material) {
+    BsdfModel& m = material.model;
+    const std::string name = o.get_string("material", o.has("eta") || o.has("k") ? "" : "none");
+    if (!name.empty()) {
+        const auto ior = conductor_ior(name);
+        if (!ior) o.fail("material", "unknown conductor '" + name + "'");
+        m.eta_c = ior->eta;
+        m.k_c = ior->k;
+    }
+    material.eta_c = colour(o, "eta", m.eta_c);
+    material.k_c = colour(o, "k", m.k_c);
+    if (o.has("ext_eta")) {
+        const float outside = o.get_ior("ext_eta", "air");
+        m.eta_c = m.eta_c / outside;
+        m.k_c = m.k_c / outside;
+        material.index_scale = 1 / outside;
+    }
+}
+
 int MaterialBuilder::texture(const ObjectPtr& description) {
     if (const auto found = textures_.find(description.get()); found != textures_.end()) return found->second;
     scene_.textures.push_back(make_texture(*description, cache_));
@@ -228,15 +230,41 @@ int MaterialBuilder::colour(const Object& o, const char* name, Spectrum& value) 
     return -1;
 }
 
-int MaterialBuilder::roughness(const Object& o, const char* name, float& value) {
+int MaterialBuilder::number(const Object& o, const char* name, float& value) {
     const auto got = o.get_texture_or_float(name, value);
     if (const auto* map = std::get_if<ObjectPtr>(&got)) return scalar_texture(*map);
-    value = std::max(std::get<float>(got), 1e-4f);
+    value = std::get<float>(got);
     return -1;
 }
 
+int MaterialBuilder::roughness(const Object& o, const char* name, float& value) {
+    const int map = number(o, name, value);
+    value = std::max(value, smallest_alpha);
+    return map;
+}
+
+void MaterialBuilder::derive(Material& m) {
+    BsdfModel& model = m.model;
+    const bool two_lobes = model.kind == BsdfKind::phong || model.kind == BsdfKind::ward;
+    if (two_lobes && (m.diffuse >= 0 || m.specular >= 0)) {
+        // By the largest values of the textures, as Mitsuba 0.6; a constant is darkened with them.
+        const auto most = [&](int texture, const Spectrum& constant) { return texture >= 0 ? scene_.textures[texture].maximum() : constant; };
+        const BsdfModel before = model;
+        model.diffuse = most(m.diffuse, model.diffuse);
+        model.specular = most(m.specular, model.specular);
+        m.reflectance_scale = conserve_energy(model);
+        if (m.diffuse >= 0) model.diffuse = before.diffuse;
+        if (m.specular >= 0) model.specular = before.specular;
+    } else if (model.kind == BsdfKind::rough_plastic && m.alpha_u >= 0) {
+        const auto [least, most] = scene_.textures[m.alpha_u].float_range();
+        prepare_coats(model, std::max(least, smallest_alpha), std::max(most, smallest_alpha));
+    } else {
+        prepare(model);
+    }
+}
+
 EnvironmentMap load_environment(const Object& o, TextureCache& cache, std::vector<std::string>& notes) {
-    const auto image = cache.image(o.get_path("filename"), decode_of(o));
+    const auto image = image_of(o, decode_of(o), cache);
     const float scale = o.get_float("scale", 1.0f);
     EnvironmentMap map;
     map.width = image->width;

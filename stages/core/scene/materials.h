@@ -31,7 +31,11 @@ class MaterialBuilder {
     int scalar_texture(const ObjectPtr& description);
     /// A reflectance-like parameter: a constant into `value`, or the index of a texture.
     int colour(const Object& bsdf, const char* name, Spectrum& value);
+    int number(const Object& bsdf, const char* name, float& value);
     int roughness(const Object& bsdf, const char* name, float& value);
+    void set_conductor(const Object& bsdf, Material& material);
+    /// What follows from the parameters, be they constants or textures.
+    void derive(Material& material);
 
     Scene& scene_;
     TextureCache& cache_;

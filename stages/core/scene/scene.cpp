@@ -11,7 +11,9 @@ namespace {
 // The path graph stores normals in 2 x 16 bits and texture-evaluated parameters as halves. The tracer uses
 // the rounded values, so that every later stage computes with exactly what the tracer saw.
 
-float half_round(float value) { return float_from_half(half_from_float(value)); }
+constexpr float largest_half = 65504;
+
+float half_round(float value) { return float_from_half(half_from_float(std::min(value, largest_half))); }
 
 Spectrum half_round(const Spectrum& s) { return {half_round(s.r), half_round(s.g), half_round(s.b)}; }
 
@@ -132,8 +134,7 @@ SurfacePoint Scene::surface(const Ray& ray, const Hit& hit) const {
         at.ng = Normal3f(outward);
         const Vector3f& z = shape.w_axis;
         const float x = dot(outward, shape.u_axis), y = dot(outward, shape.v_axis);
-        const float phi = std::atan2(y, x) * (0.5f * inv_pi<float>);
-        at.uv = {phi < 0 ? phi + 1 : phi, std::acos(clamp(dot(outward, z), -1.0f, 1.0f)) * inv_pi<float>};
+        at.uv = shape.sphere_uv(outward);
         const float rho = std::max(std::sqrt(x * x + y * y), 1e-6f), scale = shape.radius * pi<float>;
         partials.dp_du = (shape.v_axis * x - shape.u_axis * y) * (2 * scale);
         partials.dp_dv = ((shape.u_axis * (x / rho) + shape.v_axis * (y / rho)) * dot(outward, z) - z * rho) * scale;
@@ -167,7 +168,7 @@ SurfacePoint Scene::surface(const Ray& ray, const Hit& hit) const {
 }
 
 Spectrum Scene::diffuse(const Material& m, Point2f uv) const {
-    return m.diffuse >= 0 ? half_round(textures[m.diffuse].eval(uv)) : m.model.diffuse;
+    return m.diffuse >= 0 ? half_round(textures[m.diffuse].eval(uv) * m.reflectance_scale) : m.model.diffuse;
 }
 
 Bsdf<float> Scene::bsdf(const SurfacePoint& at) const {
@@ -175,11 +176,20 @@ Bsdf<float> Scene::bsdf(const SurfacePoint& at) const {
     Bsdf<float> b(m.model);
     if (!m.textured()) return b;
     b.diffuse = diffuse(m, at.uv);
-    if (m.specular >= 0) b.specular = half_round(textures[m.specular].eval(at.uv));
+    if (m.specular >= 0) b.specular = half_round(textures[m.specular].eval(at.uv) * m.reflectance_scale);
     if (m.transmittance >= 0) b.transmittance = half_round(textures[m.transmittance].eval(at.uv));
-    if (m.alpha_u >= 0) b.alpha_u = half_round(std::max(textures[m.alpha_u].eval_float(at.uv), 1e-4f));
-    if (m.alpha_v >= 0) b.alpha_v = half_round(std::max(textures[m.alpha_v].eval_float(at.uv), 1e-4f));
+    if (m.alpha_u >= 0 || m.alpha_v >= 0) {
+        const auto alpha = [&](int texture, float constant) { return half_round(texture >= 0 ? std::max(textures[texture].eval_float(at.uv), smallest_alpha) : constant); };
+        b.alpha_u = alpha(m.alpha_u, m.model.alpha_u);
+        b.alpha_v = alpha(m.alpha_v, m.model.alpha_v);
+    }
     if (m.opacity >= 0) b.opacity = half_round(clamp(textures[m.opacity].eval_float(at.uv), 0.0f, 1.0f));
+    if (m.exponent >= 0) b.exponent = std::max(textures[m.exponent].eval_float(at.uv), 0.0f);
+    if (m.textured_index()) {
+        const auto index = [&](int texture, const Spectrum& constant) { return half_round(texture >= 0 ? textures[texture].eval(at.uv) * m.index_scale : constant); };
+        b.eta_c = index(m.eta_c, m.model.eta_c);
+        b.k_c = index(m.k_c, m.model.k_c);
+    }
     return b;
 }
 

@@ -41,14 +41,20 @@ struct Material {
     int diffuse = -1, specular = -1, transmittance = -1;
     int alpha_u = -1, alpha_v = -1;
     int opacity = -1;
+    int exponent = -1;
+    int eta_c = -1, k_c = -1;
+    float reflectance_scale = 1;  // of textured diffuse and specular: keeps a sum of two lobes below 1
+    float index_scale = 1;        // of textured eta_c and k_c: 1 / index outside
     int normal_map = -1, bump_map = -1;
     float bump_scale = 1;
     bool flips_invalid_normals = true;  // of a map: see perturbed_normal()
     int back = -1;  // material seen from behind; -1: this one
     BsdfModel model;
     bool textured() const {
-        return diffuse >= 0 || specular >= 0 || transmittance >= 0 || alpha_u >= 0 || alpha_v >= 0 || opacity >= 0;
+        return diffuse >= 0 || specular >= 0 || transmittance >= 0 || alpha_u >= 0 || alpha_v >= 0 || opacity >= 0 ||
+               exponent >= 0 || textured_index();
     }
+    bool textured_index() const { return eta_c >= 0 || k_c >= 0; }
     bool perturbed() const { return normal_map >= 0 || bump_map >= 0; }
     bool needs_uv() const { return textured() || perturbed(); }
     /// Reflects and transmits nothing, whatever the directions: a path ends here.
@@ -83,6 +89,12 @@ struct Shape {
                           // shape; what its distance from the origin adds is in surface_offset()
 
     Box3f bounds() const;  // world space
+    /// Texture coordinates of a sphere: longitude about w_axis from u_axis, and colatitude, both over [0, 1].
+    /// needs:   outward  unit, from the centre, whatever flip_normals
+    Point2f sphere_uv(const Vector3f& outward) const {
+        const float phi = std::atan2(dot(outward, v_axis), dot(outward, u_axis)) * (0.5f * inv_pi<float>);
+        return {phi < 0 ? phi + 1 : phi, std::acos(clamp(dot(outward, w_axis), -1.0f, 1.0f)) * inv_pi<float>};
+    }
 };
 
 /// What Shape::hit_error is of a shape.
@@ -103,10 +115,14 @@ struct SurfacePoint {
     RayEnd end() const { return {p, ng, hit_error}; }
 };
 
+/// Rougher than a microfacet surface may be at least.
+inline constexpr float smallest_alpha = 1e-4f;
+
 /// What kinds of things a scene holds: stages switch on only what it calls for.
 struct SceneFeatures {
     bool textured_diffuse = false, textured_specular = false, textured_transmittance = false;
     bool textured_alpha = false, textured_opacity = false;
+    bool textured_exponent = false, textured_index = false;
     bool smooth_normals = false;   // shading normal may differ from the geometric one
     bool perturbed_normals = false;
     bool anisotropic = false;

@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <cctype>
 
 namespace loom {
@@ -71,6 +72,20 @@ void check_integrator(const Object& object) {
 void check_conductor(const Object& object) {
     if (!object.legacy && object.has("material") && (object.has("eta") || object.has("k")))
         object.fail("material", "give either 'material' or 'eta' and 'k', not both");
+}
+
+/// A texture that is one value everywhere must lie where the constant must.
+void check_rawconstant(const Object& object, const Parameter& parameter) {
+    const Property* property = object.find(parameter.name);
+    const auto* texture = property ? std::get_if<ObjectPtr>(&property->value) : nullptr;
+    if (!texture || (*texture)->plugin != "rawconstant") return;
+    const Spectrum value = (*texture)->get_rgb("value");
+    const float low = std::min({value.r, value.g, value.b}), high = std::max({value.r, value.g, value.b});
+    if (parameter.kind == ValueKind::reflectance && (low < 0 || high > 1))
+        (*texture)->fail("value", fmt::format("'{}' must lie between 0 and 1", parameter.name));
+    if ((parameter.flags & flag::positive) && !(low > 0)) (*texture)->fail("value", fmt::format("'{}' must be greater than 0", parameter.name));
+    if (((parameter.flags & flag::non_negative) || object.category == Category::emitter) && low < 0)
+        (*texture)->fail("value", fmt::format("'{}' must not be negative", parameter.name));
 }
 
 }  // namespace
@@ -161,6 +176,7 @@ void check_object(const Object& object, const PluginSchema& plugin) {
         if ((parameter.flags & flag::required) && !object.has(parameter.name))
             fail(object.at, fmt::format("{} '{}' needs the parameter '{}' ({})", name(plugin.category),
                                         plugin.type, parameter.name, expected_kinds(parameter)));
+    for (const Parameter& parameter : plugin.parameters) check_rawconstant(object, parameter);
     check_children(object, plugin);
     switch (object.category) {
         case Category::film:

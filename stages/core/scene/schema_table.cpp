@@ -156,9 +156,11 @@ std::vector<PluginSchema> make_table() {
                             {"resolution", integer, positive | legacy},
                             {"to_world", transform}});
     add(emitter, "projector",
-        weight + Parameters{{"irradiance", emission},
+        weight + Parameters{{"irradiance", emission, textured},
                             {"scale", number, non_negative},
                             {"fov", number, positive},
+                            {"fov_axis", string, 0, "x|y|diagonal|smaller|larger"},
+                            {"focal_length", string},
                             {"to_world", transform}});
     not_yet(emitter, {"directionalarea", "angulararea", "sun", "sky", "collimated", "timedsunsky",
                       "volumelight", "transientarea"});
@@ -267,6 +269,7 @@ std::vector<PluginSchema> make_table() {
                                     {"cache", boolean, legacy | ignored}};
     add(texture, "bitmap", bitmap_options);
     add(texture, "checkerboard", {{"color0", reflectance}, {"color1", reflectance}, {"to_uv", uv_transform}});
+    add(texture, "rawconstant", {{"value", index, required}});
     not_yet(texture, {"scale", "gridtexture", "wireframe", "curvature", "vertexcolors", "mesh_attribute",
                       "volume", "uniform", "d65", "srgb"});
 

@@ -86,6 +86,10 @@ Spectrum as_spectrum(const Spectrum& v) {
 float as_float(float v) {
     return v;
 }
+/// Luminance, but exact for a grey.
+float as_grey(const Spectrum& v) {
+    return v.r == v.g && v.g == v.b ? v.r : luminance(v);
+}
 float as_float(const Spectrum& v) {
     return luminance(v);
 }
@@ -114,12 +118,13 @@ const Spectrum& checker(const Texture& texture, Point2f uv, bool swapped = false
 
 Spectrum Texture::eval(Point2f uv) const {
     uv = transformed(to_uv, uv);
+    if (kind == TextureKind::constant) return color0;
     if (kind == TextureKind::checkerboard) return checker(*this, uv);
     return look_up<Spectrum>(*this, uv, [](const auto& v) { return as_spectrum(v); });
 }
 
 void Texture::prefetch(Point2f uv) const {
-    if (kind == TextureKind::checkerboard) return;
+    if (kind != TextureKind::bitmap) return;
     const Footprint f = footprint(*image, transformed(to_uv, uv), wrap);
     const auto ask = [&](const auto* pixels, std::size_t width) {
         __builtin_prefetch(pixels + width * f.p00);
@@ -131,12 +136,13 @@ void Texture::prefetch(Point2f uv) const {
 
 float Texture::eval_float(Point2f uv) const {
     uv = transformed(to_uv, uv);
+    if (kind == TextureKind::constant) return as_grey(color0);
     if (kind == TextureKind::checkerboard) return luminance(checker(*this, uv, swaps_numbers));
     return look_up<float>(*this, uv, [](const auto& v) { return as_float(v); });
 }
 
 Point2f Texture::eval_gradient(Point2f uv) const {
-    if (kind == TextureKind::checkerboard || nearest) return {};
+    if (kind != TextureKind::bitmap || nearest) return {};
     const Footprint f = footprint(*image, transformed(to_uv, uv), wrap);
     return with_pixels(*image, [&](const auto& fetch) -> Point2f {
         const float f00 = as_float(fetch(f.p00)), f10 = as_float(fetch(f.p10));
@@ -147,12 +153,51 @@ Point2f Texture::eval_gradient(Point2f uv) const {
     });
 }
 
+/// Calls use(value, grey) for every value that the texture is interpolated between.
+template <class Use>
+void for_each_value(const Texture& texture, const Use& use) {
+    if (texture.kind == TextureKind::bitmap) {
+        const TextureImage& image = *texture.image;
+        for (int y = 0; y < image.height; ++y)
+            for (int x = 0; x < image.width; ++x) use(image.texel(x, y), image.grey);
+        return;
+    }
+    use(texture.color0, false);
+    if (texture.kind == TextureKind::checkerboard) use(texture.color1, false);
+}
+
+Spectrum Texture::maximum() const {
+    Spectrum most(0);
+    for_each_value(*this, [&](const Spectrum& v, bool) {
+        for (int c = 0; c < 3; ++c) most[c] = std::max(most[c], v[c]);
+    });
+    return most;
+}
+
+std::pair<float, float> Texture::float_range() const {
+    std::pair<float, float> range{INFINITY, -INFINITY};
+    for_each_value(*this, [&](const Spectrum& v, bool grey) {
+        const float value = grey ? v.r : as_grey(v);
+        range = {std::min(range.first, value), std::max(range.second, value)};
+    });
+    return range;
+}
+
 Spectrum Texture::mean() const {
+    if (kind == TextureKind::constant) return color0;
     return kind == TextureKind::checkerboard ? (color0 + color1) * 0.5f : image->mean;
 }
 
 Decode decode_of(const Object& o) {
     return {o.get_bool("raw", false), o.get_float("gamma", 0.0f)};
+}
+
+std::shared_ptr<const TextureImage> image_of(const Object& object, Decode decode, TextureCache& cache) {
+    try {
+        return cache.image(object.get_path("filename"), decode);
+    } catch (const InputError& error) {
+        object.fail("filename", error.what());
+    }
 }
 
 Texture make_texture(const Object& o, TextureCache& cache) {
@@ -169,14 +214,15 @@ Texture make_texture(const Object& o, TextureCache& cache) {
         texture.swaps_numbers = !o.legacy;
         return texture;
     }
+    if (o.plugin == "rawconstant") {
+        texture.kind = TextureKind::constant;
+        texture.color0 = o.get_rgb("value");
+        return texture;
+    }
     const std::string wrap = o.get_string("wrap_mode", "repeat");
     texture.wrap = wrap == "mirror" ? WrapMode::mirror : wrap == "clamp" ? WrapMode::clamp : WrapMode::repeat;
     texture.nearest = o.get_string("filter_type", "bilinear") == "nearest";
-    try {
-        texture.image = cache.image(o.get_path("filename"), decode_of(o));
-    } catch (const InputError& error) {
-        o.fail("filename", error.what());
-    }
+    texture.image = image_of(o, decode_of(o), cache);
     return texture;
 }
 

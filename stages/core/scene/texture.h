@@ -32,11 +32,12 @@ struct TextureImage {
     std::array<float, 256> decode{};  // linear value of a byte
 
     Spectrum mean{0.0f};  // of all pixels
+    std::string note;     // what of the file has no effect; empty: nothing
 
     Spectrum texel(int x, int y) const;
 };
 
-enum class TextureKind : std::uint8_t { bitmap, checkerboard };
+enum class TextureKind : std::uint8_t { bitmap, checkerboard, constant };
 enum class WrapMode : std::uint8_t { repeat, mirror, clamp };
 
 /// A function of (u, v), evaluated in the tracer's inner loop: plain data, no virtual call. Conventions of
@@ -47,7 +48,7 @@ struct Texture {
     bool nearest = false;
     std::array<float, 6> to_uv{1, 0, 0, 0, 1, 0};  // rows of the 2x3 matrix applied to (u, v, 1)
     std::shared_ptr<const TextureImage> image;     // bitmap
-    Spectrum color0{0.4f}, color1{0.2f};           // checkerboard
+    Spectrum color0{0.4f}, color1{0.2f};           // checkerboard; color0: the constant
     bool swaps_numbers = false;                    // checkerboard: eval_float() has color1 where eval() has color0
     std::string id;
 
@@ -56,11 +57,14 @@ struct Texture {
     void prefetch(Point2f uv) const;
     /// Luminance of a colour texture, the value of a grey one. [Mitsuba 3.8, checkerboard: eval_1 swaps the colours]
     float eval_float(Point2f uv) const;
-    /// d eval_float / d(u, v) of the bilinear interpolant; 0 for `nearest` and the checkerboard.
+    /// d eval_float / d(u, v) of the bilinear interpolant; 0 for `nearest`, checkerboard and constant.
     /// differs: Mitsuba 3.8 scales by the image size after a rotation in to_uv, we before it
     Point2f eval_gradient(Point2f uv) const;
     /// Mean over the unit square of the untransformed texture.
     Spectrum mean() const;
+    /// Largest value of each channel, and smallest and largest of eval_float(), anywhere.
+    Spectrum maximum() const;
+    std::pair<float, float> float_range() const;
 };
 
 /// Decodes each (file, decoding) once, however many textures use it. Safe from several threads.
@@ -68,6 +72,8 @@ class TextureCache {
   public:
     /// throws: InputError that names the file: missing, not an image, empty, too large
     std::shared_ptr<const TextureImage> image(const std::filesystem::path& file, Decode decode);
+    /// Notes of the images, by file name. Must be called after all reading.
+    std::vector<std::string> notes() const;
 
   private:
     struct Entry {
@@ -81,7 +87,11 @@ class TextureCache {
 /// As a bitmap or an envmap says: `raw`, and in 0.x files `gamma`.
 Decode decode_of(const Object& description);
 
-/// The texture of a description (bitmap or checkerboard).
+/// The image that an object's `filename` names.
+/// throws: InputError at that parameter
+std::shared_ptr<const TextureImage> image_of(const Object& object, Decode decode, TextureCache& cache);
+
+/// The texture of a description.
 Texture make_texture(const Object& description, TextureCache& cache);
 
 }  // namespace loom

@@ -1,6 +1,8 @@
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <cmath>
+#include <utility>
 
 #include "formats/io/error.h"
 #include "stages/core/scene/image_decoder.h"
@@ -16,14 +18,10 @@ float decoded(float value, Decode decode, bool integers) {
     return integers || decode.gamma < 0 ? linear_from_srgb(value) : value;
 }
 
-/// Drops alpha and pads a colour to `stride`: n_in interleaved channels to 1 or `stride` per pixel.
-template <class T>
-std::vector<T> pick_channels(const std::vector<T>& in, int n_in, bool grey, int stride) {
-    const std::size_t n_pixels = in.size() / std::size_t(n_in), n_out = std::size_t(grey ? 1 : stride);
-    if (std::size_t(n_in) == n_out) return in;
-    std::vector<T> out(n_pixels * n_out);
-    for (std::size_t i = 0; i < n_pixels; ++i)
-        for (std::size_t c = 0; c < (grey ? 1u : 3u); ++c) out[i * n_out + c] = in[i * std::size_t(n_in) + c];
+/// Pads a colour to four bytes a pixel.
+std::vector<std::uint8_t> padded(const std::vector<std::uint8_t>& rgb) {
+    std::vector<std::uint8_t> out(rgb.size() / 3 * 4);
+    for (std::size_t i = 0; i < rgb.size() / 3; ++i) std::copy_n(&rgb[3 * i], 3, &out[4 * i]);
     return out;
 }
 
@@ -53,18 +51,19 @@ Spectrum mean_of_floats(const TextureImage& image) {
 }
 
 TextureImage read_image(const std::filesystem::path& file, Decode decode) {
-    const DecodedImage in = decode_image(file);
+    DecodedImage in = decode_image(file);
     TextureImage image;
     image.width = in.width;
     image.height = in.height;
-    image.grey = in.n_channels < 3;
+    image.grey = in.n_channels == 1;
+    if (!in.note.empty()) image.note = fmt::format("{}: {}", file.string(), in.note);
     if (!in.bytes.empty()) {
-        image.bytes = pick_channels(in.bytes, in.n_channels, image.grey, 4);
+        image.bytes = image.grey ? std::move(in.bytes) : padded(in.bytes);
         for (int v = 0; v < 256; ++v)
             image.decode[std::size_t(v)] = decoded(float(v) / 255.0f, decode, in.integers);
         image.mean = mean_of_bytes(image);
     } else {
-        image.floats = pick_channels(in.floats, in.n_channels, image.grey, 3);
+        image.floats = std::move(in.floats);
         for (std::size_t i = 0; i < image.floats.size(); ++i) {
             image.floats[i] = decoded(image.floats[i], decode, in.integers);
             if (!std::isfinite(image.floats[i])) {
@@ -104,6 +103,15 @@ std::shared_ptr<const TextureImage> TextureCache::image(const std::filesystem::p
     std::call_once(entry->once,
                    [&] { entry->image = std::make_shared<const TextureImage>(read_image(file, decode)); });
     return entry->image;
+}
+
+std::vector<std::string> TextureCache::notes() const {
+    std::vector<std::string> notes;
+    for (const auto& [key, entry] : entries_) {
+        if (!entry->image || entry->image->note.empty()) continue;
+        if (notes.empty() || notes.back() != entry->image->note) notes.push_back(entry->image->note);
+    }
+    return notes;
 }
 
 }  // namespace loom

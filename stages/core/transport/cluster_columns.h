@@ -22,6 +22,7 @@ struct ClusterColumns {
     struct Run {
         const BsdfModel* model;
         int begin, end;
+        bool own = false;  // lanes have own exponents, indices or rough coats; else all have the model's
         int past_end() const { return begin + padded_lanes(end - begin); }
     };
 
@@ -35,6 +36,7 @@ struct ClusterColumns {
     bool has_tangent = false;
     LaneColumn diffuse_r, diffuse_g, diffuse_b, specular_r, specular_g, specular_b;
     LaneColumn transmittance_r, transmittance_g, transmittance_b, alpha_u, alpha_v, eta, opacity;
+    LaneColumn exponent, eta_r, eta_g, eta_b, k_r, k_g, k_b;  // in runs that are `own`
     LaneColumn survival;  // probability that BSDF sampling goes on to trace its ray; 0 where it was not attempted
     // Asked for: direction of light (local) and the factor between measures.
     LaneColumn wi_x, wi_y, wi_z, geometry;

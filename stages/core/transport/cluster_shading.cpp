@@ -20,7 +20,7 @@ ClusterShading::Lobes lobes_of(const BsdfModel& m, std::uint8_t textured) {
         case BsdfKind::phong:
         case BsdfKind::ward: return {.split = grey_specular, .base = true, .coat = true};
         case BsdfKind::rough_diffuse: return {.split = grey(m.diffuse) && !(textured & textured_parameter::diffuse), .coat = true};
-        case BsdfKind::rough_conductor: return {.split = grey_specular && grey(m.eta_c) && grey(m.k_c), .coat = true};
+        case BsdfKind::rough_conductor: return {.split = grey_specular && grey(m.eta_c) && grey(m.k_c) && !(textured & textured_parameter::index), .coat = true};
         case BsdfKind::rough_dielectric:
             return {.split = grey_specular && grey(m.transmittance) && !(textured & textured_parameter::transmittance), .coat = true};
         case BsdfKind::conductor:
@@ -69,7 +69,7 @@ void ClusterShading::load(std::span<const std::uint32_t> vertices, std::span<con
     perturbed_lane_.clear();
     for (int l = 0; l < n; ++l) {
         const VertexRow& at = row(l);
-        if (l == 0 || material[l] != material[l - 1]) c.runs.push_back({&reader_.model(material[l]), l, l});
+        if (l == 0 || material[l] != material[l - 1]) c.runs.push_back({&reader_.model(material[l]), l, l, has_own(material[l])});
         c.runs.back().end = l + 1;
         c.px[l] = at.p.x, c.py[l] = at.p.y, c.pz[l] = at.p.z;
         c.wo_x[l] = at.wo.x, c.wo_y[l] = at.wo.y, c.wo_z[l] = at.wo.z;
@@ -120,6 +120,11 @@ bool ClusterShading::has_one_base(std::uint8_t textured) const {
     return true;
 }
 
+bool ClusterShading::has_own(std::uint16_t material) const {
+    constexpr std::uint8_t own = textured_parameter::exponent | textured_parameter::index;
+    return (reader_.graph().materials.textured[material] & own) != 0 || reader_.model(material).coats != nullptr;
+}
+
 void ClusterShading::load_textures(const ClusterColumns::Run& run, std::uint8_t textured) {
     const auto& v = reader_.graph().vertices;
     ClusterColumns& c = columns_;
@@ -139,6 +144,11 @@ void ClusterShading::load_textures(const ClusterColumns::Run& run, std::uint8_t 
     read(textured_parameter::transmittance, v.transmittance, c.transmittance_r, c.transmittance_g, c.transmittance_b);
     read(textured_parameter::alpha, v.alpha, c.alpha_u, c.alpha_v);
     read(textured_parameter::opacity, v.opacity, c.opacity);
+    if (!run.own) return;
+    read(textured_parameter::index, v.eta_c, c.eta_r, c.eta_g, c.eta_b);
+    read(textured_parameter::index, v.k_c, c.k_r, c.k_g, c.k_b);
+    if (textured & textured_parameter::exponent)
+        for (int l = run.begin; l < run.end; ++l) c.exponent[l] = v.exponent[vertex(l)];
 }
 
 /// f is not what the formula says where a bump map shades itself; the density is.

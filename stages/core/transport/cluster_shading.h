@@ -77,6 +77,7 @@ class ClusterShading {
 
   private:
     bool has_one_base(std::uint8_t textured) const;
+    bool has_own(std::uint16_t material) const;
     void load_textures(const ClusterColumns::Run& run, std::uint8_t textured);
     void shadow_bumps();
 

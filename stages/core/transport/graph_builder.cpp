@@ -77,6 +77,30 @@ void describe_capture(const Scene& scene, const NlosCapture& capture, bool true_
     put_points(capture.laser_points, out.laser_points, out.laser_normals);
 }
 
+/// Tables of the rough plastics whose alpha is textured.
+void describe_coats(const std::vector<Material>& materials, PathGraphHeader::Coats& out) {
+    std::vector<std::uint16_t> material;
+    std::vector<float> alpha, fdr_int, fdr_ext, transmittance;
+    for (std::size_t i = 0; i < materials.size(); ++i) {
+        const RoughCoats* coats = materials[i].model.coats;
+        if (!coats) continue;
+        for (std::size_t k = 0; k < coats->rows.size(); ++k) {
+            const RoughCoat& row = coats->rows[k];
+            material.push_back(std::uint16_t(i));
+            alpha.push_back(coats->alpha(k));
+            fdr_int.push_back(row.fdr_int);
+            fdr_ext.push_back(row.fdr_ext);
+            transmittance.insert(transmittance.end(), row.external_transmittance.begin(), row.external_transmittance.end());
+        }
+    }
+    if (material.empty()) return;
+    out.material = std::move(material);
+    out.alpha = std::move(alpha);
+    out.fdr_int = std::move(fdr_int);
+    out.fdr_ext = std::move(fdr_ext);
+    out.external_transmittance = std::move(transmittance);
+}
+
 void describe_scene(const Scene& scene, PathGraphHeader& g) {
     const Sensor& s = scene.sensor;
     const bool perspective = s.kind == SensorKind::perspective;
@@ -127,20 +151,23 @@ void describe_scene(const Scene& scene, PathGraphHeader& g) {
     out.transmittance = gather<float>(in, three(&M::transmittance));
     out.eta_c = gather<float>(in, three(&M::eta_c));
     out.k_c = gather<float>(in, three(&M::k_c));
-    out.fdr_int = gather<float>(in, one(&M::fdr_int));
-    out.fdr_ext = gather<float>(in, one(&M::fdr_ext));
+    out.fdr_int = gather<float>(in, [](const M& m) { return std::array{m.coat.fdr_int}; });
+    out.fdr_ext = gather<float>(in, [](const M& m) { return std::array{m.coat.fdr_ext}; });
     std::vector<std::uint8_t> textured;
     for (const Material& m : in)
         textured.push_back((m.diffuse >= 0 ? textured_parameter::diffuse : 0) |
                            (m.specular >= 0 ? textured_parameter::specular : 0) |
                            (m.transmittance >= 0 ? textured_parameter::transmittance : 0) |
                            (m.alpha_u >= 0 || m.alpha_v >= 0 ? textured_parameter::alpha : 0) |
-                           (m.opacity >= 0 ? textured_parameter::opacity : 0));
+                           (m.opacity >= 0 ? textured_parameter::opacity : 0) |
+                           (m.exponent >= 0 ? textured_parameter::exponent : 0) |
+                           (m.textured_index() ? textured_parameter::index : 0));
     out.textured = std::move(textured);
     const bool rough_plastic =
         std::any_of(in.begin(), in.end(), [](const Material& m) { return m.model.kind == BsdfKind::rough_plastic; });
     if (rough_plastic)
-        out.external_transmittance = gather<float>(in, [](const M& m) { return m.external_transmittance; });
+        out.external_transmittance = gather<float>(in, [](const M& m) { return m.coat.external_transmittance; });
+    describe_coats(in, g.coats);
 
     std::vector<std::uint8_t> kinds;
     std::vector<float> pmfs, positions;
@@ -178,6 +205,8 @@ GraphBuilder::GraphBuilder(const Scene& scene, const PathOptions& options, std::
     v.transmittance.wanted = f.textured_transmittance;
     v.alpha.wanted = f.textured_alpha;
     v.opacity.wanted = f.textured_opacity;
+    v.exponent.wanted = f.textured_exponent;
+    v.eta_c.wanted = v.k_c.wanted = f.textured_index;
     auto& m = wanted_.misses;
     m.vertex.wanted = m.technique.wanted = m.y.wanted = m.emitter.wanted = misses;
 }
@@ -227,6 +256,9 @@ void GraphBuilder::set(std::size_t i, const PathRecords& records) {
         v.transmittance.put(row, r.transmittance);
         v.alpha.put(row, r.alpha);
         v.opacity.put(row, r.opacity);
+        v.exponent.put(row, r.exponent);
+        v.eta_c.put(row, r.eta_c);
+        v.k_c.put(row, r.k_c);
     }
     const auto& e = rows.light_edges;
     for (const LightEdgeRecord& r : records.light_edges) {

@@ -2,6 +2,8 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
+
 #include "formats/io/content_hash.h"
 #include "formats/io/error.h"
 #include "stages/core/scene/scene.h"
@@ -42,13 +44,22 @@ GraphReader::GraphReader(const PathGraph& graph) : graph_(graph) {
         m.transmittance = rgb(in.transmittance, i);
         m.eta_c = rgb(in.eta_c, i);
         m.k_c = rgb(in.k_c, i);
-        m.fdr_int = in.fdr_int[i];
-        m.fdr_ext = in.fdr_ext[i];
+        m.coat.fdr_int = in.fdr_int[i];
+        m.coat.fdr_ext = in.fdr_ext[i];
         if (!in.external_transmittance.empty())
             for (int k = 0; k < n_transmittance; ++k)
-                m.external_transmittance[k] = in.external_transmittance[i * n_transmittance + k];
+                m.coat.external_transmittance[k] = in.external_transmittance[i * n_transmittance + k];
         models_.push_back(m);
     }
+    const auto& coats = graph.coats;
+    for (std::size_t i = 0; i < coats.material.size(); ++i) {
+        RoughCoats& mine = coats_[coats.material[i]];
+        if (mine.rows.empty()) mine.alpha_min = coats.alpha[i];
+        mine.alpha_max = coats.alpha[i];
+        RoughCoat& row = mine.rows.emplace_back(RoughCoat{coats.fdr_int[i], coats.fdr_ext[i], {}});
+        std::copy_n(coats.external_transmittance.data() + i * n_transmittance, n_transmittance, row.external_transmittance.begin());
+    }
+    for (const auto& [material, table] : coats_) models_[material].coats = &table;
 }
 
 Bsdf<float> GraphReader::bsdf(std::size_t j) const {
@@ -63,6 +74,8 @@ Bsdf<float> GraphReader::bsdf(std::size_t j) const {
         b.alpha_v = float_from_half(v.alpha[2 * j + 1]);
     }
     if (textured & textured_parameter::opacity) b.opacity = float_from_half(v.opacity[j]);
+    if (textured & textured_parameter::exponent) b.exponent = v.exponent[j];
+    if (textured & textured_parameter::index) b.eta_c = rgb(v.eta_c, j), b.k_c = rgb(v.k_c, j);
     return b;
 }
 

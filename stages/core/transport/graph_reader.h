@@ -1,4 +1,5 @@
 #pragma once
+#include <map>
 #include <string>
 #include <vector>
 
@@ -29,6 +30,8 @@ V unit_vector(const Column<std::int16_t>& column, std::size_t i) {
 class GraphReader {
   public:
     explicit GraphReader(const PathGraph& graph);
+    GraphReader(const GraphReader&) = delete;
+    GraphReader(GraphReader&&) = default;
 
     const PathGraph& graph() const { return graph_; }
     ShadingPoint vertex(std::size_t j) const;
@@ -41,6 +44,7 @@ class GraphReader {
   private:
     const PathGraph& graph_;
     std::vector<BsdfModel> models_;
+    std::map<std::size_t, RoughCoats> coats_;  // by material; models borrow
 };
 
 }  // namespace loom

@@ -188,7 +188,7 @@ class NlosPath {
     }
 
     bool light_of_projector(const ShadingPoint& here, Light& light) const {
-        light.Li = projected(projector_, laser_.beam, here.p);
+        light.Li = projected(scene_, projector_, laser_.beam, here.p);
         if (is_black(light.Li)) return false;
         light.y = projector_.position;
         light.wi = normalize(light.y - here.p);
@@ -202,16 +202,17 @@ class NlosPath {
         NlosCapture::Point spot = laser_;
         Spectrum E;  // times area
         if (options_.laser_spot == LaserSpot::unit_area) {
-            E = projected(projector_, laser_.beam, spot.p);
+            E = projected(scene_, projector_, laser_.beam, spot.p);
         } else {
             const Point2f u = sampler_.pair(dimension(depth, Place::light));
-            const Vector3f local = normalize(Vector3f{(2 * u.x - 1) * projector_.tan_x, (2 * u.y - 1) * projector_.tan_y, 1});
+            const float x = 2 * u.x - 1, y = 2 * u.y - 1;
+            const Vector3f local = normalize(Vector3f{x * projector_.tan_x, y * projector_.tan_y, 1});
             spot = look(scene_, projector_.position, laser_.beam.to_world(local));
             ++result_.n_rays;
             const float cos_surface = std::abs(dot(spot.ng, spot.ray.d));
             if (!spot.hit || !(cos_surface > 0)) return false;
             // Over the beam's section, irradiance times area is constant but for the surface's slant.
-            E = projector_.radiance * (pi<float> * 4 * projector_.tan_x * projector_.tan_y / cos_surface);
+            E = beam_radiance(scene_, projector_, x, y) * (pi<float> * 4 * projector_.tan_x * projector_.tan_y / cos_surface);
         }
         const Vector3f d = spot.p - here.p;
         if (in_one_plane(spot.flat, d, spot.p)) return false;

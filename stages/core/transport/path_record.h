@@ -33,6 +33,8 @@ struct VertexRecord {
     HalfColor diffuse{}, specular{}, transmittance{};
     std::array<Half, 2> alpha{};
     Half opacity{};
+    HalfColor eta_c{}, k_c{};
+    float exponent = 0;
     std::uint16_t material = 0, flags = 0;
     Lobe lobe = Lobe::none;
     std::uint32_t shape = 0, path = 0;
@@ -57,6 +59,8 @@ struct VertexRecord {
         if (features.textured_transmittance) transmittance = half_color(bsdf.transmittance);
         if (features.textured_alpha) alpha = {half_from_float(bsdf.alpha_u), half_from_float(bsdf.alpha_v)};
         if (features.textured_opacity) opacity = half_from_float(bsdf.opacity);
+        if (features.textured_exponent) exponent = bsdf.exponent;
+        if (features.textured_index) eta_c = half_color(bsdf.eta_c), k_c = half_color(bsdf.k_c);
     }
 };
 

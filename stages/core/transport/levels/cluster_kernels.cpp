@@ -62,10 +62,23 @@ constexpr bool has_facets = std::is_same_v<Family, RoughConductorFamily> || std:
 template <class Family>
 constexpr bool has_base = std::is_same_v<Family, PlasticFamily> || std::is_same_v<Family, RoughPlasticFamily>;
 
-/// The parameters in a lane.
+template <class Family>
+constexpr bool has_own = std::is_same_v<Family, PhongFamily> || std::is_same_v<Family, RoughConductorFamily> || std::is_same_v<Family, RoughPlasticFamily>;
+
+/// The parameters in a lane; of a run whose lanes have none of their `own`, the model's exponent and index.
+template <bool own>
 [[gnu::always_inline]] inline Bsdf<float> bsdf_of(const ClusterColumns& c, const BsdfModel& model, int l) {
     Bsdf<float> b;
     b.model = &model;
+    if (own) {
+        b.exponent = c.exponent[l];
+        b.eta_c = {c.eta_r[l], c.eta_g[l], c.eta_b[l]};
+        b.k_c = {c.k_r[l], c.k_g[l], c.k_b[l]};
+    } else {
+        b.exponent = model.exponent;
+        b.eta_c = model.eta_c;
+        b.k_c = model.k_c;
+    }
     b.diffuse = {c.diffuse_r[l], c.diffuse_g[l], c.diffuse_b[l]};
     b.specular = {c.specular_r[l], c.specular_g[l], c.specular_b[l]};
     b.transmittance = {c.transmittance_r[l], c.transmittance_g[l], c.transmittance_b[l]};
@@ -81,7 +94,7 @@ constexpr bool has_base = std::is_same_v<Family, PlasticFamily> || std::is_same_
 
 enum class Answer { channels, lobes };
 
-template <class Family, Answer answer, bool beckmann, bool sample_visible, bool nonlinear>
+template <class Family, Answer answer, bool beckmann, bool sample_visible, bool nonlinear, bool own>
 [[gnu::noinline, gnu::flatten]] void evaluate_run(ClusterColumns& c, const ClusterColumns::Run& run) {
     // A copy whose choices are known here, and which no store to a column can change.
     BsdfModel model = *run.model;
@@ -90,9 +103,10 @@ template <class Family, Answer answer, bool beckmann, bool sample_visible, bool 
         model.sample_visible = sample_visible;
     }
     if (has_base<Family>) model.nonlinear = nonlinear;
+    if (!own) model.coats = nullptr;
     const float below = behind_below(model);
     for (int l = run.begin; l < run.past_end(); ++l) {
-        const Bsdf<float> b = bsdf_of(c, model, l);
+        const Bsdf<float> b = bsdf_of<own>(c, model, l);
         const bool behind = c.wo_z[l] < below;
         const Vector3f wo = mirrored(behind, Vector3f{c.wo_x[l], c.wo_y[l], c.wo_z[l]});
         const Vector3f wi = mirrored(behind, Vector3f{c.wi_x[l], c.wi_y[l], c.wi_z[l]});
@@ -122,9 +136,13 @@ template <class Family, Answer answer, bool beckmann, bool sample_visible, bool 
 template <class Family, Answer answer>
 [[gnu::always_inline]] inline void evaluate_run(ClusterColumns& c, const ClusterColumns::Run& run) {
     const BsdfModel& m = *run.model;
+    const auto with_own = [&]<bool beckmann, bool visible, bool nonlinear>() __attribute__((always_inline)) {
+        if (has_own<Family> && run.own) evaluate_run<Family, answer, beckmann, visible, nonlinear, has_own<Family>>(c, run);
+        else evaluate_run<Family, answer, beckmann, visible, nonlinear, false>(c, run);
+    };
     const auto with_base = [&]<bool beckmann, bool visible>() __attribute__((always_inline)) {
-        if (has_base<Family> && m.nonlinear) evaluate_run<Family, answer, beckmann, visible, has_base<Family>>(c, run);
-        else evaluate_run<Family, answer, beckmann, visible, false>(c, run);
+        if (has_base<Family> && m.nonlinear) with_own.template operator()<beckmann, visible, has_base<Family>>();
+        else with_own.template operator()<beckmann, visible, false>();
     };
     if constexpr (!has_facets<Family>) with_base.template operator()<false, false>();
     else if (m.distribution == Microfacet::beckmann)
@@ -169,6 +187,11 @@ template <Answer answer, class... Columns>
             c.transmittance_b[l] = b.transmittance.b;
             c.alpha_u[l] = b.alpha_u, c.alpha_v[l] = b.alpha_v, c.eta[l] = b.eta(), c.opacity[l] = b.opacity;
         }
+        for (int l = run.begin; run.own && l < run.past_end(); ++l) {
+            c.exponent[l] = b.exponent;
+            c.eta_r[l] = b.eta_c.r, c.eta_g[l] = b.eta_c.g, c.eta_b[l] = b.eta_c.b;
+            c.k_r[l] = b.k_c.r, c.k_g[l] = b.k_c.g, c.k_b[l] = b.k_c.b;
+        }
     }
 }
 
@@ -187,7 +210,7 @@ template <Answer answer, class... Columns>
             for (int l = run.begin; l < run.past_end(); ++l) {
                 Spectrum tint(0);
                 if constexpr (Family::coloured_base) {
-                    const Bsdf<float> b = bsdf_of(c, model, l);
+                    const Bsdf<float> b = run.own ? bsdf_of<true>(c, model, l) : bsdf_of<false>(c, model, l);
                     const Vector3f wo = mirrored(c.wo_z[l] < below, Vector3f{c.wo_x[l], c.wo_y[l], c.wo_z[l]});
                     tint = Family::tint(b, wo);
                     c.p_coat[l] = Family::p_coat(b, wo);
