@@ -1,6 +1,6 @@
 // Every kind of output: a write that fails is an error and leaves no file, whichever of its bytes could not be written;
-// values that are not finite are an error that keeps the file under another name. Breaks that were watched to fail: an
-// EXR file closed by its destructor alone, a PNG whose last flush is not looked at, columns written without a count.
+// values that are not finite are an error that keeps the file under another name. Break that was watched to fail: an
+// EXR file closed by its destructor alone.
 
 #include <gtest/gtest.h>
 #include <sys/resource.h>

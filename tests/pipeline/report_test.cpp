@@ -41,7 +41,7 @@ TEST_F(Report, FromSceneToPage) {
     // Settings reach the method: K of the clusters, steps of the refinement.
     const std::string steps = bytes_of(folder / "r/iterations.tsv");
     EXPECT_NE(steps.find("\tpathgraph+K4\t6\t"), std::string::npos) << steps;
-    EXPECT_EQ(bytes_of(folder / "r/pathgraph+K4-4-0/pathgraph/cluster.parameters"), "--k 4\n");
+    EXPECT_EQ(bytes_of(folder / "r/pathgraph+K4-4-0/pathgraph/cluster.parameters"), "--scene 'scenes/cornell-box.xml' -D 'resx=16' -D 'resy=16' --k 4\n");
 }
 
 // Paths that end after their first vertex have nothing to refine, one replicate has no spread: charts of

@@ -244,7 +244,7 @@ std::string write_map(const std::filesystem::path& file, float value, float last
     return "<emitter type='envmap'><string name='filename' value='" + file.filename().string() + "'/>";
 }
 
-// Seen to fail (segmentation fault) with a density of a map whose weights add up to zero.
+// A density whose weights add up to zero ended in a segmentation fault.
 TEST_F(Emitters, AMapWithoutLightIsNoLight) {
     const std::string black = write_map(path("black.exr"), 0, 0), grey = write_map(path("grey.exr"), 1, 1);
     for (const std::string& map : {black + "</emitter>", grey + "<float name='scale' value='0'/></emitter>",

@@ -1,5 +1,4 @@
-// gnuplot ends with 0 when the disk is full; a picture that is not whole must not get its name. Seen to fail without the
-// look at its last bytes.
+// gnuplot ends with 0 when the disk is full; a picture that is not whole must not get its name.
 
 #include <gtest/gtest.h>
 #include <sys/resource.h>

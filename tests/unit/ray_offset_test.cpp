@@ -1,6 +1,5 @@
 // Rays leave and reach surfaces at every scale without a hit of the surface itself, and see what is next to it.
-// Breaks that were watched to fail: rounding_bound a quarter of what it is (self-hits); no share of slivers in hit_error();
-// the absolute offsets of 1500 ulp of 1 + |p| (thin gaps, units of length).
+// Break that was watched to fail: rounding_bound a quarter of what it is (self-hits).
 
 #include <gtest/gtest.h>
 

@@ -93,7 +93,7 @@ class FindEdit : public SceneFolder {
 
 using Words = std::vector<std::string>;
 
-// Before: no move below 1e-7 m was found, whatever the size of the scene.
+// Moves count by the size of what moves, not by an absolute length.
 TEST_F(FindEdit, MovesOfSmallThings) {
     const std::string small = with({{R"(<scale value="0.2"/><translate x="0.5" z="0.2"/>)", R"(<scale value="2e-5"/><translate x="5e-5" z="2e-5"/>)"}});
     const std::string moved = with({{"x=\"5e-5\"", "x=\"5.003e-5\""}}, small), rounded = with({{"x=\"5e-5\"", "x=\"5.0000000001e-5\""}}, small);
