@@ -122,7 +122,7 @@ class EditStress : public testing::TestWithParam<EditCase> {};
 // Break seen to fail: the density of ghost two ends doubled (ghost_inside_a_box).
 TEST_P(EditStress, HasTheMeanOfCorrelatedPaths) {
     const EditedScenes scenes = edited(GetParam());
-    const int replicates = full_run() ? 32 : 12;
+    const int replicates = full_run() ? 32 : 20;
     const std::uint64_t spp = full_run() ? 64 : least_spp, dynamic_spp = full_run() ? 32 : 4;
     const Residuals correlated = correlated_of(scenes, replicates, spp);
     DynamicOptions options;
@@ -150,7 +150,7 @@ INSTANTIATE_TEST_SUITE_P(Stability, EditStress, testing::ValuesIn(asked()), [](c
 // Where methods switch over: just below and at the samples that a pilot takes, and shapes that hardly move, whose old and
 // new place lie in one.
 TEST(StabilityEdit, SwitchesOverWithoutASeam) {
-    const int replicates = full_run() ? 32 : 12;
+    const int replicates = full_run() ? 32 : 20;
     const double alpha = sidak_alpha(6 * 3 * regions);
     const auto compare = [&](const EditCase& edit, bool pilot, std::uint64_t spp) {
         const EditedScenes scenes = edited(edit);
