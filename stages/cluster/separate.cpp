@@ -65,6 +65,7 @@ struct Group {
     std::vector<const Ray*> pointers[2];
     std::vector<std::uint32_t> whose[2];
     std::unique_ptr<bool[]> blocked;
+    std::size_t capacity = 0;  // of blocked
     std::vector<std::uint8_t> hidden;
 };
 
@@ -123,7 +124,7 @@ class Separator {
             w.whose[e].push_back(std::uint32_t(i));
         }
         w.hidden.assign(n, 0);
-        w.blocked = std::make_unique<bool[]>(n);
+        if (n > w.capacity) w.blocked = std::make_unique<bool[]>(w.capacity = n);
         for (int e = 0; e < 2; ++e) {
             if (w.pointers[e].empty()) continue;
             engines_[e]->occluded(w.pointers[e].data(), w.pointers[e].size(), w.blocked.get());

@@ -16,8 +16,7 @@ struct Lanes {
     alignas(64) float r[max_lanes + lane_block], g[max_lanes + lane_block], b[max_lanes + lane_block];
     float inv_eta2[max_lanes + lane_block];
     float clamp_weight[max_lanes + lane_block];  // inv_eta2 times survival of roulette; 0 where no BSDF sample was drawn
-    bool even = false;                           // all clamp weights are 1
-    bool unsampled = false;                      // a lane drew no BSDF sample
+    std::vector<int> unsampled;                  // lanes that drew no BSDF sample
 };
 
 /// Sums that a chunk hands back; chunks are added in order.
@@ -51,12 +50,8 @@ struct Builder {
     void add_column(const ClusterShading& shading, const Lanes& lanes, float edge_eta2, float* scale, std::uint16_t* out,
                     float inv_rho, ChunkResult& result) const {
         float sum[3];
-        shading.fix_row(out, scale, sum);
+        shading.fix_row(lanes.clamp_weight, out, scale, sum);
         for (int channel = 0; channel < 3; ++channel) {
-            if (!lanes.even) {
-                sum[channel] = 0;
-                for (int l = 0; l < shading.size(); ++l) sum[channel] += shading.f(channel)[l] * lanes.clamp_weight[l];
-            }
             sum[channel] *= edge_eta2 * inv_rho;
             scale[channel] *= inv_rho * (1.0f / 65535.0f);
         }
@@ -148,13 +143,12 @@ struct Builder {
         shading.load(members(c), vertex_rows);
         const int lanes = shading.padded();
         for (int l = 0; l < lanes; ++l) direct.r[l] = direct.g[l] = direct.b[l] = 0;
-        direct.even = true, direct.unsampled = false;
+        direct.unsampled.clear();
         for (int l = 0; l < lanes; ++l) {
             const bool there = l < shading.size();
             direct.inv_eta2[l] = there ? 1 / sqr(shading.row(l).eta) : 1.0f;
             direct.clamp_weight[l] = shading.columns().survival[l] * direct.inv_eta2[l];
-            direct.even &= !there || direct.clamp_weight[l] == 1;
-            direct.unsampled |= there && direct.clamp_weight[l] == 0;
+            if (there && direct.clamp_weight[l] == 0) direct.unsampled.push_back(l);
         }
         Spectrum own_light_of[max_lanes], own_weight[max_lanes];
         for (int l = 0; l < shading.size(); ++l) {
@@ -177,7 +171,7 @@ struct Builder {
             const std::size_t j = shading.vertex(lane);
             const VertexRow& row = shading.row(lane);
             const float end_eta2 = eta2_of_next(row, j);
-            if (direct.unsampled && inv_rho > 0 && options.clamp != Clamp::none) shading.limit_unsampled(!shape.channels(), direct.inv_eta2, 1 / (inv_rho * end_eta2));
+            if (!direct.unsampled.empty() && inv_rho > 0 && options.clamp != Clamp::none) shading.limit_unsampled(!shape.channels(), direct.unsampled, direct.inv_eta2, 1 / (inv_rho * end_eta2));
             if (shape.channels()) {
                 const float back = shading.to_solid_angle(lane);
                 own_weight[lane] = back > 0 ? shading.f(lane, back / row.pdf_w) : own_continuation(reader, reader.vertex(j), j, row.next);

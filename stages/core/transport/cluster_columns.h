@@ -62,8 +62,8 @@ struct ClusterColumns {
     void evaluate_point(ClusterColumns& c, float x, float y, float z, float nx, float ny, float nz);            \
     /* Light from the point (x, y, z), which has no surface: f cos / d^2, densities without meaning. */         \
     void evaluate_delta_point(ClusterColumns& c, float x, float y, float z);                                    \
-    /* f in 16 bits of its largest value: row[rgb][lane]; largest[rgb] and sum[rgb] over the lanes. */          \
-    void fix_row(const ClusterColumns& c, std::uint16_t* row, float* largest, float* sum);                      \
+    /* f in 16 bits of its largest value: row[rgb][lane]; largest[rgb], and sum[rgb] of f times a weight. */    \
+    void fix_row(const ClusterColumns& c, const float* weight, std::uint16_t* row, float* largest, float* sum); \
     /* Of base and coat those that are asked for, one after the other: row[lobe][lane], largest[lobe]; and */   \
     /* sum[rgb] over the lanes of f times a weight. */                                                          \
     void fix_lobes(const ClusterColumns& c, bool base, bool coat, const float* weight, std::uint16_t* row, float* largest, float* sum); \

@@ -95,10 +95,9 @@ void ClusterShading::load(std::span<const std::uint32_t> vertices, std::span<con
     lobes_.one_base = lobes_.base && has_one_base(g.materials.textured[material[0]]);
 }
 
-void ClusterShading::limit_unsampled(bool lobes, const float* weight, float most) {
+void ClusterShading::limit_unsampled(bool lobes, std::span<const int> lanes, const float* weight, float most) {
     ClusterColumns& c = columns_;
-    for (int l = 0; l < c.n; ++l) {
-        if (c.survival[l] > 0) continue;
+    for (const int l : lanes) {
         const float limit = most / weight[l];
         if (lobes) {
             const float largest_tint = std::max({c.tint_r[l], c.tint_g[l], c.tint_b[l]});

@@ -43,8 +43,8 @@ class ClusterShading {
     Spectrum f(int lane, float scale) const {
         return {columns_.f_r[lane] * scale, columns_.f_g[lane] * scale, columns_.f_b[lane] * scale};
     }
-    /// The answers as 16-bit fractions of their largest: row[rgb][lane]; largest and sum by channel.
-    void fix_row(std::uint16_t* row, float* largest, float* sum) const { kernels_.fix_row(columns_, row, largest, sum); }
+    /// The answers as 16-bit fractions of their largest: row[rgb][lane]; largest, and sum of weighted answers, by channel.
+    void fix_row(const float* weight, std::uint16_t* row, float* largest, float* sum) const { kernels_.fix_row(columns_, weight, row, largest, sum); }
     bool sees(int lane) const { return columns_.f_r[lane] + columns_.f_g[lane] + columns_.f_b[lane] > 0; }
     /// Density of BSDF sampling with survival of roulette; 0 where it was not attempted.
     float pdf_bsdf(int lane) const { return columns_.pdf[lane]; }
@@ -70,10 +70,10 @@ class ClusterShading {
     void fix_lobes(bool base, bool coat, const float* weight, std::uint16_t* row, float* largest, float* sum) const {
         kernels_.fix_lobes(columns_, base, coat, weight, row, largest, sum);
     }
-    /// Limits what each lane that drew no BSDF sample reflects: narrow lobes there, which nobody sampled for its wo, would make
+    /// Limits what lanes that drew no BSDF sample reflect: narrow lobes there, which nobody sampled for its wo, would make
     /// of one sample of a neighbour more light than the neighbour found. Grey coats lose the excess, else all channels are scaled.
     /// in:  lobes  of base and coat;  weight  of each lane, most  largest product of weight and channel
-    void limit_unsampled(bool lobes, const float* weight, float most);
+    void limit_unsampled(bool lobes, std::span<const int> lanes, const float* weight, float most);
 
   private:
     bool has_one_base(std::uint8_t textured) const;

@@ -257,12 +257,14 @@ namespace {
 }
 }  // namespace
 
-[[gnu::flatten]] void fix_row(const ClusterColumns& c, std::uint16_t* __restrict row, float* __restrict largest, float* __restrict sum) {
+[[gnu::flatten]] void fix_row(const ClusterColumns& c, const float* __restrict weight, std::uint16_t* __restrict row, float* __restrict largest, float* __restrict sum) {
     const int lanes = padded_lanes(c.n);
     const float* const columns[3] = {c.f_r, c.f_g, c.f_b};
+    alignas(64) float weighted[max_lanes];
     for (int channel = 0; channel < 3; ++channel) {
         const float* f = columns[channel];
-        sum[channel] = sum_of(f, lanes);
+        for (int l = 0; l < lanes; ++l) weighted[l] = f[l] * weight[l];
+        sum[channel] = sum_of(weighted, lanes);
         largest[channel] = largest_of(f, lanes);
         fix(f, lanes, largest[channel], row + channel * lanes);
     }
