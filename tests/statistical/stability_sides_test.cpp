@@ -121,7 +121,6 @@ void expect_right(const std::string& name, const Scene& scene) {
 
 // Criterion: the mean error of no tile of 8 x 8 pixels is above 2 % and above three standard errors of one image of 16 samples.
 
-// Break seen to fail: media left out of what keeps members apart (roughness 0.05: -8 %).
 TEST(StabilitySides, ThinPane) {
     for (const double alpha : full_run() ? std::vector{0.05, 0.1, 0.3, 0.5} : std::vector{0.05, 0.3}) expect_right(fmt::format("pane, alpha {}", alpha), *thin_pane(alpha));
 }
@@ -150,7 +149,7 @@ Front front_of(double half, bool visibility) {
     return {e.mean, e.se, mean_of(trace::render_image(*scene, testing::path_options(*scene, 77, SamplerKind::independent), {0, full_run() ? 4096u : 1024u, 0}, report, counts), "G", window)};
 }
 
-// The glow of the outside is in a few pixels, so it is they that are looked at. Break seen to fail: no test of visibility.
+// The glow of the outside is in a few pixels, so it is they that are looked at.
 TEST(StabilitySides, ThinHousing) {
     for (const double half : full_run() ? std::vector{0.03, 0.06, 0.12} : std::vector{0.06}) {
         const Front with = front_of(half, true);
