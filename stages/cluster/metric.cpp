@@ -55,8 +55,7 @@ Point Metric::operator()(std::size_t vertex) const {
     if (dot(n, Vector3f{v.wo[3 * j], v.wo[3 * j + 1], v.wo[3 * j + 2]}) < 0) n = -n;
     return {{dot(p_rows_[0], p), dot(p_rows_[1], p), dot(p_rows_[2], p), dot(n_rows_[0], n), dot(n_rows_[1], n),
              dot(n_rows_[2], n)},
-            std::uint32_t(vertex),
-            0};
+            std::uint32_t(vertex)};
 }
 
 float typical_radius(const Pool& pool, std::size_t n_sharing, std::uint32_t k) {

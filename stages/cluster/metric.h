@@ -11,7 +11,7 @@ namespace loom::cluster {
 struct Point {
     std::array<float, 6> x;  // rotated p / s, rotated w n
     std::uint32_t vertex;
-    std::uint32_t order;     // for whoever sorts
+    std::uint32_t unused = 0;  // a point fills half a cache line
 };
 static_assert(sizeof(Point) == 32);
 

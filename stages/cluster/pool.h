@@ -34,6 +34,8 @@ class Pool {
     std::size_t size() const { return n_; }
     /// Vertices from here on are of the second graph.
     std::size_t n_first() const { return n_first_; }
+    /// Whether vertices know media other than vacuum.
+    bool has_media() const { return !first_.vertices.eta.empty() || !second_.vertices.eta.empty(); }
     bool joint() const { return joint_; }
 
   private:

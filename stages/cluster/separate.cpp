@@ -5,6 +5,7 @@
 #include <cmath>
 #include <memory>
 
+#include "formats/io/octahedral.h"
 #include "stages/core/scattering/bsdf_model.h"
 #include "stages/core/scene/embree.h"
 #include "stages/core/scene/scene.h"
@@ -14,28 +15,36 @@
 namespace loom::cluster {
 namespace {
 
-constexpr std::uint64_t cells_per_chunk = 512;
+constexpr std::uint64_t cells_per_chunk = 512, vertices_per_chunk = 1 << 16;
 /// A segment between members is raised by this part of its length.
 constexpr float raise = 0.1f;
 /// Planes closer than this part of the distance between two members are one plane: half floats and 16-bit normals are no finer.
 constexpr float one_plane = 1e-3f;
 
-struct Place {
+/// A member's position and its geometric normal on the side of wo.
+struct Member {
     Point3f p;
-    Normal3f n;  // geometric, on the side of wo
+    Normal3f n;
 };
 
-Place place_of(const PathGraph& g, std::size_t j) {
+PackedPlace place_of(const PathGraph& g, std::size_t j) {
     const auto& v = g.vertices;
-    Normal3f n = unit_vector<Normal3f>(v.ng.empty() ? v.ns : v.ng, j);
-    if (dot(n, Vector3f{v.wo[3 * j], v.wo[3 * j + 1], v.wo[3 * j + 2]}) < 0) n = -n;
-    return {{v.p[3 * j], v.p[3 * j + 1], v.p[3 * j + 2]}, n};
+    const auto& column = v.ng.empty() ? v.ns : v.ng;
+    PackedPlace place{{v.p[3 * j], v.p[3 * j + 1], v.p[3 * j + 2]}, {column[2 * j], column[2 * j + 1]}};
+    const auto n = unit_vector<Normal3f>(column, j);
+    if (dot(n, Vector3f{v.wo[3 * j], v.wo[3 * j + 1], v.wo[3 * j + 2]}) < 0) place.n = octahedral_from_unit(-n.x, -n.y, -n.z);
+    return place;
+}
+
+Member unpack(const PackedPlace& place) {
+    const auto n = unit_from_octahedral(place.n[0], place.n[1]);
+    return {place.p, {n[0], n[1], n[2]}};
 }
 
 /// Indices of refraction on the side of wo and, at surfaces that transmit, across; equal keys may share.
 std::uint64_t media_key(const PathGraph& g, std::size_t j) {
     const auto& v = g.vertices;
-    if (v.eta.empty()) return 0;
+    if (v.eta.empty()) return std::uint64_t{std::bit_cast<std::uint32_t>(1.0f)} << 32;
     const auto bits = [](float x) { return std::uint64_t{std::bit_cast<std::uint32_t>(x)}; };
     const std::size_t m = v.material[j];
     if (BsdfKind(g.materials.kind[m]) != BsdfKind::rough_dielectric) return bits(v.eta[j]) << 32;
@@ -45,12 +54,15 @@ std::uint64_t media_key(const PathGraph& g, std::size_t j) {
 }
 
 /// The segment between two members, raised off their surface; see separate().
-Ray segment(const Place& a, const Place& b) {
+Ray segment(const Member& a, const Member& b) {
     const Vector3f d = b.p - a.p;
     const float distance = length(d);
-    const float plane_offset = 0.5f * std::abs(dot(a.n, d) + dot(b.n, d)), turn = length(Vector3f(b.n) - Vector3f(a.n));
+    const float plane_offset = 0.5f * std::abs(dot(a.n, d) + dot(b.n, d));
     float height = raise * distance;
-    if (plane_offset > one_plane * distance) height = std::clamp(0.25f * plane_offset, std::min(0.25f * turn * distance, height), height);
+    if (plane_offset > one_plane * distance) {
+        const float turn = length(Vector3f(b.n) - Vector3f(a.n));
+        height = std::clamp(0.25f * plane_offset, std::min(0.25f * turn * distance, height), height);
+    }
     const Point3f from = a.p + Vector3f(a.n) * height, to = b.p + Vector3f(b.n) * height;
     const Vector3f along = to - from;
     const float l = length(along);
@@ -60,7 +72,7 @@ Ray segment(const Place& a, const Place& b) {
 /// Working memory of one thread.
 struct Group {
     std::vector<std::uint32_t> members, rest;
-    std::vector<Place> places;
+    std::vector<Member> places;
     std::vector<Ray> rays;
     std::vector<const Ray*> pointers[2];
     std::vector<std::uint32_t> whose[2];
@@ -71,16 +83,23 @@ struct Group {
 
 class Separator {
   public:
-    Separator(const Pool& pool, const RayEngine* first, const RayEngine* second) : pool_(pool), engines_{first, second} {}
+    /// in: places  of all vertices of the pool, or none: no visibility test;  media  their keys, or none: all alike
+    Separator(std::span<const PackedPlace> places, std::span<const std::uint64_t> media, std::size_t n_first, const RayEngine* first, const RayEngine* second)
+        : places_(places), media_(media), n_first_(n_first), engines_{first, second} {}
 
     /// Appends groups of one cell to `out`, their sizes to `sizes`.
-    void cut(std::span<const std::uint32_t> cell, Group& w, std::vector<std::uint32_t>& out, std::vector<std::uint32_t>& sizes, Separation& count) const {
+    /// in: next  cell that comes after it, for which the cache is asked already: members lie far apart in the graph
+    void cut(std::span<const std::uint32_t> cell, std::span<const std::uint32_t> next, Group& w, std::vector<std::uint32_t>& out, std::vector<std::uint32_t>& sizes, Separation& count) const {
+        for (const std::uint32_t vertex : next) {
+            if (!media_.empty()) __builtin_prefetch(&media_[vertex]);
+            if (!places_.empty()) __builtin_prefetch(&places_[vertex]);
+        }
         w.rest.assign(cell.begin(), cell.end());
         while (!w.rest.empty()) {
             w.members.swap(w.rest);
             w.rest.clear();
-            keep_one_medium(w, count);
-            if (engines_[0]) keep_visible(w, count);
+            if (!media_.empty()) keep_one_medium(w, count);
+            if (!places_.empty()) keep_visible(w, count);
             sizes.push_back(std::uint32_t(w.members.size()));
             out.insert(out.end(), w.members.begin(), w.members.end());
         }
@@ -88,12 +107,8 @@ class Separator {
 
   private:
     void keep_one_medium(Group& w, Separation& count) const {
-        const auto key = [&](std::uint32_t vertex) {
-            const auto [graph, row] = pool_[vertex];
-            return media_key(graph, row);
-        };
-        const std::uint64_t kept = key(w.members[0]);
-        const auto other = std::stable_partition(w.members.begin(), w.members.end(), [&](std::uint32_t v) { return key(v) == kept; });
+        const std::uint64_t kept = media_[w.members[0]];
+        const auto other = std::stable_partition(w.members.begin(), w.members.end(), [&](std::uint32_t v) { return media_[v] == kept; });
         count.n_media += std::uint64_t(w.members.end() - other);
         w.rest.assign(other, w.members.end());
         w.members.erase(other, w.members.end());
@@ -105,8 +120,7 @@ class Separator {
         w.places.clear();
         Vector3f sum{};
         for (const std::uint32_t vertex : w.members) {
-            const auto [graph, row] = pool_[vertex];
-            w.places.push_back(place_of(graph, row));
+            w.places.push_back(unpack(places_[vertex]));
             sum = sum + (w.places.back().p - w.places[0].p);
         }
         const Point3f centroid = w.places[0].p + sum * (1 / float(n));
@@ -119,7 +133,7 @@ class Separator {
         for (std::size_t i = 0; i < n; ++i) {
             w.rays[i] = segment(w.places[i], w.places[middle]);
             if (i == middle || !(w.rays[i].t_max > 0)) continue;  // at one point
-            const int e = w.members[i] < pool_.n_first() ? 0 : 1;
+            const int e = w.members[i] < n_first_ ? 0 : 1;
             w.pointers[e].push_back(&w.rays[i]);
             w.whose[e].push_back(std::uint32_t(i));
         }
@@ -141,15 +155,29 @@ class Separator {
         w.members.resize(kept);
     }
 
-    const Pool& pool_;
+    std::span<const PackedPlace> places_;
+    std::span<const std::uint64_t> media_;
+    std::size_t n_first_;
     const RayEngine* engines_[2];
 };
 
 }  // namespace
 
-Separation separate(const Pool& pool, const RayEngine* first, const RayEngine* second, int threads, Cells& cells) {
+Separation separate(const Pool& pool, const RayEngine* first, const RayEngine* second, int threads, SeparationMemory& memory, Cells& cells) {
     const std::size_t n_cells = cells.first.empty() ? 0 : cells.first.size() - 1;
-    const Separator separator(pool, first, second);
+    Separation sum{.tested_visibility = first != nullptr};
+    // Read in the order of the graph: cell by cell each column of each member would be a page of its own.
+    const std::span<PackedPlace> places = memory.places.get(first ? pool.size() : 0);
+    const std::span<std::uint64_t> media = memory.media.get(pool.has_media() ? pool.size() : 0);
+    if (n_cells == 0 || (places.empty() && media.empty())) return sum;
+    parallel_chunks(pool.size(), vertices_per_chunk, threads, [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
+        for (std::uint64_t j = begin; j < end; ++j) {
+            const auto [graph, row] = pool[j];
+            if (!places.empty()) places[j] = place_of(graph, row);
+            if (!media.empty()) media[j] = media_key(graph, row);
+        }
+    });
+    const Separator separator(places, media, pool.n_first(), first, second);
     const std::uint64_t n_chunks = (n_cells + cells_per_chunk - 1) / cells_per_chunk;
     std::vector<std::vector<std::uint32_t>> sizes(n_chunks);
     std::vector<Separation> counts(n_chunks);
@@ -157,14 +185,14 @@ Separation separate(const Pool& pool, const RayEngine* first, const RayEngine* s
         Group group;
         std::vector<std::uint32_t> out;
         out.reserve(cells.first[end] - cells.first[begin]);
+        const auto cell = [&](std::uint64_t c) { return std::span(cells.member).subspan(cells.first[c], cells.first[c + 1] - cells.first[c]); };
         for (std::uint64_t c = begin; c < end; ++c)
-            separator.cut(std::span(cells.member).subspan(cells.first[c], cells.first[c + 1] - cells.first[c]), group, out, sizes[chunk], counts[chunk]);
+            separator.cut(cell(c), c + 1 < end ? cell(c + 1) : cell(begin).first(0), group, out, sizes[chunk], counts[chunk]);
         std::copy(out.begin(), out.end(), cells.member.begin() + cells.first[begin]);
     });
     cells.first.assign(1, 0);
     for (const auto& of_chunk : sizes)
         for (const std::uint32_t size : of_chunk) cells.first.push_back(cells.first.back() + size);
-    Separation sum{.tested_visibility = first != nullptr};
     for (const Separation& c : counts) {
         sum.n_rays += c.n_rays;
         sum.n_media += c.n_media;

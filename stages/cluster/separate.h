@@ -1,8 +1,11 @@
 #pragma once
+#include <array>
 #include <cstdint>
 #include <vector>
 
 #include "stages/cluster/pool.h"
+#include "stages/cluster/scratch.h"
+#include "stages/core/math/vector.h"
 
 namespace loom {
 class RayEngine;
@@ -13,6 +16,18 @@ namespace loom::cluster {
 /// Cells of a pool: runs of members, which are vertices of the pool.
 struct Cells {
     std::vector<std::uint32_t> first, member;
+};
+
+/// What the test of visibility reads of a vertex: position, and geometric normal on the side of wo, octahedral.
+struct PackedPlace {
+    Point3f p;
+    std::array<std::int16_t, 2> n;
+};
+static_assert(sizeof(PackedPlace) == 16);
+
+struct SeparationMemory {
+    Scratch<PackedPlace> places;
+    Scratch<std::uint64_t> media;
 };
 
 /// What was kept apart, in vertices.
@@ -31,6 +46,6 @@ struct Separation {
 /// of the planes if that is less, but by enough to clear a smooth convex surface.
 /// What is cut off forms groups of its own by the same rule. Groups of a cell follow one another; members ascend.
 /// in:   first, second  ray engines of the scenes of the pool's graphs; null: no visibility test
-Separation separate(const Pool& pool, const RayEngine* first, const RayEngine* second, int threads, Cells& cells);
+Separation separate(const Pool& pool, const RayEngine* first, const RayEngine* second, int threads, SeparationMemory& memory, Cells& cells);
 
 }  // namespace loom::cluster
