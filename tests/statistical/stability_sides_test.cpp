@@ -121,6 +121,7 @@ void expect_right(const std::string& name, const Scene& scene) {
 
 // Criterion: the mean error of no tile of 8 x 8 pixels is above 2 % and above three standard errors of one image of 16 samples.
 
+// Break seen to fail: neither media nor hidden members kept apart (-6.3 % at alpha 0.05); either of the two is enough here.
 TEST(StabilitySides, ThinPane) {
     for (const double alpha : full_run() ? std::vector{0.05, 0.1, 0.3, 0.5} : std::vector{0.05, 0.3}) expect_right(fmt::format("pane, alpha {}", alpha), *thin_pane(alpha));
 }
@@ -149,19 +150,21 @@ Front front_of(double half, bool visibility) {
     return {e.mean, e.se, mean_of(trace::render_image(*scene, testing::path_options(*scene, 77, SamplerKind::independent), {0, full_run() ? 4096u : 1024u, 0}, report, counts), "G", window)};
 }
 
-// The glow of the outside is in a few pixels, so it is they that are looked at.
+// The glow of the outside is in a few pixels, so it is they that are looked at. Break seen to fail: hidden members not kept
+// apart (0.034 +- 0.004 instead of 0.0226; four standard errors would have let that pass).
 TEST(StabilitySides, ThinHousing) {
     for (const double half : full_run() ? std::vector{0.03, 0.06, 0.12} : std::vector{0.06}) {
         const Front with = front_of(half, true);
         std::printf("    housing of half side %.2f: front %.4f +- %.4f, reference %.4f\n", half, with.mean, with.se, with.reference);
-        EXPECT_NEAR(with.mean, with.reference, std::max(0.15 * with.reference, 4 * with.se)) << half;
+        EXPECT_NEAR(with.mean, with.reference, 0.15 * with.reference) << half;
     }
     const Front without = front_of(0.06, false);
     std::printf("    without the test of visibility: front %.4f +- %.4f, reference %.4f\n", without.mean, without.se, without.reference);
     EXPECT_GT(without.mean, 1.25 * without.reference);
 }
 
-// The light through the net is noisy: what members are kept apart is looked at, too.
+// The light through the net is noisy: what members are kept apart is looked at, too. Break seen to fail: hidden members not
+// kept apart (none, where a tenth must be).
 TEST(StabilitySides, Curtain) {
     const auto scene = curtain();
     expect_right("curtain", *scene);

@@ -29,6 +29,7 @@ void expect_colour(const Spectrum& a, const Spectrum& b, float tolerance = 1e-6f
     for (int i = 0; i < 3; ++i) EXPECT_NEAR(a[i], b[i], tolerance * std::max(1.0f, std::abs(b[i]))) << "channel " << i;
 }
 
+// Breaks seen to fail: copper in new files, none in old ones, the air outside left out.
 TEST_F(Dialect, ConductorWithoutMaterialIsCopperInOldFilesAndAMirrorInNewOnes) {
     for (const char* type : {"conductor", "roughconductor"}) {
         const std::string plain = "<bsdf type='" + std::string(type) + "'/>";
@@ -45,6 +46,7 @@ TEST_F(Dialect, ConductorWithoutMaterialIsCopperInOldFilesAndAMirrorInNewOnes) {
     expect_colour(old.k_c * *dielectric_ior("air"), conductor_ior("Cu")->k);
 }
 
+// Break seen to fail: the default BSDF for emitters, too.
 TEST_F(Dialect, EmitterWithoutBsdfReflectsNothing) {
     const std::string lamp = "<emitter type='area'/>";
     for (const char* version : dialects) {
@@ -59,6 +61,7 @@ TEST_F(Dialect, EmitterWithoutBsdfReflectsNothing) {
     }
 }
 
+// Breaks seen to fail: exchanged in both dialects, in neither, as a colour, too.
 TEST_F(Dialect, CheckerboardAsANumberIsTheOtherWayRoundInNewFiles) {
     const std::string board =
         "<bsdf type='roughconductor'><texture type='checkerboard' name='alpha'><rgb name='color0' value='0.1'/>"
@@ -74,6 +77,7 @@ TEST_F(Dialect, CheckerboardAsANumberIsTheOtherWayRoundInNewFiles) {
     }
 }
 
+// Breaks seen to fail: alpha 0.1 of roughdiffuse, polypropylene for glass, opacity 1, nonlinear, sample_visible off.
 TEST_F(Dialect, DefaultsOfBsdfs) {
     const float bk7 = 1.5046f, polypropylene = 1.49f, air = 1.000277f;
     for (const char* version : dialects) {
@@ -111,10 +115,11 @@ TEST_F(Dialect, DefaultsOfBsdfs) {
     }
 }
 
+// Breaks seen to fail: a width of 512, a near_clip of 1 mm, `direct` of any depth, 50 mm along x instead of along the diagonal.
 TEST_F(Dialect, DefaultsOfSensorFilmAndIntegrator) {
     for (const char* version : dialects) {
         SCOPED_TRACE(version);
-        const auto scene = build("<integrator type='path'/>", version);
+        const auto scene = load_scene(write("scene.xml", "<scene version='" + std::string(version) + "'><integrator type='path'/><sensor type='perspective'><film type='hdrfilm'/></sensor></scene>"));
         const Sensor& s = scene->sensor;
         EXPECT_EQ(s.width, 768u);
         EXPECT_EQ(s.height, 576u);
@@ -131,6 +136,7 @@ TEST_F(Dialect, DefaultsOfSensorFilmAndIntegrator) {
     }
 }
 
+// Breaks seen to fail: cutoff_angle 30, beam_width half of it, irradiance 2.
 TEST_F(Dialect, DefaultsOfEmitters) {
     constexpr double rad_per_deg = pi_double / 180;
     for (const char* version : dialects) {
@@ -148,6 +154,7 @@ TEST_F(Dialect, DefaultsOfEmitters) {
     }
 }
 
+// Break seen to fail: the two colours exchanged.
 TEST_F(Dialect, DefaultsOfTextures) {
     for (const char* version : dialects) {
         const auto scene = build("<shape type='sphere'><bsdf type='diffuse'><texture type='checkerboard' name='reflectance'/></bsdf></shape>", version);

@@ -56,6 +56,7 @@ TEST(MediumStack, APathThatBeginsInsideLearnsTheOutsideWhenItLeaves) {
     EXPECT_EQ(media.index(), 1.01f);
 }
 
+// Break seen to fail: only the shape that was entered can be left.
 TEST(MediumStack, AnObjectMadeOfTwoShapesIsLeftByEither) {
     MediumStack media;  // front and back of a pane; a bottle whose inside is another mesh
     EXPECT_TRUE(media.cross(1, true, 1.5f, 1.0f));
@@ -86,12 +87,14 @@ float index_at(const std::string& body, const Point3f& p) {
     return media_at(*testing::load_inline({.sensor = R"(type="perspective">)", .body = body}), p).index();
 }
 
+// Break seen to fail: every surface entered, whatever its normal.
 TEST(MediaAt, InsideOfAClosedShape) {
     EXPECT_EQ(index_at(dielectric(ball, 1.5), {0.3f, 0.1f, -0.9f}), 1.5f);
     EXPECT_EQ(index_at(dielectric(ball, 1.5), {0.8f, 0.8f, 0}), 1.0f);
     EXPECT_EQ(index_at(dielectric(box, 1.25), {4.99f, 0, 0}), 1.25f);
 }
 
+// Breaks seen to fail: the innermost first; a shape that is entered replaces the one around it.
 TEST(MediaAt, NestedShapesCountFromOutsideIn) {
     const std::string both = dielectric(ball, 1.5, 1.25) + dielectric(box, 1.25);
     const auto scene = testing::load_inline({.sensor = R"(type="perspective">)", .body = both});
@@ -105,22 +108,38 @@ TEST(MediaAt, NestedShapesCountFromOutsideIn) {
     EXPECT_EQ(media_at(*scene, {6, 0, 0}).index(), 1.0f);
 }
 
+// Break seen to fail: inside only of what all directions leave.
 TEST(MediaAt, AnOpenSurfaceHasItsInsideBehindIt) {
     EXPECT_EQ(index_at(dielectric(surface, 1.25), {1, 2, -0.5f}), 1.25f);
     EXPECT_EQ(index_at(dielectric(surface, 1.25), {1, 2, 0.5f}), 1.0f);
 }
 
+// Breaks seen to fail: rays that pass opaque walls; inside only of what all directions leave.
 TEST(MediaAt, AnOpaqueWallEndsWhatIsSeen) {
     // A pool that is tiled within the water sees it through its open side alone; a dry basement does not see the lake above.
     EXPECT_EQ(index_at(dielectric(surface, 1.25) + basement, {0, 0, -3}), 1.0f);
     EXPECT_EQ(index_at(dielectric(box, 1.25) + tiles, {0, 0, 3}), 1.25f);
 }
 
+// Breaks seen to fail: vacuum outside of everything; one direction instead of 64.
 TEST(MediaAt, OutsideOfEverythingTheFirstSurfaceTells) {
     EXPECT_EQ(index_at(dielectric(ball, 1.5, 1.25), {0, 0, 3}), 1.25f);
     EXPECT_EQ(index_at("", {0, 0, 3}), 1.0f);
 }
 
+// A tank without a lid, from the side: some directions see its far wall from within. Break seen to fail: inside of what any
+// direction leaves.
+TEST(MediaAt, BesideAnOpenTank) {
+    const auto file = testing::scratch_file(".obj");
+    std::ofstream(file) << "v -1 -1 -1\nv 1 -1 -1\nv 1 1 -1\nv -1 1 -1\nv -1 -1 1\nv 1 -1 1\nv 1 1 1\nv -1 1 1\n"
+                           "f 4 3 2 1\nf 1 2 6 5\nf 2 3 7 6\nf 3 4 8 7\nf 4 1 5 8\n";
+    const std::string tank = dielectric(fmt::format(R"(type="obj"><string name="filename" value="{}"/><boolean name="face_normals" value="true"/>)", file.string()).c_str(), 1.25);
+    EXPECT_EQ(index_at(tank, {1.3f, 0, 1.05f}), 1.0f);
+    EXPECT_EQ(index_at(tank, {0, 0, 0.5f}), 1.25f);
+    std::filesystem::remove(file);
+}
+
+// Break seen to fail: only the shape that was entered can be left.
 TEST(MediaAt, APaneOfTwoShapesSeenFromBothSides) {
     const std::string pane = dielectric(R"(type="rectangle"><transform name="to_world"><translate z="0.01"/></transform>)", 1.5) +
                              dielectric(R"(type="rectangle"><transform name="to_world"><rotate x="1" angle="180"/><translate z="-0.01"/></transform>)", 1.5);

@@ -108,7 +108,8 @@ constexpr const char* camera_scene = R"(<scene version="3.0.0">
 <shape type="rectangle"><transform name="to_world"><scale value="0.005"/><rotate x="1" angle="180"/><translate z="1"/></transform><bsdf type="diffuse"/></shape>
 </scene>)";
 
-// A camera looks at the wall in (0, 0, 0), the laser lights (0.5, 0, 0), a patch of 1 cm^2 hangs at (0, 0, 1).
+// A camera looks at the wall in (0, 0, 0), the laser lights (0.5, 0, 0), a patch of 1 cm^2 hangs at (0, 0, 1). Breaks seen to
+// fail: the lit wall among the hidden shapes, the laser at the camera, twice the density of hidden geometry.
 TEST_F(NlosScene, CameraLooksAtTheWall) {
     const auto scene = load_scene(write("scene.xml", fmt::format(fmt::runtime(camera_scene), R"(<integer name="max_depth" value="4"/>)")));
     const NlosCapture& c = *scene->nlos;
@@ -135,6 +136,7 @@ TEST_F(NlosScene, CameraLooksAtTheWall) {
     EXPECT_LT(std::sqrt(sum2) / n, 0.02 * expected);  // it can tell
 }
 
+// Breaks seen to fail: any capture_type (crash), the note although lengths count from the first hit, START on the wrong side.
 TEST_F(NlosScene, CameraTakesSingleCapturesAndItsNearPlaneIsSaid) {
     const auto text = [&](const char* parameters) { return write("scene.xml", fmt::format(fmt::runtime(camera_scene), parameters)); };
     EXPECT_NE(error_of([&] { load_scene(text(R"(<integer name="capture_type" value="2"/>)")); }).find("scene.xml:2:76: a sensor 'perspective' takes single captures only"), std::string::npos);

@@ -1,4 +1,4 @@
-// gnuplot ends with 0 when the disk is full; a picture that is not whole must not get its name.
+// gnuplot ends with 0 when the disk is full; an image that is not whole must not get its name.
 
 #include <gtest/gtest.h>
 #include <sys/resource.h>
@@ -16,10 +16,10 @@ namespace {
 
 class Plots : public SceneFolder {
   protected:
-    void plot() const {
-        plot::make_pictures(path(""), {{"a.gp", "set terminal svg; set output 'a.svg'; plot x; set terminal png; set output 'a.png'; plot x\n"}}, "a.gp", {"a.svg", "a.png"});
+    void plot(const std::string& format) const {
+        plot::make_pictures(path(""), {{"a.gp", "set terminal " + format + "; set output 'a." + format + "'; plot x\n"}}, "a.gp", {"a." + format});
     }
-    void plot_within(std::uintmax_t bytes) const {
+    void plot_within(std::uintmax_t bytes, const std::string& format) const {
         rlimit before{};
         getrlimit(RLIMIT_FSIZE, &before);
         const auto signal = std::signal(SIGXFSZ, SIG_IGN);
@@ -27,27 +27,29 @@ class Plots : public SceneFolder {
         setrlimit(RLIMIT_FSIZE, &limit);
         bool failed = false;
         try {
-            plot();
+            plot(format);
         } catch (const std::runtime_error&) {
             failed = true;
         }
         setrlimit(RLIMIT_FSIZE, &before);
         std::signal(SIGXFSZ, signal);
-        EXPECT_TRUE(failed) << bytes;
+        EXPECT_TRUE(failed) << format;
     }
 };
 
+// Breaks seen to fail: the end of a PNG or of an SVG not checked; the commands kept although the image failed.
 TEST_F(Plots, AreWholeOrMissing) {
-    try {
-        plot();
-    } catch (const InputError&) {
-        GTEST_SKIP() << "no gnuplot";
-    }
-    std::uintmax_t sizes[] = {std::filesystem::file_size(path("a.png")), std::filesystem::file_size(path("a.svg"))};
-    for (const char* name : {"a.gp", "a.png", "a.svg"}) std::filesystem::remove(path(name));
-    for (const std::uintmax_t size : sizes) {
-        plot_within(size - 4);  // an SVG ends in blank lines
-        EXPECT_TRUE(std::filesystem::is_empty(path("")));
+    for (const std::string format : {"png", "svg"}) {
+        try {
+            plot(format);
+        } catch (const InputError&) {
+            GTEST_SKIP() << "no gnuplot";
+        }
+        const std::uintmax_t size = std::filesystem::file_size(path("a." + format));
+        std::filesystem::remove(path("a.gp"));
+        std::filesystem::remove(path("a." + format));
+        plot_within(size - 4, format);  // an SVG ends in blank lines
+        EXPECT_TRUE(std::filesystem::is_empty(path(""))) << format;
     }
 }
 

@@ -272,7 +272,7 @@ Sunsky mitsuba3(double turbidity, const Rgb<double>& albedo, const Vector3<doubl
     return s;
 }
 
-// Values of Mitsuba 3.8 (scalar_rgb). Catches the unit of 0.6, a channel of the albedo taken for another.
+// Values of Mitsuba 3.8 (scalar_rgb). Breaks seen to fail: the unit of 0.6, the red of the albedo for all channels.
 TEST(SunskyOfMitsuba3, radiance_of_the_sky) {
     expect_rgb(sky_radiance(mitsuba3(2.5, {0.1, 0.4, 0.8}, from_mitsuba3(-0.5, 0.1, 0.6)), from_mitsuba3(0.2, 0.7, 0.3)), {0.04014985, 0.09411535, 0.2139836}, 2e-4);
     expect_rgb(sky_radiance(mitsuba3(7.75, Rgb<double>(0.3), from_mitsuba3(0.2, -0.9, 0.15)), from_mitsuba3(-0.2, -0.4, 0.9)), {0.02307143, 0.02938412, 0.03777083}, 2e-4);
@@ -280,7 +280,8 @@ TEST(SunskyOfMitsuba3, radiance_of_the_sky) {
     expect_rgb(sky_radiance(mitsuba3(10, Rgb<double>(1), from_mitsuba3(0, 0.3, 0.9)), from_mitsuba3(0, 0.35, 0.9)), {1.379344, 1.388928, 1.131967}, 2e-4);
 }
 
-// Values of Mitsuba 3.8: radiance of an even disk times its solid angle. Between nodes of the table, at its ends.
+// Values of Mitsuba 3.8: radiance of an even disk times its solid angle. Between nodes of the table, at its ends. Breaks seen to
+// fail: turbidity or elevation rounded down, elevations off by a node, the irradiance of 0.6.
 TEST(SunskyOfMitsuba3, irradiance_of_the_sun) {
     const struct {
         double turbidity, elevation_deg;
@@ -306,7 +307,7 @@ class SunskyScene : public SceneFolder {
     }
 };
 
-// Values of Mitsuba 3.8. Catches y for up, a frame that is the inverse of to_world, the azimuth by time mirrored.
+// Values of Mitsuba 3.8. Breaks seen to fail: sun_direction or the frame with y up, the azimuth by time mirrored, the albedo of 0.6.
 TEST_F(SunskyScene, axes_of_mitsuba3) {
     const auto turned = scene_of("<float name='turbidity' value='2.5'/><float name='sun_scale' value='0'/><float name='sky_scale' value='2'/>"
                                  "<vector name='sun_direction' x='-0.5' y='0.1' z='0.6'/><transform name='to_world'><rotate x='1' angle='30'/></transform>");
@@ -321,7 +322,8 @@ TEST_F(SunskyScene, axes_of_mitsuba3) {
     EXPECT_EQ(towards(*scene_of("", "0.6.0"), 0.5, -0.5, 0.7), Rgb<double>());
 }
 
-// Catches an aperture taken for a radius, a disk whose power grows, limb darkening that changes the power.
+// Breaks seen to fail: an aperture taken for a radius, the irradiance of 0.6, no limb darkening, limb darkening that changes
+// the power of a sun of three texels, a disk that goes on below the horizon.
 TEST_F(SunskyScene, sun_of_mitsuba3) {
     const std::string place = "<float name='sky_scale' value='0'/><vector name='sun_direction' x='0' y='0.8' z='0.6'/><float name='sun_aperture' value='20'/>";
     const auto even = scene_of(place), dark = scene_of(place + "<boolean name='complex_sun' value='true'/>");
@@ -332,9 +334,14 @@ TEST_F(SunskyScene, sun_of_mitsuba3) {
     EXPECT_EQ(at(*even, 11), Rgb<double>());
     EXPECT_NEAR(at(*dark, 0).b / at(*even, 0).b, 1.32, 0.01);    // Mitsuba 3.8: 1.320
     EXPECT_NEAR(at(*dark, 9.5).b / at(*even, 9.5).b, 0.635, 0.01);  // 0.635
-    expect_rgb(sphere_integral(*dark->emitters[0].map, 1), sphere_integral(*even->emitters[0].map, 1), 0.002);
+    const std::string small = "<float name='sky_scale' value='0'/><vector name='sun_direction' x='0' y='0.8' z='0.6'/>";
+    expect_rgb(sphere_integral(*scene_of(small + "<boolean name='complex_sun' value='true'/>")->emitters[0].map, 1), sphere_integral(*scene_of(small)->emitters[0].map, 1), 0.002);
+    const auto low = scene_of("<float name='sky_scale' value='0'/><vector name='sun_direction' x='0' y='1' z='0.05'/><float name='sun_aperture' value='20'/>");
+    EXPECT_GT(towards(*low, 0, 1, 0.02).r, 0);
+    EXPECT_EQ(towards(*low, 0, 1, -0.02), Rgb<double>());
 }
 
+// Breaks seen to fail: Mitsuba 3's defaults in 0.x files, apertures of any size, a sky at night.
 TEST_F(SunskyScene, parameters_are_those_of_the_dialect) {
     EXPECT_NE(error_of([&] { scene_of("<float name='stretch' value='1.5'/>"); }).find("has no parameter 'stretch'"), std::string::npos);
     EXPECT_NE(error_of([&] { scene_of("<float name='sun_aperture' value='180'/>"); }).find("must be less than 180 degrees"), std::string::npos);
