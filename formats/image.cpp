@@ -60,6 +60,19 @@ std::size_t count_nonfinite(const Image& image) {
     return n;
 }
 
+void require_finite(const Image& image, std::initializer_list<std::string_view> layers, const std::filesystem::path& file) {
+    std::string text;
+    for (const std::string_view layer : layers)
+        for (const char component : {'R', 'G', 'B'}) {
+            const auto values = image.find(channel_name(layer, component));
+            const std::size_t first = first_nonfinite(values);
+            if (first == values.size()) continue;
+            text += fmt::format("{}{} of {} (first in pixel ({}, {}))", text.empty() ? "" : ", ", count_nonfinite(values), channel_name(layer, component),
+                                first % image.width, first / image.width);
+        }
+    if (!text.empty()) throw InputError(fmt::format("{}: values that are NaN or infinite: {}", file.native(), text));
+}
+
 double mean_var_mean(const Image& image) {
     double sum = 0;
     for (const char* channel : {"VarMean.R", "VarMean.G", "VarMean.B"})

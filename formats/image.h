@@ -85,6 +85,8 @@ std::vector<std::pair<std::string, std::string>> exr_attributes(const std::files
 
 /// Number of values that are NaN or infinite.
 std::size_t count_nonfinite(const Image& image);
+/// Throws an InputError with file, channels, counts and first pixel where R, G or B of these layers hold NaN or infinity.
+void require_finite(const Image& image, std::initializer_list<std::string_view> layers, const std::filesystem::path& file);
 
 /// Mean of VarMean over pixels and R, G, B; those that are not finite are left out. 0 without VarMean.
 double mean_var_mean(const Image& image);

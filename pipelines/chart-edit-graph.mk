@@ -57,7 +57,7 @@ $(OUT)/parts.tsv: $(residuals) $(OUT)/reference/residual.exr $(OUT)/parts.parame
 	$(foreach m,$(METHODS),$(foreach s,$(SPPS), \
 		$(merge) --quiet --no-blend $(replicates:%=$(OUT)/$(m)_$(s)_%/residual.exr) -o $(OUT)/mean.exr && \
 		{ $(mse) $(replicates:%=$(OUT)/$(m)_$(s)_%/residual.exr) && $(mse) $(OUT)/mean.exr; } | awk -F'\t' -v OFS='\t' -v start='$(name)\t$(m)\t$(s)' \
-			'/nonfinite/ { for (i = 1; i <= NF; ++i) at[$$i] = i; ++tables; next } \
+			'/relmse_trimmed/ { for (i = 1; i <= NF; ++i) at[$$i] = i; ++tables; next } \
 			tables == 1 { ++n; mse[n] = $$at["mse"]; cpu[n] = $$at["cpu_s"]; sum += mse[n]; next } \
 			{ v = (sum / n - $$at["mse"]) * n / (n - 1); for (i = 1; i <= n; ++i) print start, cpu[i], mse[i], v, $$at["mse"] - v / n }' && )) :; } >$@
 

@@ -49,6 +49,9 @@ std::vector<float> sums_over_bins(std::span<const float> bins, std::size_t n_bin
 
 Picture read_cube(const std::string& file) {
     const TransientCube cube = read_any_cube(file);
+    for (const auto& [name, values] : {std::pair{"radiance", std::span<const float>(cube.radiance)}, {"var_mean", std::span<const float>(cube.var_mean)}})
+        if (const std::size_t n = count_nonfinite(values); n > 0 && (name == std::string("radiance") || cube.film.samples_per_pixel != 1))
+            throw InputError(fmt::format("{}: values that are NaN or infinite: {} of {}", file, n, name));
     Picture picture{cube.film.width, cube.film.height, cube.film.samples_per_pixel, {cube.radiance.begin(), cube.radiance.end()}, {}, cube, {}, {}};
     picture.sums = sums_over_bins(picture.rgb, picture.n_bins());
     if (picture.samples != 1) {
@@ -65,6 +68,8 @@ Picture read_picture(const std::string& file) {
     if (image.n_pixels() == 0) throw InputError(fmt::format("{}: has no pixels", file));
     // One sample has no variance of its own, whatever the layer says.
     if (!image.find("VarMean.R").empty() && image.samples != 1) picture.var_mean = image.interleaved("VarMean");
+    require_finite(image, {""}, file);
+    if (!picture.var_mean.empty()) require_finite(image, {"VarMean"}, file);
     return picture;
 }
 
@@ -104,8 +109,6 @@ Picture read_reference(const Options& options, const std::string& file) {
         check_fit(variance, options.reference_variance, reference, file);
         reference.var_mean = variance.rgb;
     }
-    if (const std::uint64_t bad = count_nonfinite(reference.rgb); bad > 0)
-        throw InputError(fmt::format("{}: {} numbers are NaN or infinite; no reference", file, bad));
     set_scale(reference, scale_of(reference));
     return reference;
 }
@@ -154,7 +157,6 @@ Measured measure(const Picture& picture, const Picture& reference, const Options
     const Correlation correlation = error_correlation(x, r, w, h, n_channels);
     Measured m{};
     m.samples = picture.samples;
-    m.nonfinite = double(count_nonfinite(x));
     m.mse = picture.scale * picture.scale * mean_squared(x, r);
     m.rmse = std::sqrt(m.mse);
     m.relmse = mean_squared_relative(x, r);
@@ -313,7 +315,6 @@ void report_costs(const Options& options, app::Report& report) {
 
 std::span<const Column> columns() {
     static constexpr Column all[] = {
-        {"nonfinite", &Measured::nonfinite, false},
         {"mse", &Measured::mse, false},
         {"relmse", &Measured::relmse, false},
         {"relmse_trimmed", &Measured::relmse_trimmed, false},
@@ -437,7 +438,6 @@ int run(const Options& options, app::Report& report) {
         m.file = input.file;
         m.replicate = into.group.replicates.size();
         if (options.cost) add_cost(m);
-        if (m.nonfinite > 0) report.warn("{}: {} numbers are NaN or infinite", input.file, m.nonfinite);
         into.group.replicates.push_back(std::move(m));
         add_tile_errors(into.group.tile_errors, picture, reference, 1);
         into.rgb.push_back(std::move(picture.rgb));

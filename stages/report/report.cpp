@@ -46,6 +46,7 @@ struct Picture {
 Picture read_picture(const std::string& label, const std::string& file, const Options& options) {
     const Image image = read_image(file);
     if (image.n_pixels() == 0) throw InputError(fmt::format("{}: has no pixels", file));
+    require_finite(image, {""}, file);
     Picture picture{label, file, image.samples, image.width, image.height, {}, {}, unknown};
     picture.pixels = pixels_of(image, std::size_t(options.longest_side));
     return picture;
