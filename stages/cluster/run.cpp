@@ -66,18 +66,15 @@ void check(const Options& options) {
 /// The command that makes the clusters of graph i alone.
 std::string command_of(const Options& options, std::string command, std::size_t i) {
     if (options.graphs.size() == 1) return command;
-    const auto replace = [&](const std::string& from, const std::string& to) {
-        if (const auto at = command.find(from); at != std::string::npos) command.replace(at, from.size(), to);
-    };
-    const auto leave_one = [&](const std::string& before, const std::vector<std::string>& graphs) {
+    const auto words = [](const std::string& before, std::span<const std::string> graphs) {
         std::string all;
-        for (const std::string& graph : graphs) all += before + std::filesystem::path(graph).filename().string();
-        if (!graphs.empty()) replace(all, before + std::filesystem::path(graphs[i]).filename().string());
+        for (const std::string& graph : graphs) all += before + app::shell_word(app::base_name(graph));
+        return all;
     };
-    leave_one(" ", options.graphs);
-    leave_one(" --with ", options.with);
-    replace(fmt::format(" --seed {}", options.cluster.seed), fmt::format(" --seed {}", options.cluster.seed + i));
-    return command;
+    std::vector<std::pair<std::string, std::string>> changes{{words(" ", options.graphs), words(" ", {&options.graphs[i], 1})}};
+    if (!options.with.empty()) changes.emplace_back(words(" --with ", options.with), words(" --with ", {&options.with[i], 1}));
+    changes.emplace_back(fmt::format(" --seed {}", options.cluster.seed), fmt::format(" --seed {}", options.cluster.seed + i));
+    return app::command_of_part(std::move(command), changes);
 }
 
 /// Makes clusters of one graph, or of two, and writes them.

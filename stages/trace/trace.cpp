@@ -79,13 +79,9 @@ std::string output_of_pass(const Options& options, std::uint64_t pass) {
 
 /// The command that makes this pass alone.
 std::string command_of_pass(const Options& options, std::string command, std::uint64_t pass) {
-    const auto replace = [&](const std::string& from, const std::string& to) {
-        if (const auto at = command.find(from); at != std::string::npos) command.replace(at, from.size(), to);
-    };
-    replace(fmt::format(" --passes {}", options.passes), "");
-    replace(fmt::format(" --first-sample {}", options.first_sample),
-            fmt::format(" --first-sample {}", options.first_sample + pass * options.spp));
-    return command;
+    return app::command_of_part(std::move(command), {{fmt::format(" --passes {}", options.passes), ""},
+                                                     {fmt::format(" --first-sample {}", options.first_sample),
+                                                      fmt::format(" --first-sample {}", options.first_sample + pass * options.spp)}});
 }
 
 }  // namespace

@@ -247,6 +247,13 @@ TEST_F(App, usage_counts) {
     EXPECT_GE(report.cost().wall_s, used.wall_s);
 }
 
+// Break seen to fail: every occurrence replaced.
+TEST_F(App, commands_of_parts) {
+    const std::string command = "loom-cluster a.h5 b.h5 --k 8 --seed 3";
+    EXPECT_EQ(command_of_part(command, {{" a.h5 b.h5", " b.h5"}, {" --seed 3", " --seed 4"}, {" --with c.h5", ""}}), "loom-cluster b.h5 --k 8 --seed 4");
+    EXPECT_EQ(command_of_part("loom-x 1 1", {{" 1", ""}}), "loom-x 1");
+}
+
 TEST_F(App, texts) {
     EXPECT_EQ(duration_text(0.05), "50 ms");
     EXPECT_EQ(duration_text(12.34), "12.3 s");

@@ -192,6 +192,12 @@ std::string Command::text(bool for_output) const {
     return text;
 }
 
+std::string command_of_part(std::string command, std::span<const std::pair<std::string, std::string>> changes) {
+    for (const auto& [from, to] : changes)
+        if (const auto at = command.find(from); at != std::string::npos) command.replace(at, from.size(), to);
+    return command;
+}
+
 void Command::check_files() const {
     namespace fs = std::filesystem;
     for (const Declared& option : declared_) {

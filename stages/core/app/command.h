@@ -11,6 +11,7 @@
 #include <functional>
 #include <memory>
 #include <optional>
+#include <span>
 #include <string>
 #include <type_traits>
 #include <utility>
@@ -168,6 +169,13 @@ Command::Option Command::choice(const std::string& names, Enum& field, const std
         return {};
     };
     return declare(names, help, allowed, Kind::value, set, get);
+}
+
+/// Returns the command that makes one part of what `command` makes: for each of `changes` the first occurrence of its first
+/// text is replaced by its second.
+std::string command_of_part(std::string command, std::span<const std::pair<std::string, std::string>> changes);
+inline std::string command_of_part(std::string command, std::initializer_list<std::pair<std::string, std::string>> changes) {
+    return command_of_part(std::move(command), std::span(changes.begin(), changes.size()));
 }
 
 }  // namespace loom::app
