@@ -8,7 +8,7 @@ include pipelines/variables.mk
 
 BUILD ?= build
 JOBS ?= $(shell nproc)
-# The variables of a picture (SCENE METHOD SPP ...) go through to pipelines/still.mk, which has their defaults.
+# The variables of an image (SCENE METHOD SPP ...) go through to pipelines/still.mk, which has their defaults.
 
 python = $(call quote,$(PEERS_PYTHON))
 STAGES := $(patsubst stages/%/main.cpp,loom-%,$(wildcard stages/*/main.cpp))
@@ -42,7 +42,7 @@ image: stages ## render SCENE; with -s the only line on stdout is the path of th
 transient: stages ## light in flight of SCENE, binned over time; with -s the only line on stdout is the path of the cube
 	@$(MAKE) --no-print-directory -f pipelines/transient.mk transient
 
-edit: stages ## picture of NEW from that of OLD and the difference that the edit makes; with -s prints only its path
+edit: stages ## image of NEW from that of OLD and the difference that the edit makes; with -s prints only its path
 	@$(MAKE) --no-print-directory -f pipelines/edit.mk edit
 
 edit-techniques: stages ## what each technique of dynamic paths finds of the edit of OLD to NEW, weighted and raw, as PNG
@@ -69,7 +69,7 @@ chart-edit-cost: stages ## CPU time of residuals from a graph of the old scene a
 chart-all: stages ## charts of pt, west and pathgraph on many scenes at small size, OUT=out/chart-all; DOCS= copies them
 	@$(MAKE) --no-print-directory -f pipelines/chart-all.mk chart-all
 
-report: stages ## one page of METHODS on SCENE, OUT/report.html: pictures, errors, charts, tables, lineage
+report: stages ## one page of METHODS on SCENE, OUT/report.html: images, errors, charts, tables, lineage
 	@$(MAKE) --no-print-directory -f pipelines/report.mk report
 
 table: stages ## cost and error of path graphs beside path tracing, a row per scene; takes SCENES= OUT=
@@ -117,7 +117,7 @@ tools: ## install the Debian packages that are missing
 build: ## compile everything, tests included
 	@$(call compile,$(BUILD),-DCMAKE_BUILD_TYPE=Release)
 
-stages: # what a picture needs, without the tests
+stages: # what an image needs, without the tests
 	@$(call compile,$(BUILD),-DCMAKE_BUILD_TYPE=Release,$(STAGES))
 
 clean: ## remove build folders and out/

@@ -1,7 +1,7 @@
 # Charts of path tracing, West et al. and path graphs on many scenes at small size: OUT/NAME/ as chart.mk leaves it,
 # one after the other, and OUT/all.svg, error against cost of all of them, a panel per scene.
 #
-# References are REFERENCES/NAME_ref.exr where they are, else path traced. Small pictures drown in the time that reading
+# References are REFERENCES/NAME_ref.exr where they are, else path traced. Small images drown in the time that reading
 # a scene takes, so the cost is CPU time without it. What is made stays; a killed session goes on.
 #
 #   make chart-all                 everything
@@ -15,7 +15,7 @@ include pipelines/variables.mk
 
 # SCENES=  ## scene files (the shared ones where they are, else some of the project's own)
 # REFERENCES=  ## folder of NAME_ref.exr and NAME_var.exr
-# SIZE=  ## longer side of a picture without such a reference, px (128)
+# SIZE=  ## longer side of an image without such a reference, px (128)
 # DOCS=  ## folder whose charts/ takes copies of the charts
 # METHODS SPPS REPLICATES COST ERROR: as of chart (pt west pathgraph; 1 4 16; 3; render_s; relmse)
 BUILD ?= build
@@ -52,7 +52,7 @@ $(call row_name,$(1)):
 endef
 $(foreach s,$(SCENES),$(eval $(call one,$(s))))
 
-# Only tables that have changed make the picture of all of them anew.
+# Only tables that have changed make the image of all of them anew.
 tables := $(names:%=$(OUT)/%/errors.tsv)
 $(tables): $(OUT)/%/errors.tsv: % ;
 $(OUT)/all.svg: $(tables) $(chart)

@@ -15,7 +15,7 @@
 include pipelines/variables.mk
 
 # SPP=  ## samples per pixel of the graphs (16)
-# SIZE=  ## longer side of the pictures (256)
+# SIZE=  ## longer side of the images (256)
 # REPLICATES=  ## runs of each, of which the fastest counts (3)
 # ROWS=  ## edits to do (all)
 # DOCS=  ## folder into whose edits.md the table goes

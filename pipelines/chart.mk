@@ -4,12 +4,12 @@
 #   bias-variance  the parts of that error against cost;        convergence  change by step of the refinement
 #
 #   a reference, path traced once with many samples (or REFERENCE=file)
-#   REPLICATES pictures of each method at each number of samples, by still.mk, each with its own seed
+#   REPLICATES images of each method at each number of samples, by still.mk, each with its own seed
 #   loom-compare: errors.tsv, costs.tsv;   loom-chart: the charts, tables beside them
 #
 # Runs are timed one at a time, methods in turn (A B A B ...), so that a slow spell of the machine meets all of
 # them; the first run of a session is preceded by one of each method that does not count. What is made stays:
-# a killed session goes on, more METHODS, SPPS or REPLICATES add pictures to those there are.
+# a killed session goes on, more METHODS, SPPS or REPLICATES add images to those there are.
 
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
@@ -20,13 +20,13 @@ include pipelines/variables.mk
 SCENE ?= scenes/cornell-box.xml
 # METHODS=  ## what to compare (pt graph), the first with all others; each a METHOD of make image, with settings: pathgraph+K8+ITERATIONS2
 # SPPS=  ## samples per pixel of the points of a curve (1 4 16)
-# REPLICATES=  ## pictures of each point, with their own seeds (3)
+# REPLICATES=  ## images of each point, with their own seeds (3)
 # PASS=  ## most samples per pixel of a pass of methods with a graph (4)
 # NAME=  ## what tables and charts call the scene (after its file)
 # REFERENCE=  ## image to compare with, else one is path traced
 # REFERENCE_SPP=  ## samples per pixel of that, a multiple of 64 (1024)
 # REFERENCE_VARIANCE=  ## variance of its pixels, where it does not say so itself
-# COST=  ## column that is the cost: cpu_s, wall_s, rays, or render_s: cpu_s but for reading the scene, which small pictures drown in (cpu_s)
+# COST=  ## column that is the cost: cpu_s, wall_s, rays, or render_s: cpu_s but for reading the scene, which small images drown in (cpu_s)
 # ERROR=  ## column that is the error: relmse, relmse_trimmed, relmse_net, mse, mape (relmse)
 BUILD ?= build
 METHODS ?= pt graph
@@ -86,8 +86,8 @@ chart: $(OUT)/error-cost.svg $(charts)
 	@rm -rf $(OUT)/.warm-up*
 	@for c in $(^:.svg=.png); do [ ! -e $$c ] || echo $$c; done
 
-# still.mk knows whether there is something to do; a picture that it leaves alone keeps its time stamp.
-# Graphs are large: they go once the picture is there, and their costs stay.
+# still.mk knows whether there is something to do; an image that it leaves alone keeps its time stamp.
+# Graphs are large: they go once the image is there, and their costs stay.
 session := $(shell echo $$PPID)
 $(images): $(OUT)/%/image.exr: FORCE
 	@$(call still,$(call part,1,$*),$(call part,2,$*),$(call seed,$*),$(@D)) -q $@ || { \
@@ -109,12 +109,12 @@ endif
 $(eval $(call parameter,$(OUT)/compare.parameters,$(runs) $(REFERENCE) $(REFERENCE_VARIANCE)))
 $(eval $(call parameter,$(OUT)/chart.parameters,$(COST) $(ERROR)))
 
-# What make peers left: pictures of other renderers, by name as ours.
+# What make peers left: images of other renderers, by name as ours.
 peers := $(filter-out $(runs:%=$(OUT)/peers/%/image.exr),$(wildcard $(OUT)/peers/*/image.exr))
 labelled = $(foreach r,$(runs),$(call part,1,$(r))=$(OUT)/$(r)/image.exr) \
 	$(foreach p,$(peers),$(call quote,$(call part,1,$(notdir $(patsubst %/,%,$(dir $(p)))))=$(p)))
 variance = $(if $(REFERENCE_VARIANCE),--reference-variance $(call quote,$(REFERENCE_VARIANCE)))
-# Pictures that are not made here: by their contents.
+# Images that are not made here: by their contents.
 given_files := $(foreach p,$(peers),$(call quote,$(p))) $(foreach v,REFERENCE REFERENCE_VARIANCE,$(if $($(v)),$(call quote,$($(v)))))
 given_stamp := $(if $(strip $(given_files)),$(OUT)/given.stamp)
 $(if $(given_stamp),$(eval $(call stamp,$(given_stamp),$(given_files))))
@@ -134,7 +134,7 @@ $(OUT)/stages.svg: $(OUT)/costs.tsv $(OUT)/chart.parameters $(chart)
 $(OUT)/bias-variance.svg: $(OUT)/errors.tsv $(OUT)/chart.parameters $(chart)
 	$(chart) $< --kind parts -o $@ --x $(COST)
 
-# The last pass of each picture of the most samples. A log axis has no place for 0, and numbers of 32 bits have none
+# The last pass of each image of the most samples. A log axis has no place for 0, and numbers of 32 bits have none
 # for changes of less than 1e-8.
 refined := $(foreach r,$(runs),$(if $(and $(filter pathgraph pathgraph+%,$(call part,1,$(r))),$(filter $(lastword $(SPPS)),$(call part,2,$(r)))),$(r)))
 $(OUT)/iterations.tsv: $(refined:%=$(OUT)/%/image.exr) $(OUT)/compare.parameters

@@ -1,7 +1,7 @@
 # METHOD=graph of edit.mk: the residual as the difference of two path graphs on common clusters.
 #
 # Per pass: trace both scenes with the same random numbers, put the vertices of both graphs into the same clusters, let each
-# graph share its light (refine) and gather its picture; then merge the differences of the pictures. What the graphs have in
+# graph share its light (refine) and gather its image; then merge the differences of the images. What the graphs have in
 # common has the same noise and the same blur in both. The spread between passes is the variance: no pass knows its own.
 #
 # in:   what edit.mk has
@@ -29,13 +29,13 @@ in_pass = $(foreach s,$(sides),$(numbers:%=$(graph_work)/$(s)-%.$(1)))
 graphs := $(call in_pass,h5)
 pictures := $(call in_pass,exr)
 
-# Not the seed of OLD's picture, whose noise would be in the residual too.
+# Not the seed of OLD's image, whose noise would be in the residual too.
 graph_seed := $(shell echo $$(($(or $(SEED),0) + 2000003)))
 old_scene_parameters = $(call quote,$(OLD))$(call defines,-D,$(DEFINES) $(OLD_DEFINES))$(sensor)
 new_scene_parameters = $(call quote,$(NEW))$(call defines,-D,$(DEFINES) $(NEW_DEFINES))$(sensor)
 graph_parameters = --spp $(SPP) --seed $(graph_seed)
 
-# All graphs of a scene are traced by one process, so that it is read once; each goes once its picture is there.
+# All graphs of a scene are traced by one process, so that it is read once; each goes once its image is there.
 .SECONDARY: $(graphs) $(call in_pass,clusters.h5) $(call in_pass,radiance.h5)
 $(eval $(call parameter,$(graph_work)/trace.parameters,$(old_scene_parameters) $(new_scene_parameters) $(graph_parameters)))
 define traced

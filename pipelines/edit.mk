@@ -1,6 +1,6 @@
-# The picture of an edited scene from that of the scene before: OUT/new.exr = OLD's picture + OUT/residual.exr.
+# The image of an edited scene from that of the scene before: OUT/new.exr = OLD's image + OUT/residual.exr.
 #
-# OLD's picture depends on OLD, its values, BASE_SPP and SEED alone and lies in BASE, so that many edits of one scene
+# OLD's image depends on OLD, its values, BASE_SPP and SEED alone and lies in BASE, so that many edits of one scene
 # share it: give each its own OUT and all the same BASE. Edits after edits: OLD_PICTURE=FIRST/new.exr, where OLD and its
 # values are the NEW of the edit in FIRST; nothing is then traced but the difference, and OUT/new.exr has a ledger of all edits.
 # GRAPH stores OLD's paths in BASE, too, 300 to 500 bytes per sample, and each edit traces only those that it touches.
@@ -15,28 +15,28 @@ OLD ?= scenes/cornell-box.xml  ## scene before the edit
 METHOD ?= auto  ## of the residual: correlated, independent, dynamic, auto, or graph: the difference of two path graphs, biased a little
 SPP ?= 16  ## pairs of paths per pixel of the residual, auto: or what they would cost; graph: of each of its PASSES
 # MAP=  ## of auto: 0: as many camera paths in every pixel
-# CONTROL=  ## of auto: 0: the new picture is the old one plus the residual; else the old one gets the weight that makes the sum least noisy
+# CONTROL=  ## of auto: 0: the new image is the old one plus the residual; else the old one gets the weight that makes the sum least noisy
 # PASSES=  ## of graph: passes, whose spread is its variance (4)
 # K=  ## of graph: vertices of a cluster (as of make image)
 # ITERATIONS=  ## of graph: steps of the refinement (6)
-# GRAPH=  ## of correlated paths: 1: those of a graph of OLD, SPP samples of their own; same: the very samples of OLD's picture, so that new.exr is what these are in NEW
-# GRAPH_SEED=  ## of GRAPH=1, other than that of OLD's picture and of edits before (one more than the picture's)
+# GRAPH=  ## of correlated paths: 1: those of a graph of OLD, SPP samples of their own; same: the very samples of OLD's image, so that new.exr is what these are in NEW
+# GRAPH_SEED=  ## of GRAPH=1, other than that of OLD's image and of edits before (one more than the image's)
 # UNBIASED=  ## of graph: 1: what the paths of some passes say beyond it is added, which leaves no bias and most of their noise
 # CLUSTER=  ## of graph: further options of loom-cluster; REFINE, GATHER, MERGE likewise
 # KEEP=  ## of graph: 1: keep the graphs
-BASE_SPP ?= 64  ## samples per pixel of OLD's picture
+BASE_SPP ?= 64  ## samples per pixel of OLD's image
 # DEFINES=  ## values of the parameters of both scenes
 # OLD_DEFINES=  ## values of OLD only
 # NEW_DEFINES=  ## values of NEW only: NEW_DEFINES="light=20"
 # SENSOR=  ## sensor of both scenes, by id or by number from 0 (the first)
 # SEED=  ## seed of the random numbers
 # DENOISE=  ## 1: the residual without its noise (loom-denoise), biased a little; the one with it is OUT/noisy.exr
-# BASE_SEED=  ## of OLD's picture, where it must not change with that of the residual (SEED)
+# BASE_SEED=  ## of OLD's image, where it must not change with that of the residual (SEED)
 # THREADS=  ## threads of a stage (all); no result depends on it
 # EXPOSURE=  ## of the PNGs, in stops
 # OUT=  ## folder of the results (out/NAME/edit, after NEW)
-# OLD_PICTURE=  ## picture of OLD: the new.exr of an edit before (old.exr in BASE, traced); not for graph, whose bias would add up unseen
-# BASE=  ## folder of OLD's picture (out/NAME/base, after OLD and its values)
+# OLD_PICTURE=  ## image of OLD: the new.exr of an edit before (old.exr in BASE, traced); not for graph, whose bias would add up unseen
+# BASE=  ## folder of OLD's image (out/NAME/base, after OLD and its values)
 # LAUNCH=  ## put before each stage
 BUILD ?= build
 OLD := $(strip $(OLD))
@@ -98,7 +98,7 @@ threads = $(if $(THREADS), --threads $(THREADS))
 edit: $(OUT)/new.exr $(OUT)/new.png
 	@echo $<
 
-# The contents of both scenes, and of a picture that is given, whose scene BASE need not have.
+# The contents of both scenes, and of an image that is given, whose scene BASE need not have.
 base_stamp := $(BASE)/old.stamp
 old_stamp := $(if $(OLD_PICTURE),$(OUT),$(BASE))/old.stamp
 new_stamp := $(OUT)/new.stamp

@@ -1,7 +1,7 @@
 # Mitsuba 3 beside ours on one scene, for OUT of chart.mk: charts and reports made afterwards have it among them.
 #
 #   OUT/peers.tsv             paths per second of loom-trace and of Mitsuba
-#   OUT/peers/*/image.exr     pictures by Mitsuba at SPPS samples, REPLICATES of each, timed in turn
+#   OUT/peers/*/image.exr     images by Mitsuba at SPPS samples, REPLICATES of each, timed in turn
 #
 # PYTHON=  an interpreter that has mitsuba; make peers puts one into the build folder.
 

@@ -1,4 +1,4 @@
-# One picture of one scene: OUT/image.exr, and a PNG beside it.
+# One image of one scene: OUT/image.exr, and a PNG beside it.
 #
 #   METHOD=pathgraph   per pass: trace a path graph, cluster its vertices, let them share their light (refine),
 #                      gather an image;  then merge the passes, blended with what their paths say alone
@@ -77,7 +77,7 @@ demo: $(OUT)/image.exr $(OUT)/image.png $(clean)
 	@$(if $(filter-out pt,$(METHOD)),echo 'graph    $(work)/pass-$(last).h5')
 	@echo 'look     $(inspect) $(lastword $(traced))'
 
-# A graph is as large as its picture is small: once gathered it goes, but for the last, which stays to be
+# A graph is as large as its image is small: once gathered it goes, but for the last, which stays to be
 # looked at. Secondary: that it is gone does not make it be traced again.
 .SECONDARY: $(graphs) $(clusters) $(radiances)
 

@@ -7,11 +7,11 @@
 #   scenes    an edit each of the shared scenes, where ../shared is; only what the edit changes is written, into
 #             OUT/scenes; meshes and textures stay where they are
 #
-#   error     MSE of the new picture, its old one being taken as converged: that of the residual against a reference.
+#   error     MSE of the new image, its old one being taken as converged: that of the residual against a reference.
 #             The reference is the mean (a + b) / 2 of two residuals with their own seeds; its noise is taken out by
 #             (x - a)(x - b) = (x - (a + b) / 2)^2 - (a - b)^2 / 4, whatever its samples say of themselves
-#             The old picture's weight is 1 (CONTROL=0): with another its noise would count
-#   cost      CPU seconds of the whole chain of residual.exr, reading the scenes not counted; the old picture is there, and with
+#             The old image's weight is 1 (CONTROL=0): with another its noise would count
+#   cost      CPU seconds of the whole chain of residual.exr, reading the scenes not counted; the old image is there, and with
 #             GRAPH1 the old graph
 #   ratio     error of correlated path tracing given the same time, over that of the method: correlated paths are
 #             traced with each of SPPS, and between two of them their error follows a power of their cost (beyond the
@@ -36,12 +36,12 @@ include pipelines/variables.mk
 # SPP=  ## pairs per pixel of each, if not set after + (32)
 # SPPS=  ## pairs per pixel of correlated path tracing, between which its error at equal time lies (8 32 128)
 # REPLICATES=  ## residuals of each, with their own seeds (3)
-# SIZE=  ## longer side of a picture, px (128)
-# BASE_SPP=  ## samples per pixel of the old picture (256)
+# SIZE=  ## longer side of an image, px (128)
+# BASE_SPP=  ## samples per pixel of the old image (256)
 # REFERENCE_SPP=  ## pairs per pixel of each half of a reference (512)
 # REFERENCE_METHOD=  ## how it is made (correlated)
 # PICTURE_SIZE=  ## of edit-pictures: longer side, px (320)
-# PICTURE_SPP=  ## of edit-pictures: samples of the old picture and pairs of the residual, by correlated paths (64)
+# PICTURE_SPP=  ## of edit-pictures: samples of the old image and pairs of the residual, by correlated paths (64)
 # DOCS=  ## folder whose edits.md takes the tables
 BUILD ?= build
 METHODS ?= correlated auto
@@ -145,7 +145,7 @@ method_of = $(patsubst reference,$(REFERENCE_METHOD),$(call part,1,$(1)))
 settings_of = $(shell echo '$(wordlist 2,99,$(subst +, ,$(method_of)))' | sed -E 's/([A-Z_]+)([0-9]+)/\1=\2/g')
 # $(call seed,NAME): own and lasting, whatever else is made beside it.
 seed = $(shell printf '%s' '$(1) $(SEED)' | cksum | cut -d' ' -f1)
-# Edits of one scene share its picture.
+# Edits of one scene share its image.
 before = $(call field,4,$(1)) $(call field,6,$(1))
 base = $(OUT)/base/$(shell printf '%s' '$(call before,$(1)) $(2)' | cksum | cut -d' ' -f1)
 values = $(subst +, ,$(call field,$(1),$(2)))
@@ -163,7 +163,7 @@ endif
 	@cat $(OUT)/table.md
 	@echo $(OUT)/table.tsv
 
-# edit.mk knows whether there is something to do; a picture that it leaves alone keeps its time stamp. The first run of
+# edit.mk knows whether there is something to do; an image that it leaves alone keeps its time stamp. The first run of
 # a session is preceded by one of each method that does not count.
 session := $(shell echo $$PPID)
 pictures := $(runs:%=$(OUT)/%/new.exr)
@@ -207,7 +207,7 @@ $(OUT)/table.md: $(OUT)/table.tsv pipelines/table-edit-page.awk
 	@awk -v made="$(REPLICATES) residuals of each, longer side $(SIZE) px, references of 2 x $(REFERENCE_SPP) pairs ($(REFERENCE_METHOD))" \
 		-f pipelines/table-edit-page.awk $< >$@
 
-# Pictures to look at, by correlated paths.
+# Images to look at, by correlated paths.
 pictured := $(foreach w,$(ROWS),$(foreach p,old new residual,$(OUT)/pictures/$(w)-$(p).png))
 edit-pictures: $(pictured)
 	@for p in $(pictured); do echo $$p; done

@@ -7,8 +7,8 @@
 #   error   relMSE at small size after 1 sample and after 16, plain and without the 0.1 % worst pixels, against
 #           REFERENCES/NAME_ref.exr where it is, else a path-traced reference
 #   equal   path tracing given as many samples as take the time of those 16: its error over that of path graphs; errors
-#           are means over REPLICATES pictures with their own random numbers, se the standard error of the plain gain:
-#           a few bright pixels decide the error of one picture
+#           are means over REPLICATES images with their own random numbers, se the standard error of the plain gain:
+#           a few bright pixels decide the error of one image
 #
 # Rows are made one at a time, so that their costs do not disturb each other; what is made stays.
 
@@ -20,7 +20,7 @@ include pipelines/variables.mk
 
 # SCENES=  ## scene files (the shared ones where they are, else a few of the project's own)
 # REFERENCES=  ## folder of NAME_ref.exr and NAME_var.exr
-# REPLICATES=  ## pictures over which errors are averaged (1)
+# REPLICATES=  ## images over which errors are averaged (1)
 # REFERENCE_SPP=  ## samples per pixel of a reference that is path traced (4096)
 BUILD ?= build
 shared := $(wildcard ../shared/scenes/*/scene_v3.xml ../shared/scenes/*/scene_glossy_v3.xml ../shared/scenes/*/scene_area_v3.xml)
@@ -35,7 +35,7 @@ OUT ?= out/table
 compare := $(BUILD)/bin/loom-compare
 rows := $(foreach s,$(SCENES),$(OUT)/$(call row_name,$(s))/row.tsv)
 
-# $(call picture,FOLDER,VARIABLES)
+# $(call image,FOLDER,VARIABLES)
 picture = $(MAKE) --no-print-directory -s -f pipelines/still.mk BUILD=$(BUILD) SCENE=$(scene) OUT=$(@D)/$(1) $(2) image >/dev/null
 # $(call seconds,FOLDER,STAGE): CPU seconds per sample
 seconds = $$($(compare) --quiet --tsv --cost $(@D)/$(1)/image.exr | awk -F'\t' '$$6 ~ /^$(2)$$/ { s += $$9 } END { print s + 0 }')

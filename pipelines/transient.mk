@@ -1,4 +1,4 @@
-# Light in flight of one scene: OUT/cube.h5, a picture whose pixels are histograms over the optical path length.
+# Light in flight of one scene: OUT/cube.h5, an image whose pixels are histograms over the optical path length.
 #
 #   trace PASSES path graphs of SPP samples each;  with K, cluster the vertices of each, whose light first hits then
 #   share;  bin the paths of all of them together (loom-transient);
@@ -24,7 +24,7 @@ SAMPLER ?= sobol  ## or independent: more error, and error bars that are not too
 # BINS=  ## number of bins (the film's, else 300)
 # START=  ## where the first bin opens (the film's, else where light first arrives)
 # WIDTH=  ## of a bin (the film's, else so that 99.9 % of the light is within)
-# UNIT=  ## of START, WIDTH, LENGTH and the pictures: opl, or ns (opl: optical path length in units of the scene)
+# UNIT=  ## of START, WIDTH, LENGTH and the images: opl, or ns (opl: optical path length in units of the scene)
 # PULSE=  ## delta, box, gaussian, expgauss, table, sine, square (the film's)
 # LENGTH=  ## of the pulse: of a box its length, of a Gaussian its standard deviation
 # TRANSIENT=  ## further options of loom-transient: TRANSIENT="--unwarp --group-index 1.5=1.53"
@@ -63,7 +63,7 @@ clusters := $(if $(K),$(numbers:%=$(work)/pass-%.clusters.h5))
 transient: $(OUT)/cube.h5 $(OUT)/strip.png
 	@echo $<
 
-cube: $(OUT)/cube.h5 # without pictures
+cube: $(OUT)/cube.h5 # without images
 	@echo $<
 
 demo: $(OUT)/cube.h5 $(OUT)/strip.png

@@ -385,8 +385,9 @@ TEST_P(SystemOfOne, IsPathTracing) {
     refine::solve(s, {}, {3, Clamp::none, 0, 0}, Y);
     EXPECT_LT(difference(Y, balance).mean, 1e-5);
     // The power heuristic is another estimate of the same light, not the same number.
-    if (GetParam() == std::string("cornell-box.xml"))
+    if (GetParam() == std::string("cornell-box.xml")) {
         EXPECT_GT(difference(by_unknown(s, path_radiance(reader, 0, Heuristic::power)), balance).mean, 1e-3);
+    }
     std::printf("    %s: mean difference %.1e, largest %.1e, after %d steps\n", GetParam(), from_zero.mean, from_zero.largest, steps);
 }
 
