@@ -163,5 +163,40 @@ TEST_F(Dialect, DefaultsOfTextures) {
     }
 }
 
+// Parameters that the sources of Mitsuba 0.6 read beside those that its documentation names. Break seen to fail: each of them
+// unknown, as before: a warning, and the default instead.
+TEST_F(Dialect, ParametersOfOldFilesAlone) {
+    for (const char* type : {"diffuse", "roughdiffuse"}) {
+        const std::string named = "<bsdf type='" + std::string(type) + "'><rgb name='";
+        EXPECT_EQ(model(named + "diffuseReflectance' value='0.1, 0.2, 0.3'/></bsdf>", mitsuba_06).diffuse, Spectrum(0.1f, 0.2f, 0.3f)) << type;
+        EXPECT_EQ(model(named + "diffuseReflectance' value='0.1'/><rgb name='reflectance' value='0.7'/></bsdf>", mitsuba_06).diffuse, Spectrum(0.7f)) << type;
+        EXPECT_NE(error_of([&] { build(named + "diffuse_reflectance' value='0.1'/></bsdf>", mitsuba_3); }).find("has no parameter 'diffuse_reflectance'"), std::string::npos);
+    }
+    EXPECT_NE(error_of([&] { build("<bsdf type='diffuse'><texture type='checkerboard' name='diffuse_reflectance'/></bsdf>", mitsuba_3); }).find("has no parameter"), std::string::npos);
+    const BsdfModel ward = model("<bsdf type='ward'><float name='alpha' value='0.3'/><float name='alphaV' value='0.2'/></bsdf>", mitsuba_06);
+    EXPECT_FLOAT_EQ(ward.alpha_u, 0.3f);
+    EXPECT_FLOAT_EQ(ward.alpha_v, 0.2f);
+    const auto sky = [&](const std::string& parameters) {
+        const auto scene = build("<emitter type='sunsky'>" + parameters + "</emitter>", mitsuba_06);
+        return Rgb<double>(environment(*scene, Vector3f(0, 1, 0))).g;
+    };
+    EXPECT_NEAR(sky("<float name='scale' value='3'/>") / sky(""), 3, 1e-4);
+    EXPECT_NEAR(sky("<float name='scale' value='3'/><float name='skyScale' value='2'/>") / sky(""), 2, 1e-4);
+}
+
+// Mitsuba 0.6 scales a reflectance above 1 to a largest channel of 0.99, and both of phong and ward by their sum. Break seen to
+// fail: channels clamped to 1.
+TEST_F(Dialect, ReflectancesAboveOneAreScaledInOldFiles) {
+    const auto bsdf = [&](const char* type, const char* parameters, const char* version) { return model(std::string("<bsdf type='") + type + "'>" + parameters + "</bsdf>", version); };
+    expect_colour(bsdf("diffuse", "<rgb name='reflectance' value='2, 1, 0.5'/>", mitsuba_06).diffuse, Spectrum(0.99f, 0.495f, 0.2475f));
+    expect_colour(bsdf("diffuse", "<rgb name='reflectance' value='1, 1, 0.5'/>", mitsuba_06).diffuse, Spectrum(1, 1, 0.5f));
+    for (const char* type : {"phong", "ward"}) {
+        const BsdfModel m = bsdf(type, "<spectrum name='diffuseReflectance' value='1.5'/><spectrum name='specularReflectance' value='0.5'/>", mitsuba_06);
+        expect_colour(m.diffuse, Spectrum(1.5f * 0.495f));
+        expect_colour(m.specular, Spectrum(0.5f * 0.495f));
+    }
+    EXPECT_NE(error_of([&] { bsdf("diffuse", "<rgb name='reflectance' value='2, 1, 0.5'/>", mitsuba_3); }).find("must lie between 0 and 1"), std::string::npos);
+}
+
 }  // namespace
 }  // namespace loom::test

@@ -97,7 +97,7 @@ TEST_F(EvenTextures, GiveWhatTheConstantsGive) {
         const PluginSchema& plugin = *find_plugin(Category::bsdf, type);
         std::vector<Parameter> textured;
         for (const Parameter& p : plugin.parameters)
-            if (p.flags & flag::textured) textured.push_back(p);
+            if ((p.flags & flag::textured) && !(p.flags & flag::legacy)) textured.push_back(p);
         if (textured.empty()) continue;
         const std::string inner = plugin.rule(Category::bsdf) ? "<bsdf type='diffuse'/>" : "";
         const auto bsdf = [&](const std::string& parameters) { return "<bsdf type='" + type + "'>" + parameters + inner + "</bsdf>"; };

@@ -301,6 +301,7 @@ class Reader {
                 std::size_t slot, bool legacy) {
         const std::string key = legacy ? snake_case(written_name) : written_name;
         const Parameter* parameter = key.empty() ? nullptr : plugin.find(key);
+        if (parameter && (parameter->flags & (legacy ? flag::modern : flag::legacy))) parameter = nullptr;
         const bool fits = parameter && child->category == Category::texture &&
                           ((parameter->flags & flag::textured) || parameter->kind == ValueKind::texture_only);
         if (fits) {

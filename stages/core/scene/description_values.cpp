@@ -221,7 +221,7 @@ Spectrum spectrum_colour(const Element& e, SpectrumUse use) {
              : "a spectrum is one number or pairs like 400:0.5, 500:0.7; three numbers are an <rgb>");
 }
 
-Value read_colour(const Element& e, const Parameter& parameter, const Warn& warn) {
+Value read_colour(const Element& e, const Parameter& parameter, const PluginSchema& plugin, const Warn& warn) {
     const SpectrumUse use = parameter.kind == ValueKind::emission      ? SpectrumUse::emission
                             : parameter.kind == ValueKind::reflectance ? SpectrumUse::reflectance
                                                                        : SpectrumUse::index;
@@ -240,6 +240,14 @@ Value read_colour(const Element& e, const Parameter& parameter, const Warn& warn
         fail(at, fmt::format("'{}' must not be negative", parameter.name));
     if (use == SpectrumUse::reflectance && (low < 0 || high > 1)) {
         if (!e.file->legacy) fail(at, fmt::format("'{}' must lie between 0 and 1", parameter.name));
+        // Mitsuba 0.6 scales what would reflect more than arrives to 0.99; phong and ward are scaled by the sum of their two lobes.
+        constexpr float rounding = 1e-5f;
+        if (plugin.category == Category::bsdf && low >= 0 && high > 1 + rounding) {
+            if (plugin.type == "phong" || plugin.type == "ward") return rgb;
+            const float scale = 0.99f / high;
+            warn(at, fmt::format("'{}' is above 1 and is scaled by {:.4g}, as in Mitsuba 0.6", camel_case(parameter.name), scale));
+            return rgb * scale;
+        }
         warn(at, fmt::format("'{}' is clamped to [0, 1]", camel_case(parameter.name)));
         for (int i = 0; i < 3; ++i) rgb[i] = std::clamp(rgb[i], 0.0f, 1.0f);
     }
@@ -416,7 +424,7 @@ Value read_value(const Element& e, const Parameter& parameter, const PluginSchem
         case ValueKind::reflectance:
         case ValueKind::emission:
         case ValueKind::index:
-            return read_colour(e, parameter, warn);
+            return read_colour(e, parameter, plugin, warn);
         case ValueKind::transform:
             return read_transform(e, true);
         case ValueKind::uv_transform:

@@ -128,10 +128,10 @@ Material MaterialBuilder::build_plain(const Object& o) {
     model.kind = kind_of(o);
     switch (model.kind) {
         case BsdfKind::diffuse:
-            m.diffuse = colour(o, "reflectance", model.diffuse);
+            m.diffuse = base_colour(o, model.diffuse);
             break;
         case BsdfKind::rough_diffuse:
-            m.diffuse = colour(o, "reflectance", model.diffuse);
+            m.diffuse = base_colour(o, model.diffuse);
             model.alpha_u = model.alpha_v = 0.2f;
             m.alpha_u = m.alpha_v = roughness(o, "alpha", model.alpha_u);
             model.alpha_v = model.alpha_u;
@@ -228,6 +228,10 @@ int MaterialBuilder::colour(const Object& o, const char* name, Spectrum& value) 
     if (const auto* map = std::get_if<ObjectPtr>(&got)) return texture(*map);
     value = std::get<Spectrum>(got);
     return -1;
+}
+
+int MaterialBuilder::base_colour(const Object& o, Spectrum& value) {
+    return colour(o, o.has("diffuse_reflectance") && !o.has("reflectance") ? "diffuse_reflectance" : "reflectance", value);
 }
 
 int MaterialBuilder::number(const Object& o, const char* name, float& value) {

@@ -31,6 +31,8 @@ class MaterialBuilder {
     int scalar_texture(const ObjectPtr& description);
     /// A reflectance-like parameter: a constant into `value`, or the index of a texture.
     int colour(const Object& bsdf, const char* name, Spectrum& value);
+    /// Of diffuse and roughdiffuse, which Mitsuba 0.6 knows by two names.
+    int base_colour(const Object& bsdf, Spectrum& value);
     int number(const Object& bsdf, const char* name, float& value);
     int roughness(const Object& bsdf, const char* name, float& value);
     void set_conductor(const Object& bsdf, Material& material);

@@ -64,11 +64,11 @@ std::vector<PluginSchema> make_table() {
     const Parameters base_and_gloss{{"diffuse_reflectance", reflectance, textured},
                                     {"specular_reflectance", reflectance, textured}};
     const Parameters map_options{{"flip_invalid_normals", boolean}, {"use_shadowing_function", boolean}};
-    add(bsdf, "diffuse", {{"reflectance", reflectance, textured}});
+    const Parameters base{{"reflectance", reflectance, textured}, {"diffuse_reflectance", reflectance, textured | legacy}};
+    add(bsdf, "diffuse", base);
     add(bsdf, "roughdiffuse",
-        {{"reflectance", reflectance, textured},
-         {"alpha", number, textured | non_negative},
-         {"use_fast_approx", boolean, legacy | ignored}});
+        base + Parameters{{"alpha", number, textured | non_negative},
+                          {"use_fast_approx", boolean, legacy | ignored}});
     add(bsdf, "conductor", metal);
     add(bsdf, "roughconductor", metal + rough);
     add(bsdf, "dielectric", interface + specular_both);
@@ -83,6 +83,7 @@ std::vector<PluginSchema> make_table() {
     add(bsdf, "phong", base_and_gloss + Parameters{{"exponent", number, textured | non_negative}});
     add(bsdf, "ward",
         base_and_gloss + Parameters{{"variant", string, 0, "ward|ward-duer|balanced"},
+                                    {"alpha", number, non_negative},
                                     {"alpha_u", number, textured | non_negative},
                                     {"alpha_v", number, textured | non_negative}});
     add(bsdf, "null", {});
@@ -137,6 +138,7 @@ std::vector<PluginSchema> make_table() {
         weight + Parameters{{"turbidity", number, positive},
                             {"albedo", reflectance},
                             {"sun_direction", vector},
+                            {"scale", number, non_negative | legacy},
                             {"sky_scale", number, non_negative},
                             {"sun_scale", number, non_negative},
                             {"sun_radius_scale", number, non_negative | legacy},

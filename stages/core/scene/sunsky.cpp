@@ -260,6 +260,7 @@ Sunsky read_sunsky(const Object& o) {
     }
     s.turbidity = o.get_double("turbidity", s.turbidity);
     if (o.has("albedo")) s.albedo = Rgb<double>(o.get_rgb("albedo"));
+    if (o.legacy) s.sky_scale = s.sun_scale = o.get_double("scale", 1.0);
     s.sky_scale = o.get_double("sky_scale", s.sky_scale);
     s.sun_scale = o.get_double("sun_scale", s.sun_scale);
     s.sun_radius_scale = o.get_double("sun_radius_scale", s.sun_radius_scale);
