@@ -22,7 +22,7 @@ namespace loom {
 struct PathGraph;
 
 struct Clusters {
-    static constexpr FormatId format{"clusters", 1, 1};
+    static constexpr FormatId format{"clusters", 1, 2};
 
     std::string graph;                 // content hash of the path graph, as in Provenance::inputs
     std::uint64_t graph_vertices = 0;  // how many vertices that graph has
@@ -38,6 +38,7 @@ struct Clusters {
     // What was kept apart although it is close and faces alike, in vertices; empty in files of version 1.0.
     struct Separation {
         Column<std::uint64_t> other_media;
+        Column<std::uint64_t> same_path;  // empty in files of version 1.1
         Column<std::uint64_t> occluded;  // empty: visibility was not tested
     } separation;
 
@@ -91,6 +92,8 @@ void Clusters::fields(Self& c, Visitor& v) {
 
     v.optional("separation/other_media", c.separation.other_media, 1, "one", "1",
                "vertices cut off from their cell because they lie in another medium; absent: not tested");
+    v.optional("separation/same_path", c.separation.same_path, 1, "one", "1",
+               "vertices cut off from their cell because another vertex of their path is in it; absent: not tested");
     v.optional("separation/occluded", c.separation.occluded, 1, "one", "1",
                "vertices cut off from their cell because a surface hides them from its middle; absent: not tested");
 

@@ -256,6 +256,7 @@ PooledCells make_cells(const Pool& pool, const ClusterOptions& options, Workspac
 
 void set_separation(Clusters& clusters, const Separation& separation) {
     clusters.separation.other_media = {separation.n_media};
+    clusters.separation.same_path = {separation.n_same_path};
     if (separation.tested_visibility) clusters.separation.occluded = {separation.n_occluded};
 }
 

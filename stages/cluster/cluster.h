@@ -52,8 +52,8 @@ class Workspace {
 ///   centres:   N/k random vertices, each other one to its nearest; larger than max_size: split by medians
 /// With a normal weight, no cluster of either method holds two normals 90 degrees or more apart.
 /// Clusters are numbered so that neighbours in number are neighbours in space; members ascend within a cluster.
-/// Members of a cell that lie in different media, or that a surface of the scene hides from one another, are put into
-/// clusters of their own (separate.h), so those can be smaller.
+/// Members of a cell that lie in different media, that are of one path, or that a surface of the scene hides from one
+/// another, are put into clusters of their own (separate.h), so those can be smaller.
 /// The result depends on graph and options, not on the number of threads. `graph` (the content hash) and the
 /// provenance are left to who knows the file.
 /// needs:   k >= 1, max_size 0 or >= k

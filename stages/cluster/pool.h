@@ -37,6 +37,12 @@ class Pool {
     /// Whether vertices know media other than vacuum.
     bool has_media() const { return !first_.vertices.eta.empty() || !second_.vertices.eta.empty(); }
     bool joint() const { return joint_; }
+    /// visit(graph, its first vertex in the pool)
+    template <class Visitor>
+    void for_each_graph(Visitor visit) const {
+        visit(first_, std::size_t{0});
+        if (joint_) visit(second_, n_first_);
+    }
 
   private:
     const PathGraph &first_, &second_;

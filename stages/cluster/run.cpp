@@ -154,8 +154,7 @@ class Maker {
         write_clusters(clusters, output);
         report_.info("{}", text_of(cluster_sizes(clusters)));
         report_.info("{}", text_of(cluster_spread(of, clusters, clusters_to_measure)));
-        if (!clusters.separation.occluded.empty())
-            report_.info("kept apart: {} vertices in another medium, {} hidden by a surface, of {}", clusters.separation.other_media[0], clusters.separation.occluded[0], clusters.n_members());
+        report_.info("kept apart, of {} vertices: {}", clusters.n_members(), text_of(clusters.separation));
     }
     static std::string text_of_done(const Clusters& clusters) {
         return fmt::format("{} vertices in {} clusters, {} solitary", clusters.n_members(), clusters.n_clusters(), clusters.graph_vertices - clusters.n_members());

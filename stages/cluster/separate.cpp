@@ -53,6 +53,12 @@ std::uint64_t media_key(const PathGraph& g, std::size_t j) {
     return bits(v.eta[j]) << 32 | bits(outside ? g.materials.int_ior[m] : g.materials.ext_ior[m]);
 }
 
+/// Sets the bit of each vertex that begins a path.
+void mark_starts(const PathGraph& g, std::size_t offset, std::span<std::uint64_t> starts) {
+    for (std::size_t path = 0; path < g.n_paths(); ++path)
+        if (const std::uint64_t j = g.paths.first_vertex[path]; j < g.n_vertices()) starts[(offset + j) / 64] |= std::uint64_t{1} << ((offset + j) % 64);
+}
+
 /// The segment between two members, raised off their surface; see separate().
 Ray segment(const Member& a, const Member& b) {
     const Vector3f d = b.p - a.p;
@@ -84,8 +90,10 @@ struct Group {
 class Separator {
   public:
     /// in: places  of all vertices of the pool, or none: no visibility test;  media  their keys, or none: all alike
-    Separator(std::span<const PackedPlace> places, std::span<const std::uint64_t> media, std::size_t n_first, const RayEngine* first, const RayEngine* second)
-        : places_(places), media_(media), n_first_(n_first), engines_{first, second} {}
+    ///     starts  bits of the vertices that begin a path
+    Separator(std::span<const PackedPlace> places, std::span<const std::uint64_t> media, std::span<const std::uint64_t> starts, std::size_t n_first,
+              const RayEngine* first, const RayEngine* second)
+        : places_(places), media_(media), starts_(starts), n_first_(n_first), engines_{first, second} {}
 
     /// Appends groups of one cell to `out`, their sizes to `sizes`.
     /// in: next  cell that comes after it, for which the cache is asked already: members lie far apart in the graph
@@ -99,6 +107,7 @@ class Separator {
             w.members.swap(w.rest);
             w.rest.clear();
             if (!media_.empty()) keep_one_medium(w, count);
+            keep_one_of_each_path(w, count);
             if (!places_.empty()) keep_visible(w, count);
             sizes.push_back(std::uint32_t(w.members.size()));
             out.insert(out.end(), w.members.begin(), w.members.end());
@@ -112,6 +121,36 @@ class Separator {
         count.n_media += std::uint64_t(w.members.end() - other);
         w.rest.assign(other, w.members.end());
         w.members.erase(other, w.members.end());
+    }
+
+    /// Whether two vertices, a before b, are of one path.
+    bool one_path(std::uint32_t a, std::uint32_t b) const {
+        for (std::uint32_t word = (a + 1) / 64; word <= b / 64; ++word) {
+            std::uint64_t bits = starts_[word];
+            if (word == (a + 1) / 64) bits &= ~std::uint64_t{0} << ((a + 1) % 64);
+            if (word == b / 64) bits &= ~std::uint64_t{0} >> (63 - b % 64);
+            if (bits) return false;
+        }
+        return true;
+    }
+
+    /// Members ascend, so those of one path follow one another.
+    void keep_one_of_each_path(Group& w, Separation& count) const {
+        std::size_t kept = 1;
+        const std::size_t n_before = w.rest.size();
+        for (std::size_t i = 1; i < w.members.size(); ++i) {
+            const std::uint32_t vertex = w.members[i];
+            if (one_path(w.members[kept - 1], vertex)) w.rest.push_back(vertex);
+            else w.members[kept++] = vertex;
+        }
+        w.members.resize(kept);
+        count.n_same_path += w.rest.size() - n_before;
+        ascend(w.rest, n_before);
+    }
+
+    /// What was cut off before and what is new, as one ascending row.
+    static void ascend(std::vector<std::uint32_t>& rest, std::size_t n_before) {
+        std::inplace_merge(rest.begin(), rest.begin() + std::ptrdiff_t(n_before), rest.end());
     }
 
     void keep_visible(Group& w, Separation& count) const {
@@ -152,11 +191,12 @@ class Separator {
             else w.members[kept++] = w.members[i];
         }
         count.n_occluded += w.rest.size() - n_before;
+        ascend(w.rest, n_before);
         w.members.resize(kept);
     }
 
     std::span<const PackedPlace> places_;
-    std::span<const std::uint64_t> media_;
+    std::span<const std::uint64_t> media_, starts_;
     std::size_t n_first_;
     const RayEngine* engines_[2];
 };
@@ -169,15 +209,17 @@ Separation separate(const Pool& pool, const RayEngine* first, const RayEngine* s
     // Read in the order of the graph: cell by cell each column of each member would be a page of its own.
     const std::span<PackedPlace> places = memory.places.get(first ? pool.size() : 0);
     const std::span<std::uint64_t> media = memory.media.get(pool.has_media() ? pool.size() : 0);
-    if (n_cells == 0 || (places.empty() && media.empty())) return sum;
-    parallel_chunks(pool.size(), vertices_per_chunk, threads, [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
+    std::vector<std::uint64_t> starts(pool.size() / 64 + 1);
+    pool.for_each_graph([&](const PathGraph& graph, std::size_t offset) { mark_starts(graph, offset, starts); });
+    const std::uint64_t n_packed = places.empty() && media.empty() ? 0 : pool.size();
+    parallel_chunks(n_packed, vertices_per_chunk, threads, [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
         for (std::uint64_t j = begin; j < end; ++j) {
             const auto [graph, row] = pool[j];
             if (!places.empty()) places[j] = place_of(graph, row);
             if (!media.empty()) media[j] = media_key(graph, row);
         }
     });
-    const Separator separator(places, media, pool.n_first(), first, second);
+    const Separator separator(places, media, starts, pool.n_first(), first, second);
     const std::uint64_t n_chunks = (n_cells + cells_per_chunk - 1) / cells_per_chunk;
     std::vector<std::vector<std::uint32_t>> sizes(n_chunks);
     std::vector<Separation> counts(n_chunks);
@@ -197,6 +239,7 @@ Separation separate(const Pool& pool, const RayEngine* first, const RayEngine* s
         sum.n_rays += c.n_rays;
         sum.n_media += c.n_media;
         sum.n_occluded += c.n_occluded;
+        sum.n_same_path += c.n_same_path;
     }
     return sum;
 }

@@ -8,6 +8,7 @@
 #include "formats/io/cost.h"
 #include "formats/io/error.h"
 #include "stages/core/app/command.h"
+#include "stages/core/transport/cluster_quality.h"
 #include "stages/core/transport/parallel.h"
 #include "stages/core/transport/sharing.h"
 #include "stages/refine/west.h"
@@ -188,9 +189,7 @@ void run(const Options& options, app::Report& report) {
         if (clusters.settings.max_size > max_lanes)
             throw InputError(fmt::format("{}: clusters of up to {} vertices; at most {} can be refined", options.clusters,
                                          clusters.settings.max_size, max_lanes));
-        if (!clusters.separation.occluded.empty())
-            report.info("clusters: {} vertices kept apart by media, {} by occlusion, of {}", clusters.separation.other_media[0], clusters.separation.occluded[0],
-                        clusters.n_members());
+        report.info("clusters: kept apart, of {} vertices: {}", clusters.n_members(), text_of(clusters.separation));
         radiance = refine_radiance(graph, clusters, options, report);
         radiance.provenance.inputs = {graph_id, identify(options.clusters)};
         radiance.clusters = radiance.provenance.inputs[1].hash;

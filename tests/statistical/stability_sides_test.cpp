@@ -65,6 +65,17 @@ std::unique_ptr<Scene> curtain() {
                                  size, size, 4});
 }
 
+/// A house of thin rough panes, which trap light, around a box; it is lit from above and from one side.
+std::unique_ptr<Scene> glass_house() {
+    const std::string glass = R"(<bsdf type="roughdielectric"><string name="distribution" value="ggx"/><float name="alpha" value="0.1"/><float name="int_ior" value="1.5"/></bsdf>)";
+    std::string panes = box(0, 1.52, 0, 1.05, 0.005, 1.05, glass);
+    for (const double side : {-1.0, 1.0}) panes += box(side, 0.75, 0, 0.005, 0.75, 1, glass) + box(0, 0.75, side, 1, 0.75, 0.005, glass);
+    return testing::load_inline({camera("0, 1, 3.2", "0, 0.7, 0", 50),
+                                 panes + box(0, -0.05, 0, 4, 0.05, 4, grey) + box(0, 0.3, 0, 0.3, 0.3, 0.3, grey) +
+                                     rectangle(1, R"(<rotate y="1" angle="-90"/><translate x="5" y="2"/>)", emitter(4)) + R"(<emitter type="constant"><rgb name="radiance" value="0.1"/></emitter>)",
+                                 2 * size, 2 * size, -1});
+}
+
 std::array<double, n_tiles> tile_means(const Image& image, const char* channel = "G") {
     std::array<double, n_tiles> means;
     for (std::uint32_t i = 0; i < n_tiles; ++i) {
@@ -170,6 +181,25 @@ TEST(StabilitySides, Curtain) {
     expect_right("curtain", *scene);
     const PathGraph graph = testing::trace_graph(*scene, testing::path_options(*scene, 1), 4);
     EXPECT_GT(testing::clusters_of(graph, 32, 0, 0.03f, scene.get()).separation.occluded[0], graph.n_vertices() / 10);
+}
+
+// Light comes back many times to where it is trapped, a path to a cluster that has it already. Break seen to fail: members
+// of one path not kept apart (-2.6 +- 0.1 %; kept apart, -0.5 +- 0.1 % are left).
+TEST(StabilitySides, GlassHouse) {
+    const auto scene = glass_house();
+    Recipe recipe;
+    recipe.k = 32, recipe.spp = 4;
+    std::vector<double> values;
+    double mean = 0;
+    const int passes = full_run() ? 64 : 16;
+    for (int i = 0; i < passes; ++i) {
+        const Pass pass = make_pass(*scene, 900 + std::uint64_t(i), recipe);
+        values.push_back(mean_of(pass.image) - mean_of(pass.paths));
+        mean += mean_of(pass.paths) / passes;
+    }
+    const Estimate e = estimate_of(values);
+    std::printf("    house of panes: clusters above paths by %+.2f +- %.2f %%\n", 100 * e.mean / mean, 100 * e.se / mean);
+    EXPECT_NEAR(e.mean / mean, 0, 0.005 + 3 * e.se / mean);
 }
 
 }  // namespace

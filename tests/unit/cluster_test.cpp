@@ -6,6 +6,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 #include <vector>
 
 #include "formats/io/octahedral.h"
@@ -40,8 +41,12 @@ struct GraphOfVertices {
         material.push_back(row);
         flags.push_back(flags_with_ending(0, Ending::max_depth));
     }
+    /// Each vertex is of a path of its own.
     PathGraph graph(const std::vector<BsdfModel>& models = {BsdfModel{}}) const {
         PathGraph g;
+        std::vector<std::uint64_t> first(flags.size() + 1);
+        std::iota(first.begin(), first.end(), std::uint64_t{0});
+        g.paths.first_vertex = std::move(first);
         g.vertices.p = p;
         g.vertices.wo = wo;
         g.vertices.ns = ns;

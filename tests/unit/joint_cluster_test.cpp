@@ -6,6 +6,7 @@
 
 #include <algorithm>
 #include <map>
+#include <numeric>
 
 #include "formats/io/octahedral.h"
 #include "stages/core/sampling/sampler.h"
@@ -22,7 +23,7 @@ using cluster::Method;
 float uniform(std::uint64_t i) { return unit_float(std::uint32_t(mix64(i * 0x9e3779b97f4a7c15ull + 29) >> 32)); }
 
 /// A floor of 10 x 10 m and a wall; from `edited` on every third vertex lies where the edit put it, and `extra` more lie in
-/// a corner that the other graph does not reach. Rows before are the same in graphs of any `edited`.
+/// a corner that the other graph does not reach. Each vertex is of a path of its own. Rows before are the same in graphs of any `edited`.
 PathGraph floor_and_wall(std::size_t n, std::size_t edited, std::uint64_t edit, std::size_t extra) {
     std::vector<float> p, wo;
     std::vector<std::int16_t> ns;
@@ -40,6 +41,9 @@ PathGraph floor_and_wall(std::size_t n, std::size_t edited, std::uint64_t edit, 
     for (std::size_t i = 0; i < extra; ++i) add(20 + uniform(9'000'000 + 2 * i), 0, uniform(9'000'001 + 2 * i), false);
     PathGraph g;
     const std::size_t n_all = p.size() / 3;
+    std::vector<std::uint64_t> first(n_all + 1);
+    std::iota(first.begin(), first.end(), std::uint64_t{0});
+    g.paths.first_vertex = std::move(first);
     g.vertices.p = std::move(p);
     g.vertices.wo = std::move(wo);
     g.vertices.ns = std::move(ns);

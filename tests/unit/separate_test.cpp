@@ -90,6 +90,28 @@ TEST(Separation, MediaOfAPane) {
     EXPECT_TRUE(clusters.separation.occluded.empty());  // not tested
 }
 
+// Light that a thin pane traps comes back to one place many times. No scene is needed to see it.
+TEST(Separation, PathsThatComeBack) {
+    const auto scene = load_inline({above, R"(<shape type="cube"><transform name="to_world"><scale z="0.005"/></transform>
+<bsdf type="roughdielectric"><float name="alpha" value="0.2"/></bsdf></shape>)" + sky, 32, 32, -1});
+    const PathGraph graph = trace_graph(*scene, path_options(*scene, 6), 4);
+    std::vector<std::uint32_t> path(graph.n_vertices());
+    for (std::uint32_t i = 0; i < graph.n_paths(); ++i)
+        for (std::uint64_t j = graph.paths.first_vertex[i]; j < graph.paths.first_vertex[i + 1]; ++j) path[j] = i;
+    const Clusters clusters = clusters_of(graph, nullptr);
+    for (std::size_t c = 0; c < clusters.n_clusters(); ++c)
+        for (std::uint32_t i = clusters.first[c] + 1; i < clusters.first[c + 1]; ++i) ASSERT_NE(path[clusters.member[i - 1]], path[clusters.member[i]]) << c;
+    EXPECT_GT(clusters.separation.same_path[0], 100u);
+    EXPECT_EQ(clusters.problem(), "");
+
+    // Two graphs in the same cells: the same graph twice is the same clusters twice, whose paths are not one.
+    cluster::ClusterOptions options;
+    options.k = 32;
+    const auto twice = cluster::make_joint_clusters(graph, graph, options);
+    EXPECT_TRUE(std::equal(twice.first.member.begin(), twice.first.member.end(), twice.second.member.begin(), twice.second.member.end()));
+    EXPECT_GT(twice.first.n_members(), 4 * twice.first.n_clusters());
+}
+
 TEST(Separation, AnotherSceneIsRefused) {
     const auto scene = load_inline({above, floor + sky, 8, 8, 3}), other = load_inline({above, floor + floor + sky, 8, 8, 3});
     const PathGraph graph = trace_graph(*scene, path_options(*scene, 1), 1);

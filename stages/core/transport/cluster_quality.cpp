@@ -100,6 +100,11 @@ ClusterSpread cluster_spread(const PathGraph& graph, const Clusters& clusters, s
     return s;
 }
 
+std::string text_of(const Clusters::Separation& s) {
+    const auto count = [](const Column<std::uint64_t>& n, const char* what) { return n.empty() ? fmt::format("{}: not tested", what) : fmt::format("{} {}", n[0], what); };
+    return fmt::format("{}, {}, {}", count(s.other_media, "in another medium"), count(s.same_path, "of a path that is there already"), count(s.occluded, "hidden by a surface"));
+}
+
 std::string text_of(const ClusterSpread& s) {
     return fmt::format("distance to the centroid: mean {:.4g} m, median radius {:.4g} m; normals more than 26 degrees off: "
                        "{:.2f} %, opposed: {:.2f} % (of {} members)",

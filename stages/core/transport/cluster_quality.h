@@ -27,4 +27,7 @@ struct ClusterSpread {
 ClusterSpread cluster_spread(const PathGraph& graph, const Clusters& clusters, std::size_t max_clusters = 0);
 std::string text_of(const ClusterSpread& spread);  // one line
 
+/// What was kept apart, and what was not tested.
+std::string text_of(const Clusters::Separation& separation);
+
 }  // namespace loom
