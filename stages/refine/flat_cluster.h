@@ -19,8 +19,6 @@ class FlatCluster {
     const VertexRow& row(int lane) const { return rows_[std::size_t(lane)]; }
     const Spectrum& albedo(int lane) const { return albedo_[lane]; }
     const Normal3f& normal() const { return columns_.normal; }
-    /// Attempts to continue, each with its probability; a continuation above the surface passes albedo / this.
-    float survival_sum() const { return survival_sum_; }
     /// Survival of roulette in a lane; 0 where no BSDF sample was drawn.
     float survival(int lane) const { return columns_.survival[lane]; }
 

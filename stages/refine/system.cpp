@@ -16,7 +16,7 @@ struct Lanes {
     alignas(64) float r[max_lanes + lane_block], g[max_lanes + lane_block], b[max_lanes + lane_block];
     float inv_eta2[max_lanes + lane_block];
     float clamp_weight[max_lanes + lane_block];  // inv_eta2 times survival of roulette; 0 where no BSDF sample was drawn
-    std::vector<int> unsampled;                  // lanes that drew no BSDF sample
+    float clamp_weight_alone[max_lanes + lane_block];  // the same for ends without a cluster: 0 where they are no technique, either
 };
 
 /// Sums that a chunk hands back; chunks are added in order.
@@ -46,11 +46,11 @@ struct Builder {
     }
 
     /// One column of a block: f_j cos_j / rho at all vertices of the cluster, in 16 bits of its largest value.
-    /// in:  edge_eta2  of the medium that the light comes through
-    void add_column(const ClusterShading& shading, const Lanes& lanes, float edge_eta2, float* scale, std::uint16_t* out,
+    /// in:  clamp_weight  of each lane;  edge_eta2  of the medium that the light comes through
+    void add_column(const ClusterShading& shading, const float* clamp_weight, float edge_eta2, float* scale, std::uint16_t* out,
                     float inv_rho, ChunkResult& result) const {
         float sum[3];
-        shading.fix_row(lanes.clamp_weight, out, scale, sum);
+        shading.fix_row(clamp_weight, out, scale, sum);
         for (int channel = 0; channel < 3; ++channel) {
             sum[channel] *= edge_eta2 * inv_rho;
             scale[channel] *= inv_rho * (1.0f / 65535.0f);
@@ -60,10 +60,10 @@ struct Builder {
     }
 
     /// The same as base and coat.
-    void add_split_column(const ClusterShading& shading, const System::Shape& shape, const Lanes& lanes, float edge_eta2, float* scale,
+    void add_split_column(const ClusterShading& shading, const System::Shape& shape, const float* clamp_weight, float edge_eta2, float* scale,
                           std::uint16_t* out, float inv_rho, ChunkResult& result) const {
         float largest[2], sum[3];
-        shading.fix_lobes(shape.base_plane, shape.coat, lanes.clamp_weight, out, largest, sum);
+        shading.fix_lobes(shape.base_plane, shape.coat, clamp_weight, out, largest, sum);
         for (float& s : sum) s *= edge_eta2 * inv_rho;
         const float unit = inv_rho * clamped({sum[0], sum[1], sum[2]}, result);
         if (shape.base) *scale++ = unit * (shape.base_plane ? largest[0] * (1.0f / 65535.0f) : shading.columns().base[0]);
@@ -115,9 +115,24 @@ struct Builder {
         system.shape[c] = {.flat = true};
         flat.gather_lights(rows, begin);
         const auto vertex = members(c);
-        const float per_attempt = flat.survival_sum() > 0 ? 1 / flat.survival_sum() : 0.0f;
-        Spectrum passed(0);  // by a continuation, as basic radiance but for its own eta^2
-        for (int l = 0; l < flat.size(); ++l) passed += flat.albedo(l) * (flat.survival(l) * per_attempt / sqr(flat.row(l).eta));
+        // What a continuation passes, as basic radiance but for its own eta^2: of all techniques, and of those that can bring
+        // the light of an end without a cluster (continuation_density()).
+        struct {
+            float per_attempt;
+            Spectrum passed{0};
+        } all, alone;
+        const auto sum = [&](auto& of, std::uint16_t without) {
+            float attempts = 0;
+            for (int l = 0; l < flat.size(); ++l)
+                if (!(flat.row(l).bits & without)) {
+                    attempts += flat.survival(l);
+                    of.passed += flat.albedo(l) * (flat.survival(l) / sqr(flat.row(l).eta));
+                }
+            of.per_attempt = attempts > 0 ? 1 / attempts : 0.0f;
+            of.passed *= of.per_attempt;
+        };
+        sum(all, 0);
+        sum(alone, vertex_bit::last_step);
         int n_edges = 0;
         for (int l = 0; l < flat.size(); ++l) {
             const VertexRow row = flat.row(l);  // a copy: its place is taken by the result
@@ -130,7 +145,9 @@ struct Builder {
                 const bool above = cos > 0;
                 const std::size_t slot = begin + std::size_t(n_edges++);
                 if (above) own_weight = albedo * (cos * inv_pi<float> / row.pdf_w);
-                system.edges[slot] = {clamped(passed * (above ? eta2_of_next(row, j) : 0.0f), result) * (above ? per_attempt : 0.0f), j + 1};
+                const auto& of = row.bits & vertex_bit::ends_alone ? alone : all;
+                const bool brings = above && !row.dead_end();
+                system.edges[slot] = {clamped(of.passed * (brings ? eta2_of_next(row, j) : 0.0f), result) * (brings ? of.per_attempt : 0.0f), j + 1};
             }
             new (&system.at[k]) System::Row{{direct.r, direct.g, direct.b}, {albedo.r, albedo.g, albedo.b}, {own.r, own.g, own.b}, {own_weight.r, own_weight.g, own_weight.b}};
         }
@@ -143,12 +160,11 @@ struct Builder {
         shading.load(members(c), vertex_rows);
         const int lanes = shading.padded();
         for (int l = 0; l < lanes; ++l) direct.r[l] = direct.g[l] = direct.b[l] = 0;
-        direct.unsampled.clear();
         for (int l = 0; l < lanes; ++l) {
             const bool there = l < shading.size();
             direct.inv_eta2[l] = there ? 1 / sqr(shading.row(l).eta) : 1.0f;
             direct.clamp_weight[l] = shading.columns().survival[l] * direct.inv_eta2[l];
-            if (there && direct.clamp_weight[l] == 0) direct.unsampled.push_back(l);
+            direct.clamp_weight_alone[l] = there && (shading.row(l).bits & vertex_bit::last_step) ? 0 : direct.clamp_weight[l];
         }
         Spectrum own_light_of[max_lanes], own_weight[max_lanes];
         for (int l = 0; l < shading.size(); ++l) {
@@ -171,14 +187,14 @@ struct Builder {
             const std::size_t j = shading.vertex(lane);
             const VertexRow& row = shading.row(lane);
             const float end_eta2 = eta2_of_next(row, j);
-            if (!direct.unsampled.empty() && inv_rho > 0 && options.clamp != Clamp::none) shading.limit_unsampled(!shape.channels(), direct.unsampled, direct.inv_eta2, 1 / (inv_rho * end_eta2));
+            const float* clamp_weight = row.bits & vertex_bit::ends_alone ? direct.clamp_weight_alone : direct.clamp_weight;
             if (shape.channels()) {
                 const float back = shading.to_solid_angle(lane);
                 own_weight[lane] = back > 0 ? shading.f(lane, back / row.pdf_w) : own_continuation(reader, reader.vertex(j), j, row.next);
-                add_column(shading, direct, end_eta2, at.scale, at.fraction, inv_rho, result);
+                add_column(shading, clamp_weight, end_eta2, at.scale, at.fraction, inv_rho, result);
             } else {
                 own_weight[lane] = shading.f_of_lobes(lane, 1 / row.pdf_w);
-                add_split_column(shading, shape, direct, end_eta2, at.scale, at.fraction, inv_rho, result);
+                add_split_column(shading, shape, clamp_weight, end_eta2, at.scale, at.fraction, inv_rho, result);
             }
             if (!system.edge_survival.empty()) system.edge_survival[slot] = row.q * end_eta2;
             at.scale += shape.n_scales();

@@ -38,8 +38,19 @@ inline bool continues_shared(const PathGraph& graph, std::size_t j) {
 /// Normal at vertex j, on the side that light leaves from.
 Normal3f facing_normal(const PathGraph& graph, std::size_t j);
 
+/// Density of the cluster for the direction of a continuation, of which shading answers. Where it ends at a vertex without
+/// a cluster, like a mirror, vertices whose own continuation must end there are no technique: they cannot bring its light.
+inline float continuation_density(const ClusterShading& shading, const VertexRow& row) {
+    if (!(row.bits & vertex_bit::ends_alone) || !shading.has_last_steps()) return shading.pdf_bsdf_sum();
+    if (row.dead_end()) return 0;
+    float rho = 0;
+    for (int k = 0; k < shading.size(); ++k)
+        if (!(shading.row(k).bits & vertex_bit::last_step)) rho += shading.columns().survival[k] * shading.pdf_bsdf(k);
+    return rho;
+}
+
 /// Calls sink(lane, vertex, inv_rho) for each continuation, whose end is `vertex`; shading then answers for its light.
-/// An edge that nobody could have sampled, by rounding, has inv_rho 0.
+/// An edge that nobody could have sampled, by rounding, or that brings no light (dead_end), has inv_rho 0.
 template <class Sink>
 void for_each_indirect_edge(ClusterShading& shading, const PathGraph& graph, const SharingOptions& options, Sink&& sink) {
     for (int lane = 0; lane < shading.size(); ++lane) {
@@ -52,9 +63,8 @@ void for_each_indirect_edge(ClusterShading& shading, const PathGraph& graph, con
         } else {
             shading.light_direction(row.next);
         }
-        float rho = shading.pdf_bsdf_sum();
+        float rho = options.as_printed ? 0 : continuation_density(shading, row);
         if (options.as_printed) {
-            rho = 0;
             for (int k = 0; k < shading.size(); ++k)
                 if (shading.row(k).bits & vertex_flag::continued) rho += shading.pdf_bsdf(k);
         }
@@ -68,7 +78,7 @@ void for_each_direction(ClusterShading& shading, Sink&& sink) {
     for (int lane = 0; lane < shading.size(); ++lane) {
         if (!shading.row(lane).continues_shared()) continue;
         shading.light_lobes(shading.row(lane).next);
-        const float rho = shading.pdf_bsdf_sum();
+        const float rho = continuation_density(shading, shading.row(lane));
         sink(lane, std::uint32_t(shading.vertex(lane) + 1), rho > 0 ? 1 / rho : 0.0f);
     }
 }

@@ -66,14 +66,21 @@ ClusterRows::ClusterRows(const GraphReader& reader, std::span<const std::uint32_
     : vertices(place.size()), first_light_(n_places + 1) {
     const RowMaker make(reader);
     const std::size_t n = place.size();
+    const PathGraph& graph = reader.graph();
+    const Column<std::uint64_t>& first_vertex = graph.paths.first_vertex;
+    const int last_depth = graph.tracing.max_depth - 1;  // of a vertex that a path can go on from
     parallel_chunks(n, vertices_per_chunk, threads, [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
+        std::size_t path = std::size_t(std::upper_bound(first_vertex.begin(), first_vertex.end(), begin) - first_vertex.begin());  // the next one
         for (std::uint64_t j = begin; j < end; ++j) {
+            while (path < first_vertex.size() && first_vertex[path] <= j) ++path;
             if (const std::uint64_t later = j + ahead; later < end && place[later] < n_places) {
                 __builtin_prefetch(&vertices[place[later]], 1);
                 __builtin_prefetch(&first_light_[place[later] + 1], 1);
             }
             if (place[j] >= n_places) continue;
-            vertices[place[j]] = make.vertex(j);
+            VertexRow& row = vertices[place[j]] = make.vertex(j);
+            if ((row.bits & vertex_flag::continued) && place[j + 1] >= n_places) row.bits |= vertex_bit::ends_alone;
+            if (last_depth >= 0 && path > 0 && j - first_vertex[path - 1] + 1 == std::uint64_t(last_depth)) row.bits |= vertex_bit::last_step;
             first_light_[place[j] + 1] = offsets[j + 1] - offsets[j];
         }
     });

@@ -16,6 +16,8 @@ inline constexpr std::uint16_t matte = 8;          // of a plain Lambertian mate
 inline constexpr std::uint16_t perturbed = 16;     // by a bump or normal map
 inline constexpr std::uint16_t delta = 32;         // the path went on by a lobe without width
 inline constexpr std::uint16_t other_medium = 64;  // it goes on in a medium of another index
+inline constexpr std::uint16_t ends_alone = 128;   // it goes on to a vertex without a cluster
+inline constexpr std::uint16_t last_step = 2048;   // where it goes on to, or would, it must end: that vertex draws no sample
 }  // namespace vertex_bit
 
 struct alignas(64) VertexRow {
@@ -26,6 +28,8 @@ struct alignas(64) VertexRow {
     std::uint16_t bits, material;
     Half diffuse[3];  // of a texture
 
+    /// A continuation that says nothing of the light at its end: that vertex drew no sample and has no neighbours.
+    bool dead_end() const { return (bits & (vertex_bit::ends_alone | vertex_bit::last_step)) == (vertex_bit::ends_alone | vertex_bit::last_step); }
     bool continues_shared() const { return (bits & (vertex_flag::continued | vertex_bit::delta)) == vertex_flag::continued; }
 };
 

@@ -67,6 +67,7 @@ void ClusterShading::load(std::span<const std::uint32_t> vertices, std::span<con
     c.has_tangent = !v.tangent.empty();
     perturbed_.clear();
     perturbed_lane_.clear();
+    has_last_steps_ = false;
     for (int l = 0; l < n; ++l) {
         const VertexRow& at = row(l);
         if (l == 0 || material[l] != material[l - 1]) c.runs.push_back({&reader_.model(material[l]), l, l, has_own(material[l])});
@@ -77,6 +78,7 @@ void ClusterShading::load(std::span<const std::uint32_t> vertices, std::span<con
         if (c.has_tangent) c.tangent[l] = packed(v.tangent, vertex(l));
         attempted_nee_[l] = (at.bits & vertex_flag::attempted_nee) != 0;
         c.survival[l] = (at.bits & vertex_flag::attempted_bsdf) ? at.q : 0.0f;
+        has_last_steps_ |= (at.bits & vertex_bit::last_step) != 0;
         if (at.bits & vertex_bit::perturbed) {
             perturbed_.push_back(reader_.vertex(vertex(l)));
             perturbed_lane_.push_back(l);
@@ -93,19 +95,6 @@ void ClusterShading::load(std::span<const std::uint32_t> vertices, std::span<con
     if (!lobes_.split) return;
     kernels_.prepare_tints(c);
     lobes_.one_base = lobes_.base && has_one_base(g.materials.textured[material[0]]);
-}
-
-void ClusterShading::limit_unsampled(bool lobes, std::span<const int> lanes, const float* weight, float most) {
-    ClusterColumns& c = columns_;
-    for (const int l : lanes) {
-        const float limit = most / weight[l];
-        if (lobes) {
-            const float largest_tint = std::max({c.tint_r[l], c.tint_g[l], c.tint_b[l]});
-            c.coat[l] = std::max(std::min(c.coat[l], limit - largest_tint * c.base[l]), 0.0f);
-        } else if (const float largest = std::max({c.f_r[l], c.f_g[l], c.f_b[l]}); largest > limit) {
-            c.f_r[l] *= limit / largest, c.f_g[l] *= limit / largest, c.f_b[l] *= limit / largest;
-        }
-    }
 }
 
 /// One normal, seen from one side, of one material that is opaque.

@@ -49,6 +49,8 @@ class ClusterShading {
     /// Density of BSDF sampling with survival of roulette; 0 where it was not attempted.
     float pdf_bsdf(int lane) const { return columns_.pdf[lane]; }
     float pdf_bsdf_sum() const { return columns_.pdf_sum; }
+    /// Whether any continuation must end where it goes on to (vertex_bit::last_step).
+    bool has_last_steps() const { return has_last_steps_; }
     /// Vertices that attempted next-event estimation and reflect this light. Those that do not reflect it would have
     /// dropped such a sample before its shadow ray: for it they are no technique.
     int n_next_event() const;
@@ -70,10 +72,6 @@ class ClusterShading {
     void fix_lobes(bool base, bool coat, const float* weight, std::uint16_t* row, float* largest, float* sum) const {
         kernels_.fix_lobes(columns_, base, coat, weight, row, largest, sum);
     }
-    /// Limits what lanes that drew no BSDF sample reflect: narrow lobes there, which nobody sampled for its wo, would make
-    /// of one sample of a neighbour more light than the neighbour found. Grey coats lose the excess, else all channels are scaled.
-    /// in:  lobes  of base and coat;  weight  of each lane, most  largest product of weight and channel
-    void limit_unsampled(bool lobes, std::span<const int> lanes, const float* weight, float most);
 
   private:
     bool has_one_base(std::uint8_t textured) const;
@@ -88,6 +86,7 @@ class ClusterShading {
     Lobes lobes_;
     std::vector<ShadingPoint> perturbed_;  // with bump or normal maps
     std::vector<int> perturbed_lane_;
+    bool has_last_steps_ = false;
     std::vector<VertexRow> own_rows_;
     std::span<const std::uint32_t> vertices_;
     std::span<const VertexRow> rows_;
