@@ -32,13 +32,12 @@ class Walk {
             return;
         }
         if (!fs::exists(cost_path(file))) {
-            throw InputError(fmt::format(
-                "{}: no such file{}; {}", cost_path(file).native(),
-                child.empty() ? "" : fmt::format(" (a parent of {})", child.native()), remedy(file)));
+            throw InputError(fmt::format("{}: no such file{}; {}", cost_path(file).native(),
+                                         child.empty() ? "" : fmt::format(" (a parent of {})", child.native()),
+                                         remedy(file)));
         }
         Cost cost = read_cost(file);
-        for (const std::string& parent : cost.parents)
-            visit((file.parent_path() / parent).lexically_normal(), file);
+        for (const std::string& parent : cost.parents) visit((file.parent_path() / parent).lexically_normal(), file);
         files.push_back({file, std::move(cost)});
         done_[key] = true;
     }

@@ -21,8 +21,7 @@ std::string bad_offsets(const Clusters& c) {
     }
     for (std::size_t i = 0; i < n; ++i) {
         if (first[i] >= first[i + 1]) {
-            return fmt::format("clusters/first: does not grow from {} to {} at row {}", first[i],
-                               first[i + 1], i + 1);
+            return fmt::format("clusters/first: does not grow from {} to {} at row {}", first[i], first[i + 1], i + 1);
         }
         if (first[i + 1] - first[i] > c.settings.max_size) {
             return fmt::format("clusters/first: row {} has {} members, but settings/max_size is {}", i,
@@ -34,15 +33,13 @@ std::string bad_offsets(const Clusters& c) {
 
 std::string bad_members(const Clusters& c) {
     if (c.n_members() > c.graph_vertices) {
-        return fmt::format("clusters/member: has {} rows, but there are {} vertices", c.n_members(),
-                           c.graph_vertices);
+        return fmt::format("clusters/member: has {} rows, but there are {} vertices", c.n_members(), c.graph_vertices);
     }
     std::uint32_t largest = 0;
     for (std::uint32_t vertex : c.member) largest = std::max(largest, vertex);
     if (!c.member.empty() && largest >= c.graph_vertices) {
         const auto row = std::find(c.member.begin(), c.member.end(), largest) - c.member.begin();
-        return fmt::format("clusters/member: row {} is {}, but there are {} vertices", row, largest,
-                           c.graph_vertices);
+        return fmt::format("clusters/member: row {} is {}, but there are {} vertices", row, largest, c.graph_vertices);
     }
     std::vector<std::uint64_t> seen(c.member.empty() ? 0 : std::size_t{largest} / 64 + 1);
     for (std::size_t row = 0; row < c.n_members(); ++row) {
@@ -79,7 +76,8 @@ Clusters read_clusters(const std::filesystem::path& path) {
 std::vector<std::uint32_t> cluster_of_vertices(const Clusters& clusters) {
     std::vector<std::uint32_t> of_vertex(clusters.graph_vertices, no_cluster);
     for (std::size_t c = 0; c < clusters.n_clusters(); ++c)
-        for (std::uint32_t i = clusters.first[c]; i < clusters.first[c + 1]; ++i) of_vertex[clusters.member[i]] = std::uint32_t(c);
+        for (std::uint32_t i = clusters.first[c]; i < clusters.first[c + 1]; ++i)
+            of_vertex[clusters.member[i]] = std::uint32_t(c);
     return of_vertex;
 }
 
@@ -88,10 +86,9 @@ void require_clusters_of(const PathGraph& graph, const InputId& graph_id, const 
     if (clusters.graph == graph_id.hash && clusters.graph_vertices == graph.n_vertices()) return;
     const std::string made_from =
         clusters.provenance.inputs.empty() ? "another graph" : clusters.provenance.inputs[0].name;
-    throw InputError(fmt::format(
-        "{}: made from {} (content {}), not from {} (content {}); run: loom-cluster {} -o {}",
-        clusters_path.native(), made_from, clusters.graph, graph_id.name, graph_id.hash, graph_id.name,
-        clusters_path.native()));
+    throw InputError(fmt::format("{}: made from {} (content {}), not from {} (content {}); run: loom-cluster {} -o {}",
+                                 clusters_path.native(), made_from, clusters.graph, graph_id.name, graph_id.hash,
+                                 graph_id.name, clusters_path.native()));
 }
 
 }  // namespace loom

@@ -39,7 +39,7 @@ struct Clusters {
     struct Separation {
         Column<std::uint64_t> other_media;
         Column<std::uint64_t> same_path;  // empty in files of version 1.1
-        Column<std::uint64_t> occluded;  // empty: visibility was not tested
+        Column<std::uint64_t> occluded;   // empty: visibility was not tested
     } separation;
 
     Column<std::uint32_t> first;   // cluster+1 offsets into member

@@ -46,17 +46,17 @@ std::string section() {
     Format data;
     Documenter documenter;
     Format::fields(data, documenter);
-    return fmt::format("\n## {} {}.{} (HDF5)\n\n{}", Format::format.name, Format::format.major,
-                       Format::format.minor, documenter.markdown());
+    return fmt::format("\n## {} {}.{} (HDF5)\n\n{}", Format::format.name, Format::format.major, Format::format.minor,
+                       documenter.markdown());
 }
 
 }  // namespace
 
 std::string formats_markdown() {
-    return std::string(preamble) + section<PathGraph>() + section<Clusters>() + section<Radiance>() + section<TransientCube>() +
-           fmt::format(
-               "\n## {} {}.{} (OpenEXR)\n\nfloat32, row 0 on top.\n\n{}",
-               Image::format.name, Image::format.major, Image::format.minor, image_markdown());
+    return std::string(preamble) + section<PathGraph>() + section<Clusters>() + section<Radiance>() +
+           section<TransientCube>() +
+           fmt::format("\n## {} {}.{} (OpenEXR)\n\nfloat32, row 0 on top.\n\n{}", Image::format.name,
+                       Image::format.major, Image::format.minor, image_markdown());
 }
 
 }  // namespace loom

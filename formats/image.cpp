@@ -19,8 +19,7 @@ std::string channel_name(std::string_view layer, char component) {
 }  // namespace
 
 std::span<const float> Image::find(std::string_view name) const {
-    const auto found =
-        std::find_if(channels.begin(), channels.end(), [&](const Channel& c) { return c.name == name; });
+    const auto found = std::find_if(channels.begin(), channels.end(), [&](const Channel& c) { return c.name == name; });
     return found == channels.end() ? std::span<const float>{} : std::span<const float>(found->values);
 }
 
@@ -36,8 +35,7 @@ std::vector<float> Image::interleaved(std::string_view layer) const {
     for (std::size_t c = 0; c < 3; ++c) {
         const std::string name = channel_name(layer, "RGB"[c]);
         const auto values = find(name);
-        if (values.empty() && n_pixels() > 0)
-            throw InputError(fmt::format("the image has no channel {}", name));
+        if (values.empty() && n_pixels() > 0) throw InputError(fmt::format("the image has no channel {}", name));
         for (std::size_t i = 0; i < values.size(); ++i) triples[3 * i + c] = values[i];
     }
     return triples;
@@ -45,8 +43,7 @@ std::vector<float> Image::interleaved(std::string_view layer) const {
 
 void Image::set_layer(std::string_view layer, std::string_view axes, std::span<const float> triples) {
     if (axes.size() != 3 || triples.size() != 3 * n_pixels()) {
-        throw std::logic_error(
-            fmt::format("layer {}: {} numbers for {} pixels", layer, triples.size(), n_pixels()));
+        throw std::logic_error(fmt::format("layer {}: {} numbers for {} pixels", layer, triples.size(), n_pixels()));
     }
     for (std::size_t c = 0; c < 3; ++c) {
         const auto values = add(channel_name(layer, axes[c]));
@@ -60,15 +57,17 @@ std::size_t count_nonfinite(const Image& image) {
     return n;
 }
 
-void require_finite(const Image& image, std::initializer_list<std::string_view> layers, const std::filesystem::path& file) {
+void require_finite(const Image& image, std::initializer_list<std::string_view> layers,
+                    const std::filesystem::path& file) {
     std::string text;
     for (const std::string_view layer : layers)
         for (const char component : {'R', 'G', 'B'}) {
             const auto values = image.find(channel_name(layer, component));
             const std::size_t first = first_nonfinite(values);
             if (first == values.size()) continue;
-            text += fmt::format("{}{} of {} (first in pixel ({}, {}))", text.empty() ? "" : ", ", count_nonfinite(values), channel_name(layer, component),
-                                first % image.width, first / image.width);
+            text +=
+                fmt::format("{}{} of {} (first in pixel ({}, {}))", text.empty() ? "" : ", ", count_nonfinite(values),
+                            channel_name(layer, component), first % image.width, first / image.width);
         }
     if (!text.empty()) throw InputError(fmt::format("{}: values that are NaN or infinite: {}", file.native(), text));
 }
@@ -93,10 +92,14 @@ std::string image_markdown() {
            "\n| attribute | what it is |\n|---|---|\n"
            "| `samples` | per pixel |\n"
            "| `scene` ? | content hash and name of the scene that the picture shows; a residual shows none |\n"
-           "| `ledger` ? | of a picture that edits were added to: JSON, a list with the picture before them and each edit, in order "
-           "(of a residual: itself alone); per link `scene` and `hash` (shown from there on), `what`, `method` (empty for the first), "
-           "`samples` per pixel (pairs for an edit), `seed` of its random numbers, `var_mean` (that it adds, (W m^-2 sr^-1)^2, mean "
-           "over pixels and R, G, B) and `var_sample` (of one path-traced sample of that scene; 0: not known). The links have no "
+           "| `ledger` ? | of a picture that edits were added to: JSON, a list with the picture before them and each "
+           "edit, in order "
+           "(of a residual: itself alone); per link `scene` and `hash` (shown from there on), `what`, `method` (empty "
+           "for the first), "
+           "`samples` per pixel (pairs for an edit), `seed` of its random numbers, `var_mean` (that it adds, (W m^-2 "
+           "sr^-1)^2, mean "
+           "over pixels and R, G, B) and `var_sample` (of one path-traced sample of that scene; 0: not known). The "
+           "links have no "
            "random numbers in common, so that their `var_mean` add up |\n";
 }
 

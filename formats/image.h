@@ -15,8 +15,8 @@
 //
 // Only the layers that a stage has are there, R, G, B always. Channels are float32 in memory and when
 // written; row 0 is on top. The root attributes of all formats are text attributes of the header, `samples`
-// (per pixel) too. Optional: `scene`, content hash and name of the scene that the picture shows (a residual shows none);
-// `ledger`, what a sum of a picture and residuals consists of (formats/ledger.h).
+// (per pixel) too. Optional: `scene`, content hash and name of the scene that the picture shows (a residual shows
+// none); `ledger`, what a sum of a picture and residuals consists of (formats/ledger.h).
 
 #include <array>
 #include <cstdint>
@@ -35,7 +35,7 @@ namespace loom {
 
 /// The layers that a blend is made of.
 inline constexpr std::array<const char*, 6> estimate_layers{"Emitted",      "DirectOwn",   "DirectCluster",
-                                                           "IndirectPath", "IndirectOwn", "IndirectCluster"};
+                                                            "IndirectPath", "IndirectOwn", "IndirectCluster"};
 
 struct Image {
     static constexpr FormatId format{"image", 1, 1};
@@ -49,8 +49,8 @@ struct Image {
     std::uint64_t samples = 0;  // samples per pixel; 0: the file does not say
     std::vector<Channel> channels;
     Provenance provenance;
-    InputId scene;  // that it shows; no hash: the file does not say
-    Ledger ledger;  // of a sum, and of a residual; else empty
+    InputId scene;                   // that it shows; no hash: the file does not say
+    Ledger ledger;                   // of a sum, and of a residual; else empty
     std::string filetype = "image";  // empty for a picture of another program
 
     std::size_t n_pixels() const { return std::size_t{width} * height; }
@@ -70,8 +70,8 @@ enum class Compression { none, zip };
 /// Equal images give equal bytes.
 /// needs:   R, G, B, and as many values as pixels in each channel (else std::logic_error)
 /// throws:  NonfiniteError when a value is NaN or infinite
-void write_image(const Image& image, const std::filesystem::path& path,
-                 Compression compression = Compression::none, Sync sync = Sync::yes);
+void write_image(const Image& image, const std::filesystem::path& path, Compression compression = Compression::none,
+                 Sync sync = Sync::yes);
 
 /// Reads any flat EXR with full-resolution channels R, G and B, half, float or integer, whatever its windows.
 /// The picture is the data window.
@@ -85,8 +85,10 @@ std::vector<std::pair<std::string, std::string>> exr_attributes(const std::files
 
 /// Number of values that are NaN or infinite.
 std::size_t count_nonfinite(const Image& image);
-/// Throws an InputError with file, channels, counts and first pixel where R, G or B of these layers hold NaN or infinity.
-void require_finite(const Image& image, std::initializer_list<std::string_view> layers, const std::filesystem::path& file);
+/// Throws an InputError with file, channels, counts and first pixel where R, G or B of these layers hold NaN or
+/// infinity.
+void require_finite(const Image& image, std::initializer_list<std::string_view> layers,
+                    const std::filesystem::path& file);
 
 /// Mean of VarMean over pixels and R, G, B; those that are not finite are left out. 0 without VarMean.
 double mean_var_mean(const Image& image);
@@ -96,7 +98,8 @@ double srgb_from_linear(double linear);
 
 /// Writes an 8-bit sRGB preview of R, G, B times 2^exposure_ev. NaN shows as black.
 /// out:     number of pixels that held a NaN or an infinity
-std::size_t write_png(const Image& image, const std::filesystem::path& path, double exposure_ev = 0, Sync sync = Sync::yes);
+std::size_t write_png(const Image& image, const std::filesystem::path& path, double exposure_ev = 0,
+                      Sync sync = Sync::yes);
 
 /// What the format holds, as Markdown.
 std::string image_markdown();

@@ -47,8 +47,7 @@ std::uint64_t number_of(const Imf::Header& header, const char* name, const std::
     std::uint64_t number = 0;
     const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), number);
     if (!text.empty() && (error != std::errc{} || end != text.data() + text.size())) {
-        throw InputError(
-            fmt::format("{}: header attribute {} is \"{}\", not a number", path.native(), name, text));
+        throw InputError(fmt::format("{}: header attribute {} is \"{}\", not a number", path.native(), name, text));
     }
     return number;
 }
@@ -74,8 +73,8 @@ void read_header(const Imf::Header& header, const std::filesystem::path& path, I
     if (image.filetype == Image::format.name) {
         const std::string version = text_of(header, "version");
         if (!version.starts_with(fmt::format("{}.", Image::format.major))) {
-            throw InputError(fmt::format("{}: image version {}, this build reads {}.x", path.native(),
-                                         version, Image::format.major));
+            throw InputError(fmt::format("{}: image version {}, this build reads {}.x", path.native(), version,
+                                         Image::format.major));
         }
     }
     image.samples = number_of(header, "samples", path);
@@ -93,14 +92,12 @@ void read_header(const Imf::Header& header, const std::filesystem::path& path, I
 }
 
 /// Width and height of the data window, when a file of this size may hold it.
-void check_size(const Imath::Box2i& window, std::size_t n_channels, const std::filesystem::path& path,
-                Image& image) {
+void check_size(const Imath::Box2i& window, std::size_t n_channels, const std::filesystem::path& path, Image& image) {
     const std::int64_t width = std::int64_t{window.max.x} - window.min.x + 1;
     const std::int64_t height = std::int64_t{window.max.y} - window.min.y + 1;
     const auto refuse = [&] {
-        throw InputError(fmt::format("{}: absurd size {} x {} with {} channels in a file of {} bytes",
-                                     path.native(), width, height, n_channels,
-                                     std::filesystem::file_size(path)));
+        throw InputError(fmt::format("{}: absurd size {} x {} with {} channels in a file of {} bytes", path.native(),
+                                     width, height, n_channels, std::filesystem::file_size(path)));
     };
     if (width < 1 || height < 1 || width > (1 << 20) || height > (1 << 20)) refuse();
     const std::size_t bytes = static_cast<std::size_t>(width * height) * n_channels * sizeof(float);
@@ -122,14 +119,13 @@ Image read_exr(const std::filesystem::path& path, bool needs_rgb) {
     for (auto c = header.channels().begin(); c != header.channels().end(); ++c, ++n_channels) {
         names += fmt::format("{}{}", n_channels == 0 ? "" : ", ", c.name());
         if (c.channel().xSampling != 1 || c.channel().ySampling != 1) {
-            throw InputError(fmt::format("{}: channel {} is subsampled, expected one value per pixel",
-                                         path.native(), c.name()));
+            throw InputError(
+                fmt::format("{}: channel {} is subsampled, expected one value per pixel", path.native(), c.name()));
         }
     }
     for (const char* name : {"R", "G", "B"}) {
         if (needs_rgb && header.channels().findChannel(name) == nullptr) {
-            throw InputError(
-                fmt::format("{}: there is no channel {} (it has {})", path.native(), name, names));
+            throw InputError(fmt::format("{}: there is no channel {} (it has {})", path.native(), name, names));
         }
     }
     if (!file.isComplete()) throw InputError(fmt::format("{}: the EXR file is cut short", path.native()));
@@ -140,8 +136,8 @@ Image read_exr(const std::filesystem::path& path, bool needs_rgb) {
     image.channels.reserve(n_channels);  // slices point into the channels
     for (auto c = header.channels().begin(); c != header.channels().end(); ++c) {
         image.add(c.name());
-        frame.insert(c.name(), Imf::Slice::Make(Imf::FLOAT, image.channels.back().values.data(), window,
-                                                sizeof(float), sizeof(float) * image.width));
+        frame.insert(c.name(), Imf::Slice::Make(Imf::FLOAT, image.channels.back().values.data(), window, sizeof(float),
+                                                sizeof(float) * image.width));
     }
     file.setFrameBuffer(frame);
     file.readPixels(window.min.y, window.max.y);
@@ -168,7 +164,8 @@ class ExrStream : public Imf::OStream {
     void write(const char bytes[], int n) override { stream_.write(bytes, static_cast<std::size_t>(n)); }
     std::uint64_t tellp() override { return static_cast<std::uint64_t>(::ftello(stream_.get())); }
     void seekp(std::uint64_t at) override {
-        if (::fseeko(stream_.get(), static_cast<off_t>(at), SEEK_SET) != 0) throw std::runtime_error(std::strerror(errno));
+        if (::fseeko(stream_.get(), static_cast<off_t>(at), SEEK_SET) != 0)
+            throw std::runtime_error(std::strerror(errno));
     }
     void close() { stream_.close(); }
 
@@ -181,8 +178,8 @@ std::string nonfinite_text(const Image& image) {
     for (const auto& channel : image.channels) {
         const std::size_t first = first_nonfinite(channel.values);
         if (first == channel.values.size()) continue;
-        text += fmt::format("{}{} of {}, the first in pixel ({}, {})", text.empty() ? "" : "; ", count_nonfinite(channel.values), channel.name,
-                            first % image.width, first / image.width);
+        text += fmt::format("{}{} of {}, the first in pixel ({}, {})", text.empty() ? "" : "; ",
+                            count_nonfinite(channel.values), channel.name, first % image.width, first / image.width);
     }
     return text;
 }
@@ -191,8 +188,7 @@ std::string nonfinite_text(const Image& image) {
 
 void write_image(const Image& image, const std::filesystem::path& path, Compression compression, Sync sync) {
     for (const char* name : {"R", "G", "B"}) {
-        if (image.find(name).empty())
-            throw std::logic_error(fmt::format("{}: no channel {}", path.native(), name));
+        if (image.find(name).empty()) throw std::logic_error(fmt::format("{}: no channel {}", path.native(), name));
     }
     Imf::Header header(static_cast<int>(image.width), static_cast<int>(image.height));
     header.compression() = compression == Compression::zip ? Imf::ZIP_COMPRESSION : Imf::NO_COMPRESSION;
@@ -205,9 +201,8 @@ void write_image(const Image& image, const std::filesystem::path& path, Compress
         }
         header.channels().insert(channel.name, Imf::Channel(Imf::FLOAT));
         // The library takes one kind of slice for reading and writing; it does not write to this one.
-        frame.insert(channel.name,
-                     Imf::Slice::Make(Imf::FLOAT, const_cast<float*>(channel.values.data()),
-                                      header.dataWindow(), sizeof(float), sizeof(float) * image.width));
+        frame.insert(channel.name, Imf::Slice::Make(Imf::FLOAT, const_cast<float*>(channel.values.data()),
+                                                    header.dataWindow(), sizeof(float), sizeof(float) * image.width));
     }
     OutputFile output(path);
     ExrStream stream(output);
@@ -242,13 +237,11 @@ std::vector<std::pair<std::string, std::string>> exr_attributes(const std::files
                 texts.emplace_back(a.name(), fmt::format("{}", whole->value()));
             } else if (const auto* box = dynamic_cast<const Imf::Box2iAttribute*>(&attribute)) {
                 const Imath::Box2i& b = box->value();
-                texts.emplace_back(a.name(),
-                                   fmt::format("x {} to {}, y {} to {}", b.min.x, b.max.x, b.min.y, b.max.y));
+                texts.emplace_back(a.name(), fmt::format("x {} to {}, y {} to {}", b.min.x, b.max.x, b.min.y, b.max.y));
             } else if (const auto* packing = dynamic_cast<const Imf::CompressionAttribute*>(&attribute)) {
-                texts.emplace_back(a.name(),
-                                   packing->value() == Imf::NO_COMPRESSION
-                                       ? "none"
-                                       : fmt::format("kind {}", static_cast<int>(packing->value())));
+                texts.emplace_back(a.name(), packing->value() == Imf::NO_COMPRESSION
+                                                 ? "none"
+                                                 : fmt::format("kind {}", static_cast<int>(packing->value())));
             }
         }
         return texts;

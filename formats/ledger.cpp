@@ -23,7 +23,9 @@ void members(Link& link, Visitor&& visit) {
 }  // namespace
 
 bool share_numbers(const LedgerLink& a, const LedgerLink& b) {
-    const auto by_trace = [](const LedgerLink& link) { return !link.is_edit() || link.method == differences_method || link.method == old_graph_method; };
+    const auto by_trace = [](const LedgerLink& link) {
+        return !link.is_edit() || link.method == differences_method || link.method == old_graph_method;
+    };
     return a.seed == b.seed && by_trace(a) == by_trace(b);
 }
 

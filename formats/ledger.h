@@ -33,7 +33,8 @@ inline constexpr const char* old_graph_method = "old graph";
 /// `method` of a picture of the paths of one technique: a part of the difference that an edit makes.
 inline constexpr const char* part_method = "part";
 
-/// Whether two links were made from the same random numbers: their noise is then one, and their variances do not add up.
+/// Whether two links were made from the same random numbers: their noise is then one, and their variances do not add
+/// up.
 bool share_numbers(const LedgerLink& a, const LedgerLink& b);
 
 /// Variance of the sum of the first `n` links, which have nothing random in common.

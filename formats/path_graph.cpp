@@ -15,8 +15,7 @@ namespace {
 
 /// Rows at least `count` that an index column names; empty when there are none.
 template <class T>
-std::string bad_index(std::string_view name, const Column<T>& column, std::size_t count,
-                      std::string_view what) {
+std::string bad_index(std::string_view name, const Column<T>& column, std::size_t count, std::string_view what) {
     T largest = 0;
     for (T value : column) largest = std::max(largest, value);
     if (column.empty() || largest < count) return {};
@@ -47,21 +46,18 @@ std::string bad_offsets(const PathGraph& g) {
     if (first[0] != 0) return fmt::format("paths/first_vertex: starts at {}, not at 0", first[0]);
     const std::size_t row = first_bad(n_paths, [&](std::size_t i) { return first[i] <= first[i + 1]; });
     if (row < n_paths) {
-        return fmt::format("paths/first_vertex: decreases from {} to {} at row {}", first[row],
-                           first[row + 1], row + 1);
+        return fmt::format("paths/first_vertex: decreases from {} to {} at row {}", first[row], first[row + 1],
+                           row + 1);
     }
     if (first[n_paths] != g.n_vertices()) {
-        return fmt::format("paths/first_vertex: ends at {}, but there are {} vertices", first[n_paths],
-                           g.n_vertices());
+        return fmt::format("paths/first_vertex: ends at {}, but there are {} vertices", first[n_paths], g.n_vertices());
     }
     const std::size_t n_pixels = g.n_pixels();
-    const bool whole = n_pixels == 0
-                           ? n_paths == 0
-                           : n_paths % n_pixels == 0 && n_paths / n_pixels == g.tracing.samples_per_pixel;
+    const bool whole =
+        n_pixels == 0 ? n_paths == 0 : n_paths % n_pixels == 0 && n_paths / n_pixels == g.tracing.samples_per_pixel;
     if (!whole) {
-        return fmt::format(
-            "paths/first_vertex: has {} paths, but the sensor has {} x {} pixels of {} samples", n_paths,
-            g.sensor.width, g.sensor.height, g.tracing.samples_per_pixel);
+        return fmt::format("paths/first_vertex: has {} paths, but the sensor has {} x {} pixels of {} samples", n_paths,
+                           g.sensor.width, g.sensor.height, g.tracing.samples_per_pixel);
     }
     return {};
 }
@@ -98,8 +94,7 @@ std::string bad_vertices(const PathGraph& g) {
     if (long_wo < n) return fmt::format("vertices/wo: row {} is not a unit vector", long_wo);
     const std::size_t negative = first_bad(n, [&](std::size_t j) { return x.pdf_w[j] >= 0; });
     if (negative < n) return fmt::format("vertices/pdf_w: row {} is negative", negative);
-    const std::size_t bad_q =
-        first_bad(x.q.size(), [&](std::size_t j) { return x.q[j] >= 0 && x.q[j] <= 1; });
+    const std::size_t bad_q = first_bad(x.q.size(), [&](std::size_t j) { return x.q[j] >= 0 && x.q[j] <= 1; });
     if (bad_q < x.q.size()) return fmt::format("vertices/q: row {} is {}, not in [0, 1]", bad_q, x.q[bad_q]);
     return {};
 }
@@ -107,21 +102,27 @@ std::string bad_vertices(const PathGraph& g) {
 template <class InOrder>
 std::string bad_order(std::string_view name, std::size_t n, InOrder in_order) {
     const std::size_t unsorted = first_bad(n < 2 ? 0 : n - 1, in_order);
-    return n < 2 || unsorted == n - 1 ? std::string() : fmt::format("{}: row {} is not in order (by vertex, then technique)", name, unsorted + 1);
+    return n < 2 || unsorted == n - 1
+               ? std::string()
+               : fmt::format("{}: row {} is not in order (by vertex, then technique)", name, unsorted + 1);
 }
 
 std::string bad_order_of_edges(const PathGraph& g) {
     const auto& e = g.light_edges;
-    return bad_order("light_edges/vertex", g.n_light_edges(),
-                     [&](std::size_t k) { return e.vertex[k] < e.vertex[k + 1] || (e.vertex[k] == e.vertex[k + 1] && e.technique[k] <= e.technique[k + 1]); });
+    return bad_order("light_edges/vertex", g.n_light_edges(), [&](std::size_t k) {
+        return e.vertex[k] < e.vertex[k + 1] ||
+               (e.vertex[k] == e.vertex[k + 1] && e.technique[k] <= e.technique[k + 1]);
+    });
 }
 
 std::string bad_order_of_misses(const PathGraph& g) {
     const auto& m = g.misses;
     const std::size_t n = g.n_misses();
-    if (m.technique.size() != n || m.y.size() != 4 * n || m.emitter.size() != n) return "misses: some of its columns are there, some are not";
-    return bad_order("misses/vertex", n,
-                     [&](std::size_t k) { return m.vertex[k] < m.vertex[k + 1] || (m.vertex[k] == m.vertex[k + 1] && m.technique[k] < m.technique[k + 1]); });
+    if (m.technique.size() != n || m.y.size() != 4 * n || m.emitter.size() != n)
+        return "misses: some of its columns are there, some are not";
+    return bad_order("misses/vertex", n, [&](std::size_t k) {
+        return m.vertex[k] < m.vertex[k + 1] || (m.vertex[k] == m.vertex[k + 1] && m.technique[k] < m.technique[k + 1]);
+    });
 }
 
 /// What light edges and misses have in common.
@@ -148,17 +149,21 @@ std::string bad_edges(const PathGraph& g) {
 std::string bad_capture(const PathGraph& g) {
     const auto& c = g.nlos;
     for (std::size_t i = 0; g.emitters.position.empty() && i < g.emitters.kind.size(); ++i)
-        if (g.emitters.kind[i] >= std::uint8_t(EmitterKind::projector)) return fmt::format("emitters/position: is missing for row {}", i);
+        if (g.emitters.kind[i] >= std::uint8_t(EmitterKind::projector))
+            return fmt::format("emitters/position: is missing for row {}", i);
     const bool scans = g.sensor.kind == "nlos_capture_meter";
     if (scans && c.capture.empty()) return "nlos/capture: is not there, but sensor/kind is nlos_capture_meter";
     if (c.capture.empty()) return {};
-    if (!scans && c.capture[0] != 0) return fmt::format("nlos/capture: is {}, but sensor/kind {} takes single captures (0)", c.capture[0], g.sensor.kind);
+    if (!scans && c.capture[0] != 0)
+        return fmt::format("nlos/capture: is {}, but sensor/kind {} takes single captures (0)", c.capture[0],
+                           g.sensor.kind);
     if (c.capture[0] > 2) return fmt::format("nlos/capture: is {}, not 0, 1 or 2", c.capture[0]);
     if (c.grids.empty() || c.laser.empty() || c.true_area.empty()) return "nlos: grids, laser or true_area is missing";
     const std::size_t n_sensor = std::size_t(c.grids[0]) * c.grids[1], n_laser = std::size_t(c.grids[2]) * c.grids[3];
     const std::size_t n_points = scans ? n_sensor : 0;
     if (c.sensor_points.size() != 3 * n_points || c.sensor_normals.size() != 3 * n_points)
-        return fmt::format("nlos/sensor_points, sensor_normals: not {} rows, as {}", n_points, scans ? "nlos/grids says" : "the sensor is a camera");
+        return fmt::format("nlos/sensor_points, sensor_normals: not {} rows, as {}", n_points,
+                           scans ? "nlos/grids says" : "the sensor is a camera");
     if (c.laser_points.size() != 3 * n_laser || c.laser_normals.size() != 3 * n_laser)
         return fmt::format("nlos/laser_points, laser_normals: not {} rows, as nlos/grids says", n_laser);
     if (g.n_pixels() != (c.capture[0] == 2 ? n_sensor * n_laser : n_sensor))
@@ -176,7 +181,8 @@ std::string missing_parameter(const PathGraph& g) {
          {"vertices/alpha", x.alpha.empty()},
          {"vertices/opacity", x.opacity.empty()},
          {"vertices/exponent", x.exponent.empty()},
-         {"vertices/eta_c or vertices/k_c", x.eta_c.empty() || x.k_c.empty()}}};  // in the order of the bits of textured_parameter
+         {"vertices/eta_c or vertices/k_c",
+          x.eta_c.empty() || x.k_c.empty()}}};  // in the order of the bits of textured_parameter
     for (std::size_t row = 0; g.n_vertices() > 0 && row < g.materials.textured.size(); ++row) {
         for (std::size_t bit = 0; bit < columns.size(); ++bit) {
             if ((g.materials.textured[row] >> bit & 1) == 0 || !columns[bit].second) continue;
@@ -191,10 +197,12 @@ std::string missing_parameter(const PathGraph& g) {
 std::string bad_coats(const PathGraph& g) {
     const auto& c = g.coats;
     const std::size_t n = c.material.size();
-    if (c.alpha.size() != n || c.fdr_int.size() != n || c.fdr_ext.size() != n || c.external_transmittance.size() != 64 * n)
+    if (c.alpha.size() != n || c.fdr_int.size() != n || c.fdr_ext.size() != n ||
+        c.external_transmittance.size() != 64 * n)
         return "coats: some of its columns are there, some are not";
     for (std::size_t i = 1; i < n; ++i)
-        if (c.material[i] < c.material[i - 1] || (c.material[i] == c.material[i - 1] && !(c.alpha[i] >= c.alpha[i - 1])))
+        if (c.material[i] < c.material[i - 1] ||
+            (c.material[i] == c.material[i - 1] && !(c.alpha[i] >= c.alpha[i - 1])))
             return fmt::format("coats/material: row {} is not in order (by material, then alpha)", i);
     return bad_index("coats/material", c.material, g.materials.id.size(), "materials");
 }
@@ -204,7 +212,8 @@ bool misread_by_1_2(const PathGraphHeader& g) {
     constexpr std::uint8_t newer = textured_parameter::exponent | textured_parameter::index;
     const auto& textured = g.materials.textured;
     if (!g.materials.variant.empty() || !g.materials.bump_shadowing.empty()) return true;
-    return !g.coats.material.empty() || std::any_of(textured.begin(), textured.end(), [](std::uint8_t bits) { return (bits & newer) != 0; });
+    return !g.coats.material.empty() ||
+           std::any_of(textured.begin(), textured.end(), [](std::uint8_t bits) { return (bits & newer) != 0; });
 }
 
 template <class Graph>
@@ -235,9 +244,8 @@ std::string_view ending_name(Ending ending) {
 }
 
 std::string_view emitter_kind_name(std::uint8_t kind) {
-    constexpr std::array<std::string_view, n_emitter_kinds> names{"area",        "point",    "spot",
-                                                                  "directional", "constant", "envmap",
-                                                                  "projector",   "laser spot"};
+    constexpr std::array<std::string_view, n_emitter_kinds> names{"area",     "point",  "spot",      "directional",
+                                                                  "constant", "envmap", "projector", "laser spot"};
     return kind < names.size() ? names[kind] : "unknown";
 }
 
@@ -247,19 +255,16 @@ std::string PathGraph::problem(Check check) const {
     if (auto bad = bad_capture(*this); !bad.empty()) return bad;
     // Offsets first: the later checks walk through them.
     if (auto bad = bad_offsets(*this); !bad.empty()) return bad;
-    if (auto bad = bad_index("vertices/material", vertices.material, materials.id.size(), "materials");
-        !bad.empty())
+    if (auto bad = bad_index("vertices/material", vertices.material, materials.id.size(), "materials"); !bad.empty())
         return bad;
-    if (auto bad = bad_index("vertices/shape", vertices.shape, shapes.id.size(), "shapes"); !bad.empty())
+    if (auto bad = bad_index("vertices/shape", vertices.shape, shapes.id.size(), "shapes"); !bad.empty()) return bad;
+    if (auto bad = bad_index("light_edges/vertex", light_edges.vertex, n_vertices(), "vertices"); !bad.empty())
         return bad;
-    if (auto bad = bad_index("light_edges/vertex", light_edges.vertex, n_vertices(), "vertices");
-        !bad.empty())
-        return bad;
-    if (auto bad = bad_index("light_edges/emitter", light_edges.emitter, emitters.id.size(), "emitters");
-        !bad.empty())
+    if (auto bad = bad_index("light_edges/emitter", light_edges.emitter, emitters.id.size(), "emitters"); !bad.empty())
         return bad;
     if (auto bad = bad_index("misses/vertex", misses.vertex, n_vertices(), "vertices"); !bad.empty()) return bad;
-    if (auto bad = bad_index("misses/emitter", misses.emitter, emitters.id.size(), "emitters"); !bad.empty()) return bad;
+    if (auto bad = bad_index("misses/emitter", misses.emitter, emitters.id.size(), "emitters"); !bad.empty())
+        return bad;
     if (auto bad = missing_parameter(*this); !bad.empty()) return bad;
     if (auto bad = bad_coats(*this); !bad.empty()) return bad;
     if (auto bad = bad_order_of_edges(*this); !bad.empty()) return bad;
@@ -284,8 +289,9 @@ PathGraph read_path_graph(const std::filesystem::path& path, Check check) {
 
 InputId identify_by_header(const PathGraph& graph, const std::filesystem::path& path) {
     const Provenance& made = graph.provenance;
-    std::string text = fmt::format("{}\n{}\n{}\n{}\n{} {} {} {}\n", producer_text(made), made.command, made.seed, made.plan, graph.n_paths(), graph.n_vertices(),
-                                   graph.n_light_edges(), graph.n_misses());
+    std::string text =
+        fmt::format("{}\n{}\n{}\n{}\n{} {} {} {}\n", producer_text(made), made.command, made.seed, made.plan,
+                    graph.n_paths(), graph.n_vertices(), graph.n_light_edges(), graph.n_misses());
     for (const InputId& input : made.inputs) text += input_text(input) + "\n";
     return {path.filename().native(), content_hash_text(content_hash(std::as_bytes(std::span(text))))};
 }

@@ -162,7 +162,8 @@ struct PathGraphHeader {
 
     struct Materials {
         std::vector<std::string> id;
-        Column<std::uint8_t> kind, distribution, two_sided, nonlinear, sample_visible, textured, variant, bump_shadowing;
+        Column<std::uint8_t> kind, distribution, two_sided, nonlinear, sample_visible, textured, variant,
+            bump_shadowing;
         Column<float> int_ior, ext_ior, opacity, alpha, exponent;
         Column<float> diffuse, specular, transmittance, eta_c, k_c;
         Column<float> fdr_int, fdr_ext, external_transmittance;
@@ -219,8 +220,8 @@ void write_path_graph(const PathGraphInPieces& graph, const std::filesystem::pat
 /// Reads, maps and checks the file.
 /// throws:  InputError naming the file and the dataset
 PathGraph read_path_graph(const std::filesystem::path& path, Check check = Check::everything);
-/// A graph by name, and by a hash of what it says of itself: command, seed, build, scene, numbers of rows. The same paths have the
-/// same, and reading all of them would cost more than some of their readers do.
+/// A graph by name, and by a hash of what it says of itself: command, seed, build, scene, numbers of rows. The same
+/// paths have the same, and reading all of them would cost more than some of their readers do.
 InputId identify_by_header(const PathGraph& graph, const std::filesystem::path& path);
 
 /// Bytes of each column that is there.
@@ -237,8 +238,7 @@ void PathRows<ColumnOf>::row_fields(Self& g, Visitor& v) {
     v.field("paths/Le", p.Le, 3, "path,rgb", "W m^-2 sr^-1",
             "radiance seen directly: emitter at the first hit, or environment of a camera ray that escaped",
             Finite::counted);
-    v.optional("paths/origin", p.origin, 3, "path,xyz", "m",
-               "origin of the camera ray; absent: sensor/origin");
+    v.optional("paths/origin", p.origin, 3, "path,xyz", "m", "origin of the camera ray; absent: sensor/origin");
 
     auto& x = g.vertices;
     v.field("vertices/p", x.p, 3, "vertex,xyz", "m", "position, world space");
@@ -259,9 +259,8 @@ void PathRows<ColumnOf>::row_fields(Self& g, Visitor& v) {
     v.field("vertices/lobe", x.lobe, 1, "vertex", "1",
             "lobe of the BSDF sample: 0 none, 1 diffuse, 2 glossy reflection, 3 glossy transmission, 4 delta "
             "reflection, 5 delta transmission, 6 null");
-    v.field(
-        "vertices/pdf_w", x.pdf_w, 1, "vertex", "sr^-1",
-        "density of the BSDF sample, survival of roulette folded in; for a delta lobe its probability (1)");
+    v.field("vertices/pdf_w", x.pdf_w, 1, "vertex", "sr^-1",
+            "density of the BSDF sample, survival of roulette folded in; for a delta lobe its probability (1)");
     v.optional("vertices/q", x.q, 1, "vertex", "1", "survival probability of roulette; absent: 1");
     v.optional("vertices/eta", x.eta, 1, "vertex", "1",
                "absolute refractive index along the segment from the previous vertex; absent: 1");
@@ -299,8 +298,7 @@ void PathRows<ColumnOf>::row_fields(Self& g, Visitor& v) {
     v.field("light_edges/pdf_bsdf_w", e.pdf_bsdf_w, 1, "edge", "sr^-1",
             "density of the BSDF sample, roulette folded in; 0 where it cannot find this point");
     v.field("light_edges/emitter", e.emitter, 1, "edge", "1", "row of emitters");
-    v.optional("light_edges/eta", e.eta, 1, "edge", "1",
-               "absolute refractive index along the edge; absent: 1");
+    v.optional("light_edges/eta", e.eta, 1, "edge", "1", "absolute refractive index along the edge; absent: 1");
 
     auto& m = g.misses;
     v.optional("misses/vertex", m.vertex, 1, "miss", "1",
@@ -308,7 +306,8 @@ void PathRows<ColumnOf>::row_fields(Self& g, Visitor& v) {
     v.optional("misses/technique", m.technique, 1, "miss", "1",
                "0 next-event estimation, 1 the BSDF sample that ended the path; in this order for a vertex");
     v.optional("misses/y", m.y, 4, "miss,xyzw", "m, or 1 at infinity",
-               "where its ray was to arrive, as light_edges/y, or w = 0 and the unit direction of the BSDF sample; the vertex itself: nothing could have "
+               "where its ray was to arrive, as light_edges/y, or w = 0 and the unit direction of the BSDF sample; the "
+               "vertex itself: nothing could have "
                "arrived, and no ray was asked for");
     v.optional("misses/emitter", m.emitter, 1, "miss", "1", "row of emitters that was chosen; 0 for a BSDF sample");
 }
@@ -326,8 +325,7 @@ void PathGraphOf<ColumnOf>::fields(Self& g, Visitor& v) {
     v.value("sensor/world_from_camera", s.world_from_camera, "row,column", "1 and m",
             "world from camera; the camera looks along +z, +y is up, +x is left");
     v.value("sensor/origin", s.origin, "xyz", "m", "pinhole, world space");
-    v.value("sensor/fov_x_deg", s.fov_x_deg, "", "degree",
-            "full horizontal field of view; 0 for orthographic");
+    v.value("sensor/fov_x_deg", s.fov_x_deg, "", "degree", "full horizontal field of view; 0 for orthographic");
     v.value("sensor/principal_point", s.principal_point, "xy", "1",
             "offset of the principal point in image widths and heights");
     v.value("sensor/near_clip", s.near_clip, "", "m", "near clip distance along the optical axis");
@@ -390,34 +388,31 @@ void PathGraphOf<ColumnOf>::fields(Self& g, Visitor& v) {
                "ward: 0 Ward's own normalisation, 1 Duer's, 2 balanced; absent: 2");
     v.optional("materials/bump_shadowing", m.bump_shadowing, 1, "material", "1",
                "bump or normal map: 1 darkens light from near the horizon, 0 does not; absent: 1");
-    v.field("materials/int_ior", m.int_ior, 1, "material", "1",
-            "absolute refractive index behind the normal");
+    v.field("materials/int_ior", m.int_ior, 1, "material", "1", "absolute refractive index behind the normal");
     v.field("materials/ext_ior", m.ext_ior, 1, "material", "1", "absolute refractive index outside");
     v.field("materials/opacity", m.opacity, 1, "material", "1", "1 - probability of passing straight on");
     v.field("materials/alpha", m.alpha, 2, "material,uv", "1", "microfacet roughness");
     v.field("materials/exponent", m.exponent, 1, "material", "1", "Phong exponent");
     v.field("materials/diffuse", m.diffuse, 3, "material,rgb", "1", "diffuse reflectance");
     v.field("materials/specular", m.specular, 3, "material,rgb", "1", "factor on specular reflection");
-    v.field("materials/transmittance", m.transmittance, 3, "material,rgb", "1",
-            "factor on specular transmission");
-    v.field("materials/eta_c", m.eta_c, 3, "material,rgb", "1",
-            "conductor: real part of the index, over outside");
-    v.field("materials/k_c", m.k_c, 3, "material,rgb", "1",
-            "conductor: imaginary part of the index, over outside");
-    v.field("materials/fdr_int", m.fdr_int, 1, "material", "1",
-            "plastic: diffuse Fresnel reflectance from inside");
-    v.field("materials/fdr_ext", m.fdr_ext, 1, "material", "1",
-            "plastic: diffuse Fresnel reflectance from outside");
+    v.field("materials/transmittance", m.transmittance, 3, "material,rgb", "1", "factor on specular transmission");
+    v.field("materials/eta_c", m.eta_c, 3, "material,rgb", "1", "conductor: real part of the index, over outside");
+    v.field("materials/k_c", m.k_c, 3, "material,rgb", "1", "conductor: imaginary part of the index, over outside");
+    v.field("materials/fdr_int", m.fdr_int, 1, "material", "1", "plastic: diffuse Fresnel reflectance from inside");
+    v.field("materials/fdr_ext", m.fdr_ext, 1, "material", "1", "plastic: diffuse Fresnel reflectance from outside");
     v.optional("materials/external_transmittance", m.external_transmittance, 64, "material,cos_theta", "1",
                "rough plastic: what the interface lets through, cosines evenly over [0, 1]");
 
     auto& r = g.coats;
-    v.optional("coats/material", r.material, 1, "coat", "1",
-               "rough plastic with textured alpha: row of materials; its rows follow one another, evenly spaced in alpha; the "
-               "interface of a vertex is linear between two rows, and that of the nearest end outside");
+    v.optional(
+        "coats/material", r.material, 1, "coat", "1",
+        "rough plastic with textured alpha: row of materials; its rows follow one another, evenly spaced in alpha; the "
+        "interface of a vertex is linear between two rows, and that of the nearest end outside");
     v.optional("coats/alpha", r.alpha, 1, "coat", "1", "microfacet roughness");
-    v.optional("coats/fdr_int", r.fdr_int, 1, "coat", "1", "diffuse Fresnel reflectance from inside, at this roughness");
-    v.optional("coats/fdr_ext", r.fdr_ext, 1, "coat", "1", "diffuse Fresnel reflectance from outside, at this roughness");
+    v.optional("coats/fdr_int", r.fdr_int, 1, "coat", "1",
+               "diffuse Fresnel reflectance from inside, at this roughness");
+    v.optional("coats/fdr_ext", r.fdr_ext, 1, "coat", "1",
+               "diffuse Fresnel reflectance from outside, at this roughness");
     v.optional("coats/external_transmittance", r.external_transmittance, 64, "coat,cos_theta", "1",
                "what the interface lets through at this roughness, cosines evenly over [0, 1]");
 
@@ -426,9 +421,10 @@ void PathGraphOf<ColumnOf>::fields(Self& g, Visitor& v) {
     v.field("emitters/kind", l.kind, 1, "emitter", "1",
             "0 area, 1 point, 2 spot, 3 directional, 4 constant, 5 envmap, 6 projector, 7 laser spot");
     v.field("emitters/pmf", l.pmf, 1, "emitter", "1", "probability of being chosen by next-event estimation");
-    v.optional("emitters/position", l.position, 3, "emitter,xyz", "m",
-               "of projector and laser spot: where the light starts (the way from there to the spot is no edge); (0, 0, "
-               "0) for others");
+    v.optional(
+        "emitters/position", l.position, 3, "emitter,xyz", "m",
+        "of projector and laser spot: where the light starts (the way from there to the spot is no edge); (0, 0, "
+        "0) for others");
 
     v.names("shapes/id", g.shapes.id, "shape", "id in the scene file, or a made-up one");
 }

@@ -37,10 +37,12 @@ void require_radiance_of(const PathGraph& graph, const InputId& graph_id, const 
         throw InputError(fmt::format("{}: paths/direct has {} rows, but the graph has {} paths", radiance_path.native(),
                                      radiance.direct.size() / 3, graph.n_paths()));
     }
-    const std::string made_from = radiance.provenance.inputs.empty() ? "another graph" : radiance.provenance.inputs[0].name;
-    throw InputError(fmt::format("{}: made from {} (content {}), not from {} (content {}); run: loom-refine {} CLUSTERS -o {}",
-                                 radiance_path.native(), made_from, radiance.graph, graph_id.name, graph_id.hash,
-                                 graph_id.name, radiance_path.native()));
+    const std::string made_from =
+        radiance.provenance.inputs.empty() ? "another graph" : radiance.provenance.inputs[0].name;
+    throw InputError(
+        fmt::format("{}: made from {} (content {}), not from {} (content {}); run: loom-refine {} CLUSTERS -o {}",
+                    radiance_path.native(), made_from, radiance.graph, graph_id.name, graph_id.hash, graph_id.name,
+                    radiance_path.native()));
 }
 
 }  // namespace loom

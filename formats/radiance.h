@@ -32,9 +32,9 @@ struct Radiance {
         std::uint8_t as_printed = 0;
     } settings;
 
-    Column<float> L;         // reflected radiance, without emission
-    Column<float> direct;    // the part of L at first vertices that arrives directly; a gather needs it
-    Column<float> indirect_path;  // what paths alone know of the rest; absent for "west"
+    Column<float> L;                        // reflected radiance, without emission
+    Column<float> direct;                   // the part of L at first vertices that arrives directly; a gather needs it
+    Column<float> indirect_path;            // what paths alone know of the rest; absent for "west"
     Column<double> residual, image_change;  // by iteration
     double clamped_share = 0;
 
@@ -77,9 +77,11 @@ void Radiance::fields(Self& r, Visitor& v) {
     v.value("settings/epsilon", s.epsilon, "", "1", "the clamp keeps 1 - epsilon");
     v.value("settings/as_printed", s.as_printed, "", "1", "1: the paper's equations to the letter, biased");
 
-    v.field("vertices/L", r.L, 3, "vertex,rgb", "W m^-2 sr^-1",
-            "radiance that the vertex reflects towards wo; its own emission is not in it; where steps from darkness count "
-            "bounces, that of a first hit, but of one bounce less at all other vertices", Finite::counted);
+    v.field(
+        "vertices/L", r.L, 3, "vertex,rgb", "W m^-2 sr^-1",
+        "radiance that the vertex reflects towards wo; its own emission is not in it; where steps from darkness count "
+        "bounces, that of a first hit, but of one bounce less at all other vertices",
+        Finite::counted);
     v.optional("paths/direct", r.direct, 3, "path,rgb", "W m^-2 sr^-1",
                "part of L at the first vertex that arrives straight from lights; 0 for paths without vertices",
                Finite::counted);

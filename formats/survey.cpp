@@ -19,8 +19,7 @@ constexpr std::size_t max_values_shown = 16;
 constexpr std::size_t block_bytes = std::size_t{1} << 22;
 
 struct Accumulator {
-    Statistics s{
-        0, 0, 0, std::numeric_limits<double>::infinity(), 0, -std::numeric_limits<double>::infinity()};
+    Statistics s{0, 0, 0, std::numeric_limits<double>::infinity(), 0, -std::numeric_limits<double>::infinity()};
     double sum = 0;
 
     template <class T>
@@ -112,9 +111,7 @@ class DatasetSurveyor {
         summary_.extents = extents_of(space_.get());
         const Hdf5Handle creation(H5Dget_create_plist(dataset_.get()), H5Pclose);
         const H5D_layout_t layout = H5Pget_layout(creation.get());
-        summary_.storage = layout == H5D_CONTIGUOUS ? "contiguous"
-                           : layout == H5D_COMPACT  ? "compact"
-                                                    : "chunked";
+        summary_.storage = layout == H5D_CONTIGUOUS ? "contiguous" : layout == H5D_COMPACT ? "compact" : "chunked";
         n_ = static_cast<std::size_t>(std::max<hssize_t>(0, H5Sget_simple_extent_npoints(space_.get())));
         summary_.bytes = n_ * H5Tget_size(type_.get());
         const auto element = known_element(type_.get());
@@ -123,16 +120,14 @@ class DatasetSurveyor {
             if (summary_.bytes <= block_bytes) read_texts();
         } else {
             summary_.is_number = true;
-            with_element(*element,
-                         [&](auto* type) { read_numbers<std::remove_pointer_t<decltype(type)>>(); });
+            with_element(*element, [&](auto* type) { read_numbers<std::remove_pointer_t<decltype(type)>>(); });
         }
         return summary_;
     }
 
   private:
     [[noreturn]] void fail() const {
-        throw InputError(
-            fmt::format("{}: {}: cannot read: {}", path_.native(), summary_.name, hdf5_error_text()));
+        throw InputError(fmt::format("{}: {}: cannot read: {}", path_.native(), summary_.name, hdf5_error_text()));
     }
 
     void read_texts() {
@@ -146,8 +141,7 @@ class DatasetSurveyor {
     template <class T>
     void read_numbers() {
         Accumulator sums;
-        std::vector<hsize_t> start(summary_.extents.size(), 0),
-            count(summary_.extents.begin(), summary_.extents.end());
+        std::vector<hsize_t> start(summary_.extents.size(), 0), count(summary_.extents.begin(), summary_.extents.end());
         const std::size_t n_rows = count.empty() ? 1 : count[0];
         const std::size_t row_size = n_ / n_rows;
         const std::size_t step = std::max<std::size_t>(1, block_bytes / (row_size * sizeof(T)));
@@ -158,13 +152,11 @@ class DatasetSurveyor {
             if (!count.empty()) {
                 start[0] = row;
                 count[0] = rows;
-                H5Sselect_hyperslab(space_.get(), H5S_SELECT_SET, start.data(), nullptr, count.data(),
-                                    nullptr);
+                H5Sselect_hyperslab(space_.get(), H5S_SELECT_SET, start.data(), nullptr, count.data(), nullptr);
             }
             const hsize_t n_buffer = buffer.size();
             const Hdf5Handle memory(H5Screate_simple(1, &n_buffer, nullptr), H5Sclose);
-            if (H5Dread(dataset_.get(), type_.get(), memory.get(), space_.get(), H5P_DEFAULT, buffer.data()) <
-                0)
+            if (H5Dread(dataset_.get(), type_.get(), memory.get(), space_.get(), H5P_DEFAULT, buffer.data()) < 0)
                 fail();
             sums.add(std::span<const T>(buffer));
         }
@@ -185,8 +177,7 @@ std::vector<std::string> dataset_names(hid_t file) {
     H5Ovisit2(
         file, H5_INDEX_NAME, H5_ITER_INC,
         [](hid_t, const char* name, const H5O_info_t* info, void* data) -> herr_t {
-            if (info->type == H5O_TYPE_DATASET)
-                static_cast<std::vector<std::string>*>(data)->emplace_back(name);
+            if (info->type == H5O_TYPE_DATASET) static_cast<std::vector<std::string>*>(data)->emplace_back(name);
             return 0;
         },
         &names, H5O_INFO_BASIC);
@@ -208,8 +199,7 @@ NamedTexts root_attributes(hid_t file) {
         if (const auto texts = text_attribute(file, name.c_str())) {
             value = fmt::format("{}", fmt::join(*texts, "\n"));
         } else if (const auto numbers = integer_attribute(file, name.c_str())) {
-            for (std::uint64_t number : *numbers)
-                value += (value.empty() ? "" : ".") + std::to_string(number);
+            for (std::uint64_t number : *numbers) value += (value.empty() ? "" : ".") + std::to_string(number);
         }
         attributes.emplace_back(name, value);
     }
@@ -260,8 +250,8 @@ Survey survey_file(const std::filesystem::path& path) {
     require_readable(path);
     constexpr unsigned char exr_magic[] = {0x76, 0x2f, 0x31, 0x01};
     const MappedFile file(path);
-    const bool is_exr = file.bytes().size() >= sizeof exr_magic &&
-                        std::memcmp(file.bytes().data(), exr_magic, sizeof exr_magic) == 0;
+    const bool is_exr =
+        file.bytes().size() >= sizeof exr_magic && std::memcmp(file.bytes().data(), exr_magic, sizeof exr_magic) == 0;
     start_hdf5();
     if (!is_exr && H5Fis_hdf5(path.c_str()) <= 0) {
         throw InputError(fmt::format("{}: is neither an HDF5 nor an EXR file", path.native()));

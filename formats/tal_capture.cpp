@@ -30,11 +30,16 @@ class TalWriter {
     void dataset(const char* name, const std::vector<hsize_t>& extents, hid_t type, const void* data) {
         const Hdf5Handle creation(H5Pcreate(H5P_DATASET_CREATE), H5Pclose);
         H5Pset_obj_track_times(creation.get(), false);
-        const Hdf5Handle space(extents.empty() ? H5Screate(H5S_SCALAR) : H5Screate_simple(int(extents.size()), extents.data(), nullptr), H5Sclose);
-        const Hdf5Handle made(H5Dcreate2(file_.get(), name, type, space.get(), H5P_DEFAULT, creation.get(), H5P_DEFAULT), H5Dclose);
+        const Hdf5Handle space(
+            extents.empty() ? H5Screate(H5S_SCALAR) : H5Screate_simple(int(extents.size()), extents.data(), nullptr),
+            H5Sclose);
+        const Hdf5Handle made(
+            H5Dcreate2(file_.get(), name, type, space.get(), H5P_DEFAULT, creation.get(), H5P_DEFAULT), H5Dclose);
         if (!made || H5Dwrite(made.get(), type, H5S_ALL, H5S_ALL, H5P_DEFAULT, data) < 0) fail(name);
     }
-    void floats(const char* name, const std::vector<hsize_t>& extents, const float* data) { dataset(name, extents, H5T_IEEE_F32LE, data); }
+    void floats(const char* name, const std::vector<hsize_t>& extents, const float* data) {
+        dataset(name, extents, H5T_IEEE_F32LE, data);
+    }
     void choice(const char* name, const Names& names, std::int32_t value) {
         const Hdf5Handle type(H5Tenum_create(H5T_STD_I32LE), H5Tclose);
         for (const auto& [text, number] : names) H5Tenum_insert(type.get(), text, &number);
@@ -70,7 +75,8 @@ class TalWriter {
 
   private:
     [[noreturn]] void fail(std::string_view what) const {
-        throw std::runtime_error(fmt::format("{}: cannot write {}: {}", output_.path().native(), what, hdf5_error_text()));
+        throw std::runtime_error(
+            fmt::format("{}: cannot write {}: {}", output_.path().native(), what, hdf5_error_text()));
     }
     OutputFile output_;
     Hdf5Handle file_;
@@ -80,7 +86,8 @@ class TalWriter {
 
 void write_tal_capture(const TalCapture& c, const std::filesystem::path& path, Sync sync) {
     const std::size_t pairs = c.sensor_grid.size() * (c.exhaustive ? c.laser_grid.size() : 1);
-    if (c.H.size() != c.n_bins * pairs) throw std::logic_error(path.native() + ": H has not as many numbers as its grids say");
+    if (c.H.size() != c.n_bins * pairs)
+        throw std::logic_error(path.native() + ": H has not as many numbers as its grids say");
     TalWriter writer(path);
     std::vector<hsize_t> extents{c.n_bins};
     if (c.exhaustive) extents.insert(extents.end(), {c.laser_grid.width, c.laser_grid.height});

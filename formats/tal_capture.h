@@ -27,10 +27,11 @@ struct TalCapture {
     std::array<float, 3> sensor{}, laser{};  // m, where they stand
     float delta_t = 0, t_start = 0;          // m of optical path length
     bool accounts_first_and_last = false;
-    std::string scene_info;                  // YAML
+    std::string scene_info;  // YAML
 
     /// Where H has a bin of a pair of points.
-    std::size_t place(std::uint32_t bin, std::uint32_t laser_x, std::uint32_t laser_y, std::uint32_t sensor_x, std::uint32_t sensor_y) const {
+    std::size_t place(std::uint32_t bin, std::uint32_t laser_x, std::uint32_t laser_y, std::uint32_t sensor_x,
+                      std::uint32_t sensor_y) const {
         std::size_t at = bin;
         if (exhaustive) at = (at * laser_grid.width + laser_x) * laser_grid.height + laser_y;
         return (at * sensor_grid.width + sensor_x) * sensor_grid.height + sensor_y;

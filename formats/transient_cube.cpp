@@ -15,18 +15,22 @@ std::string difference_in_words(const TransientCubeHeader& a, const TransientCub
     const auto &t = a.time, &u = b.time;
     if (t.n_bins != u.n_bins) return fmt::format("has {} bins, not {}", t.n_bins, u.n_bins);
     const double far = slack * u.bin_width_opl;
-    const bool apart = std::abs(t.start_opl - u.start_opl) > far || std::abs(t.n_bins * (t.bin_width_opl - u.bin_width_opl)) > far;
+    const bool apart =
+        std::abs(t.start_opl - u.start_opl) > far || std::abs(t.n_bins * (t.bin_width_opl - u.bin_width_opl)) > far;
     const bool told = !a.response.pulse.empty() && !b.response.pulse.empty();
     if (apart || (told && std::abs(t.gate_opl - u.gate_opl) > far))
-        return fmt::format("has bins of {:.9g} m (gate {:.9g}) from {:.9g}, not of {:.9g} m (gate {:.9g}) from {:.9g}", t.bin_width_opl, t.gate_opl, t.start_opl,
-                           u.bin_width_opl, u.gate_opl, u.start_opl);
+        return fmt::format("has bins of {:.9g} m (gate {:.9g}) from {:.9g}, not of {:.9g} m (gate {:.9g}) from {:.9g}",
+                           t.bin_width_opl, t.gate_opl, t.start_opl, u.bin_width_opl, u.gate_opl, u.start_opl);
     if (!told) return {};
     if (t.camera_segment != u.camera_segment)
-        return t.camera_segment ? "counts lengths from the camera, not from the first hit" : "counts lengths from the first hit, not from the camera";
+        return t.camera_segment ? "counts lengths from the camera, not from the first hit"
+                                : "counts lengths from the first hit, not from the camera";
     const auto &r = a.response, &s = b.response;
     if (r.pulse != s.pulse || r.length_opl != s.length_opl || r.tail_opl != s.tail_opl || r.period_opl != s.period_opl)
-        return fmt::format("has a {} pulse (length {:.9g}, tail {:.9g}, period {:.9g}), not {} (length {:.9g}, tail {:.9g}, period {:.9g})", r.pulse, r.length_opl,
-                           r.tail_opl, r.period_opl, s.pulse, s.length_opl, s.tail_opl, s.period_opl);
+        return fmt::format(
+            "has a {} pulse (length {:.9g}, tail {:.9g}, period {:.9g}), not {} (length {:.9g}, tail {:.9g}, period "
+            "{:.9g})",
+            r.pulse, r.length_opl, r.tail_opl, r.period_opl, s.pulse, s.length_opl, s.tail_opl, s.period_opl);
     return {};
 }
 
@@ -63,16 +67,22 @@ void TransientCubeWriter::write_rows(std::uint32_t first_row, const TransientRow
     writer_->fill("steady", pixels, rows.steady);
 }
 
-void TransientCubeWriter::commit(Sync sync) { writer_->commit(sync); }
+void TransientCubeWriter::commit(Sync sync) {
+    writer_->commit(sync);
+}
 
-TransientCube read_transient_cube(const std::filesystem::path& path) { return read_format<TransientCube>(path); }
+TransientCube read_transient_cube(const std::filesystem::path& path) {
+    return read_format<TransientCube>(path);
+}
 
 namespace {
 
 /// Numbers of a foreign dataset [y, x, bin, channel], one channel made three.
-std::vector<float> foreign_numbers(const std::filesystem::path& path, hid_t file, const char* name, std::vector<std::size_t>& extents) {
+std::vector<float> foreign_numbers(const std::filesystem::path& path, hid_t file, const char* name,
+                                   std::vector<std::size_t>& extents) {
     const auto refuse = [&](const std::string& why) { throw InputError(fmt::format("{}: {}", path.native(), why)); };
-    if (H5Lexists(file, name, H5P_DEFAULT) <= 0) refuse(fmt::format("is no transient_cube, and has no dataset {}", name));
+    if (H5Lexists(file, name, H5P_DEFAULT) <= 0)
+        refuse(fmt::format("is no transient_cube, and has no dataset {}", name));
     const Hdf5Handle dataset(H5Dopen2(file, name, H5P_DEFAULT), H5Dclose);
     if (!dataset) refuse(fmt::format("{}: not a dataset, or damaged", name));
     const Hdf5Handle space(H5Dget_space(dataset.get()), H5Sclose);
@@ -93,7 +103,8 @@ double foreign_attribute(const std::filesystem::path& path, hid_t file, const ch
     double value = 0;
     const Hdf5Handle attribute(H5Aopen(file, name, H5P_DEFAULT), H5Aclose);
     if (!attribute || H5Aread(attribute.get(), H5T_NATIVE_DOUBLE, &value) < 0)
-        throw InputError(fmt::format("{}: is no transient_cube, and has no number {} among its attributes", path.native(), name));
+        throw InputError(
+            fmt::format("{}: is no transient_cube, and has no number {} among its attributes", path.native(), name));
     return value;
 }
 
@@ -115,13 +126,16 @@ TransientCube read_any_cube(const std::filesystem::path& path) {
     std::vector<std::size_t> extents, of_variance;
     cube.radiance = foreign_numbers(path, file.get(), "mean", extents);
     cube.var_mean = foreign_numbers(path, file.get(), "var_mean", of_variance);
-    if (extents != of_variance) throw InputError(fmt::format("{}: mean and var_mean differ in their extents", path.native()));
-    cube.film = {std::uint32_t(extents[1]), std::uint32_t(extents[0]), std::uint64_t(foreign_attribute(path, file.get(), "spp"))};
+    if (extents != of_variance)
+        throw InputError(fmt::format("{}: mean and var_mean differ in their extents", path.native()));
+    cube.film = {std::uint32_t(extents[1]), std::uint32_t(extents[0]),
+                 std::uint64_t(foreign_attribute(path, file.get(), "spp"))};
     cube.time.n_bins = std::uint32_t(extents[2]);
     cube.time.start_opl = foreign_attribute(path, file.get(), "start_opl");
     cube.time.bin_width_opl = cube.time.gate_opl = foreign_attribute(path, file.get(), "bin_width_opl");
     cube.response.pulse.clear();
-    if (const std::string problem = cube.problem(); !problem.empty()) throw InputError(fmt::format("{}: {}", path.native(), problem));
+    if (const std::string problem = cube.problem(); !problem.empty())
+        throw InputError(fmt::format("{}: {}", path.native(), problem));
     return cube;
 }
 

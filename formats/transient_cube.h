@@ -48,8 +48,8 @@ struct TransientCubeHeader {
     double in_unit(double opl) const { return time.unit == "ns" ? opl * time.metres_per_unit / speed_of_light : opl; }
 };
 
-/// Why the bins of `a` do not record what those of `b` do; empty when they do. Labels (unit, length of a unit) may differ.
-/// What one of them does not say (its pulse is empty) is not compared.
+/// Why the bins of `a` do not record what those of `b` do; empty when they do. Labels (unit, length of a unit) may
+/// differ. What one of them does not say (its pulse is empty) is not compared.
 /// in:      slack  share of a bin by which their windows may be apart
 std::string difference_in_words(const TransientCubeHeader& a, const TransientCubeHeader& b, double slack = 0);
 
@@ -57,8 +57,8 @@ template <template <class> class ColumnOf>
 struct TransientCubeOf : TransientCubeHeader {
     static constexpr FormatId format{"transient_cube", 1, 0};
 
-    ColumnOf<float> radiance, var_mean;              // [y, x, bin, channel]
-    ColumnOf<float> before, after, never, steady;    // [y, x, channel]
+    ColumnOf<float> radiance, var_mean;            // [y, x, bin, channel]
+    ColumnOf<float> before, after, never, steady;  // [y, x, channel]
 
     template <class Self, class Visitor>
     static void fields(Self& c, Visitor& v);
@@ -96,8 +96,8 @@ class TransientCubeWriter {
 TransientCube read_transient_cube(const std::filesystem::path& path);
 
 /// The same of any HDF5 file with float datasets `mean` and `var_mean` [y, x, bin, channel] and numbers `start_opl`,
-/// `bin_width_opl`, `spp` among its attributes. A single channel is taken for all three; before, after, never and steady
-/// stay empty, and its pulse.
+/// `bin_width_opl`, `spp` among its attributes. A single channel is taken for all three; before, after, never and
+/// steady stay empty, and its pulse.
 TransientCube read_any_cube(const std::filesystem::path& path);
 /// Whether a file says that it is a transient_cube; false for what is no HDF5 file.
 bool is_transient_cube(const std::filesystem::path& path);
@@ -111,30 +111,40 @@ void TransientCubeOf<ColumnOf>::fields(Self& c, Visitor& v) {
 
     auto& t = c.time;
     v.value("time/n_bins", t.n_bins, "", "1", "number of bins");
-    v.value("time/start_opl", t.start_opl, "", "m", "optical path length at which bin 0 opens; bin k opens k bin_width_opl later");
+    v.value("time/start_opl", t.start_opl, "", "m",
+            "optical path length at which bin 0 opens; bin k opens k bin_width_opl later");
     v.value("time/bin_width_opl", t.bin_width_opl, "", "m", "from bin to bin");
     v.value("time/gate_opl", t.gate_opl, "", "m", "how long a bin is open");
     v.value("time/unit", t.unit, "", "1", "opl or ns: how pictures of this cube are labelled");
     v.value("time/metres_per_unit", t.metres_per_unit, "", "m",
             "length of a unit of the scene: an optical path length l takes l metres_per_unit / 0.299792458 ns");
-    v.value("time/camera_segment", t.camera_segment, "", "1", "1: lengths count from the camera, 0: from the first hit, and in a capture around a corner up to the lit point");
+    v.value("time/camera_segment", t.camera_segment, "", "1",
+            "1: lengths count from the camera, 0: from the first hit, and in a capture around a corner up to the lit "
+            "point");
 
     auto& r = c.response;
     v.value("response/pulse", r.pulse, "", "1", "delta, box, gaussian, expgauss, table, or modulated: sine, square");
-    v.value("response/length_opl", r.length_opl, "", "m", "length of a box pulse, standard deviation of a Gaussian one; 0 for others");
+    v.value("response/length_opl", r.length_opl, "", "m",
+            "length of a box pulse, standard deviation of a Gaussian one; 0 for others");
     v.value("response/tail_opl", r.tail_opl, "", "m", "mean of the exponential part of expgauss; 0 for others");
     v.value("response/period_opl", r.period_opl, "", "m", "period of a modulation; 0 for pulses");
 
     const std::size_t width = c.film.width, bins = c.time.n_bins;
     constexpr std::string_view unit = "W m^-2 sr^-1";
     v.grid("radiance", c.radiance, {width, bins, 3}, "y,x,bin,channel", unit,
-           "mean radiance that each bin records, not divided by its width; row 0 on top, channels R G B", Finite::counted);
-    v.grid("var_mean", c.var_mean, {width, bins, 3}, "y,x,bin,channel", "(W m^-2 sr^-1)^2", "variance of that mean", Finite::counted);
-    v.grid("before", c.before, {width, 3}, "y,x,channel", unit, "radiance that arrives before bin 0 opens", Finite::counted);
-    v.grid("after", c.after, {width, 3}, "y,x,channel", unit, "radiance that arrives after the last bin", Finite::counted);
-    v.grid("never", c.never, {width, 3}, "y,x,channel", unit, "radiance of lights at infinity, which has no time of arrival", Finite::counted);
+           "mean radiance that each bin records, not divided by its width; row 0 on top, channels R G B",
+           Finite::counted);
+    v.grid("var_mean", c.var_mean, {width, bins, 3}, "y,x,bin,channel", "(W m^-2 sr^-1)^2", "variance of that mean",
+           Finite::counted);
+    v.grid("before", c.before, {width, 3}, "y,x,channel", unit, "radiance that arrives before bin 0 opens",
+           Finite::counted);
+    v.grid("after", c.after, {width, 3}, "y,x,channel", unit, "radiance that arrives after the last bin",
+           Finite::counted);
+    v.grid("never", c.never, {width, 3}, "y,x,channel", unit,
+           "radiance of lights at infinity, which has no time of arrival", Finite::counted);
     v.grid("steady", c.steady, {width, 3}, "y,x,channel", unit,
-           "radiance at all times: with gates that tile the time, sum of the bins + before + after + never", Finite::counted);
+           "radiance at all times: with gates that tile the time, sum of the bins + before + after + never",
+           Finite::counted);
 }
 
 }  // namespace loom

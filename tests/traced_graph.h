@@ -34,8 +34,8 @@ inline std::unique_ptr<Scene> own_scene(const std::string& name, int width, int 
 
 /// A scene of shapes, emitters and one sensor without its film; box filter.
 struct InlineScene {
-    std::string sensor;         // type="…" of the sensor, then its parameters
-    std::string body;           // BSDFs, shapes, emitters
+    std::string sensor;  // type="…" of the sensor, then its parameters
+    std::string body;    // BSDFs, shapes, emitters
     int width = 16, height = 16;
     int max_depth = -1;
 };
@@ -53,7 +53,8 @@ inline std::unique_ptr<Scene> load_inline(const InlineScene& s) {
     return scene;
 }
 
-inline PathOptions path_options(const Scene& scene, std::uint64_t seed, SamplerKind sampler = SamplerKind::independent) {
+inline PathOptions path_options(const Scene& scene, std::uint64_t seed,
+                                SamplerKind sampler = SamplerKind::independent) {
     PathOptions path;
     path.seed = seed;
     path.sampler = sampler;
@@ -63,12 +64,14 @@ inline PathOptions path_options(const Scene& scene, std::uint64_t seed, SamplerK
 }
 
 /// As written and read again; all invariants of the format hold.
-inline PathGraph trace_graph(const Scene& scene, const PathOptions& path, std::uint64_t spp, std::uint64_t first_sample = 0, bool misses = false) {
+inline PathGraph trace_graph(const Scene& scene, const PathOptions& path, std::uint64_t spp,
+                             std::uint64_t first_sample = 0, bool misses = false) {
     app::Report report;
     report.set_quiet(true);
     trace::Counts counts;
     const auto file = scratch_file(".h5");
-    const auto traced = trace::render_graph(scene, path, {first_sample, spp, 0}, report, counts, std::make_shared<Arena>(), misses);
+    const auto traced =
+        trace::render_graph(scene, path, {first_sample, spp, 0}, report, counts, std::make_shared<Arena>(), misses);
     static std::mutex hdf5_one_at_a_time;  // tests call this from many threads
     const std::lock_guard lock(hdf5_one_at_a_time);
     write_path_graph(traced, file, Sync::no);
@@ -78,7 +81,8 @@ inline PathGraph trace_graph(const Scene& scene, const PathOptions& path, std::u
 }
 
 /// in:  scene  that the graph was traced in, for the test of visibility; null: no test
-inline Clusters clusters_of(const PathGraph& graph, std::uint32_t k, std::uint64_t seed = 0, float private_roughness = 0.03f, const Scene* scene = nullptr) {
+inline Clusters clusters_of(const PathGraph& graph, std::uint32_t k, std::uint64_t seed = 0,
+                            float private_roughness = 0.03f, const Scene* scene = nullptr) {
     cluster::ClusterOptions options;
     options.k = k;
     options.seed = seed;

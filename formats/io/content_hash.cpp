@@ -38,8 +38,7 @@ std::uint64_t content_hash(std::span<const std::byte> bytes) {
         for (; left >= 32; left -= 32, at += 32) {
             for (int k = 0; k < 4; ++k) lanes[k] = mixed(lanes[k], load<std::uint64_t>(at + 8 * k));
         }
-        hash = std::rotl(lanes[0], 1) + std::rotl(lanes[1], 7) + std::rotl(lanes[2], 12) +
-               std::rotl(lanes[3], 18);
+        hash = std::rotl(lanes[0], 1) + std::rotl(lanes[1], 7) + std::rotl(lanes[2], 12) + std::rotl(lanes[3], 18);
         for (std::uint64_t lane : lanes) hash = (hash ^ mixed(0, lane)) * prime1 + prime4;
     }
     hash += bytes.size();

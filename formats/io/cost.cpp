@@ -39,8 +39,7 @@ struct Reader : MemberReader {
     void operator()(const char* key, std::vector<std::string>& values) const {
         for (const JsonValue& element : get<JsonValue::Array>(key)) {
             const auto* text = std::get_if<std::string>(&element.value);
-            if (text == nullptr)
-                throw InputError(fmt::format("{}: \"{}\" is not a list of names", file, key));
+            if (text == nullptr) throw InputError(fmt::format("{}: \"{}\" is not a list of names", file, key));
             values.push_back(*text);
         }
     }

@@ -15,8 +15,7 @@ void Documenter::add(const Field& field) {
 }
 
 std::string Documenter::markdown() const {
-    return "| dataset | type | axes | units | bytes per row | what it is |\n|---|---|---|---|---|---|\n" +
-           rows_;
+    return "| dataset | type | axes | units | bytes per row | what it is |\n|---|---|---|---|---|---|\n" + rows_;
 }
 
 }  // namespace loom

@@ -26,19 +26,7 @@ struct FormatId {
 };
 
 /// Types of elements on disk; all little-endian.
-enum class ElementType {
-    float16,
-    float32,
-    float64,
-    int16,
-    int32,
-    int64,
-    uint8,
-    uint16,
-    uint32,
-    uint64,
-    text
-};
+enum class ElementType { float16, float32, float64, int16, int32, int64, uint8, uint16, uint32, uint64, text };
 
 std::string_view element_name(ElementType type);
 std::size_t element_size(ElementType type);  // bytes; 0 for text
@@ -114,8 +102,8 @@ template <class Derived>
 class FieldVisitor {
   public:
     template <class C>
-    void field(std::string_view name, C& column, std::size_t width, std::string_view axes,
-               std::string_view units, std::string_view text, Finite finite = Finite::required) {
+    void field(std::string_view name, C& column, std::size_t width, std::string_view axes, std::string_view units,
+               std::string_view text, Finite finite = Finite::required) {
         add(name, column, width, axes, units, text, Presence::required, finite);
     }
     /// Rows of several axes: `row_shape` has the extents after the first.
@@ -127,16 +115,15 @@ class FieldVisitor {
                          column);
     }
     template <class C>
-    void optional(std::string_view name, C& column, std::size_t width, std::string_view axes,
-                  std::string_view units, std::string_view text, Finite finite = Finite::required) {
+    void optional(std::string_view name, C& column, std::size_t width, std::string_view axes, std::string_view units,
+                  std::string_view text, Finite finite = Finite::required) {
         add(name, column, width, axes, units, text, Presence::optional, finite);
     }
     template <class V>
-    void value(std::string_view name, V& value, std::string_view axes, std::string_view units,
-               std::string_view text) {
+    void value(std::string_view name, V& value, std::string_view axes, std::string_view units, std::string_view text) {
         using Traits = ValueTraits<std::remove_const_t<V>>;
-        self().value_of(
-            Field{name, element_type<typename Traits::Element>(), Traits::shape(), axes, units, text}, value);
+        self().value_of(Field{name, element_type<typename Traits::Element>(), Traits::shape(), axes, units, text},
+                        value);
     }
     template <class S>
     void names(std::string_view name, S& strings, std::string_view axes, std::string_view text) {
@@ -146,13 +133,12 @@ class FieldVisitor {
   private:
     Derived& self() { return static_cast<Derived&>(*this); }
     template <class C>
-    void add(std::string_view name, C& column, std::size_t width, std::string_view axes,
-             std::string_view units, std::string_view text, Presence presence, Finite finite) {
+    void add(std::string_view name, C& column, std::size_t width, std::string_view axes, std::string_view units,
+             std::string_view text, Presence presence, Finite finite) {
         std::vector<std::size_t> row_shape;
         if (width != 1) row_shape.push_back(width);
         self().column_of(
-            Field{name, element_type<typename C::Element>(), row_shape, axes, units, text, presence, finite},
-            column);
+            Field{name, element_type<typename C::Element>(), row_shape, axes, units, text, presence, finite}, column);
     }
 };
 

@@ -15,9 +15,15 @@ std::size_t count_full_exponents(std::span<const T> values, Bits exponent) {
     for (const T& value : values) n += (std::bit_cast<Bits>(value) & exponent) == exponent ? 1 : 0;
     return n;
 }
-std::size_t count(std::span<const float> values) { return count_full_exponents(values, std::uint32_t{0x7f800000u}); }
-std::size_t count(std::span<const double> values) { return count_full_exponents(values, std::uint64_t{0x7ff0000000000000u}); }
-std::size_t count(std::span<const Half> values) { return count_full_exponents(values, std::uint16_t{0x7c00u}); }
+std::size_t count(std::span<const float> values) {
+    return count_full_exponents(values, std::uint32_t{0x7f800000u});
+}
+std::size_t count(std::span<const double> values) {
+    return count_full_exponents(values, std::uint64_t{0x7ff0000000000000u});
+}
+std::size_t count(std::span<const Half> values) {
+    return count_full_exponents(values, std::uint16_t{0x7c00u});
+}
 
 /// A block at a time, then the values of the first block that has one.
 template <class T>
@@ -39,13 +45,25 @@ std::size_t count_as(std::span<const std::byte> bytes) {
 
 }  // namespace
 
-std::size_t first_nonfinite(std::span<const float> values) { return first(values); }
-std::size_t first_nonfinite(std::span<const double> values) { return first(values); }
-std::size_t first_nonfinite(std::span<const Half> values) { return first(values); }
+std::size_t first_nonfinite(std::span<const float> values) {
+    return first(values);
+}
+std::size_t first_nonfinite(std::span<const double> values) {
+    return first(values);
+}
+std::size_t first_nonfinite(std::span<const Half> values) {
+    return first(values);
+}
 
-std::size_t count_nonfinite(std::span<const float> values) { return count(values); }
-std::size_t count_nonfinite(std::span<const double> values) { return count(values); }
-std::size_t count_nonfinite(std::span<const Half> values) { return count(values); }
+std::size_t count_nonfinite(std::span<const float> values) {
+    return count(values);
+}
+std::size_t count_nonfinite(std::span<const double> values) {
+    return count(values);
+}
+std::size_t count_nonfinite(std::span<const Half> values) {
+    return count(values);
+}
 
 std::size_t count_nonfinite(ElementType type, std::span<const std::byte> bytes) {
     switch (type) {
@@ -68,8 +86,7 @@ void FieldChecker::check_length(const Field& field, std::size_t n_elements) {
     }
     const std::size_t rows = n_elements / field.row_size();
     if (rows * field.row_size() != n_elements) {
-        problem_ =
-            fmt::format("{}: {} numbers are no whole rows of {}", field.name, n_elements, field.row_size());
+        problem_ = fmt::format("{}: {} numbers are no whole rows of {}", field.name, n_elements, field.row_size());
         return;
     }
     std::string_view axis = field.axes.substr(0, field.axes.find(','));

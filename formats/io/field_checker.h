@@ -50,14 +50,11 @@ class FieldChecker : public FieldVisitor<FieldChecker> {
     void value_of(const Field& field, const V& value) {
         using Element = typename ValueTraits<V>::Element;
         if constexpr (std::is_floating_point_v<Element>) {
-            const std::span<const Element> numbers(reinterpret_cast<const Element*>(&value),
-                                                   field.row_size());
+            const std::span<const Element> numbers(reinterpret_cast<const Element*>(&value), field.row_size());
             if (finite_ && problem_.empty()) check_finite(field, numbers.size(), first_nonfinite(numbers));
         }
     }
-    void names_of(const Field& field, const std::vector<std::string>& texts) {
-        check_length(field, texts.size());
-    }
+    void names_of(const Field& field, const std::vector<std::string>& texts) { check_length(field, texts.size()); }
 
   private:
     struct Count {

@@ -21,8 +21,8 @@ constexpr Half half_from_float(float value) {
     const std::uint32_t magnitude = x & 0x7fffffffu;
     // Below 2^-14 the result is a multiple of 2^-24, which is the spacing of floats in [0.5, 1):
     // the addition rounds as wanted.
-    const std::uint32_t tiny = std::bit_cast<std::uint32_t>(std::bit_cast<float>(magnitude) + 0.5f) -
-                               std::bit_cast<std::uint32_t>(0.5f);
+    const std::uint32_t tiny =
+        std::bit_cast<std::uint32_t>(std::bit_cast<float>(magnitude) + 0.5f) - std::bit_cast<std::uint32_t>(0.5f);
     const std::uint32_t normal = (magnitude + 0xfffu + ((magnitude >> 13) & 1u) - (112u << 23)) >> 13;
     const std::uint32_t huge = magnitude > 0x7f800000u ? 0x7e00u : 0x7c00u;
     const std::uint32_t finite = magnitude < (113u << 23) ? tiny : normal;

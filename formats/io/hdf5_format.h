@@ -19,7 +19,8 @@ namespace loom {
 /// in:      as  the version that the file says
 /// needs:   columns of one axis of one length (else std::logic_error: a bug of the caller)
 template <class Format>
-void write_format(const Format& data, const std::filesystem::path& path, Sync sync = Sync::yes, const FormatId& as = Format::format) {
+void write_format(const Format& data, const std::filesystem::path& path, Sync sync = Sync::yes,
+                  const FormatId& as = Format::format) {
     FieldChecker checker(false);
     Format::fields(data, checker);
     if (!checker.problem().empty()) throw std::logic_error(path.native() + ": " + checker.problem());
@@ -48,8 +49,10 @@ Format read_format(const std::filesystem::path& path, Check check = Check::every
     Format::fields(data, checker);
     std::string problem = checker.problem();
     if (problem.empty()) {
-        if constexpr (requires { data.problem(check); }) problem = data.problem(check);
-        else problem = data.problem();
+        if constexpr (requires { data.problem(check); })
+            problem = data.problem(check);
+        else
+            problem = data.problem();
     }
     if (!problem.empty()) throw InputError(path.native() + ": " + problem);
     return data;

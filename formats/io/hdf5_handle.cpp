@@ -94,8 +94,7 @@ std::optional<ElementType> known_element(hid_t type) {
 std::string type_text(hid_t type) {
     const std::size_t size = H5Tget_size(type);
     if (const auto element = known_element(type)) {
-        return *element == ElementType::text ? fmt::format("text[{}]", size)
-                                             : std::string(element_name(*element));
+        return *element == ElementType::text ? fmt::format("text[{}]", size) : std::string(element_name(*element));
     }
     const char* order = H5Tget_order(type) == H5T_ORDER_BE ? "big-endian " : "";
     switch (H5Tget_class(type)) {
@@ -122,8 +121,7 @@ Hdf5Handle open_hdf5(const std::filesystem::path& path) {
     require_readable(path);
     start_hdf5();
     if (H5Fis_hdf5(path.c_str()) <= 0) {
-        throw InputError(
-            fmt::format("{}: is not an HDF5 file (or is cut off in its first bytes)", path.native()));
+        throw InputError(fmt::format("{}: is not an HDF5 file (or is cut off in its first bytes)", path.native()));
     }
     // Shared folders often have no locks, and files here appear whole or not at all.
     const Hdf5Handle access(H5Pcreate(H5P_FILE_ACCESS), H5Pclose);
@@ -178,8 +176,7 @@ std::optional<std::vector<std::uint64_t>> integer_attribute(hid_t object, const 
     const Hdf5Handle space(H5Aget_space(attribute.get()), H5Sclose);
     if (!attribute || H5Tget_class(type.get()) != H5T_INTEGER) return std::nullopt;
     std::vector<std::uint64_t> numbers(product(extents_of(space.get())));
-    if (!numbers.empty() && H5Aread(attribute.get(), H5T_NATIVE_UINT64, numbers.data()) < 0)
-        return std::nullopt;
+    if (!numbers.empty() && H5Aread(attribute.get(), H5T_NATIVE_UINT64, numbers.data()) < 0) return std::nullopt;
     return numbers;
 }
 

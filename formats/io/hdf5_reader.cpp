@@ -21,18 +21,21 @@ struct Hdf5Reader::Impl {
     void check_format(const FormatId& format) const {
         const auto filetype = text_attribute(file.get(), "filetype");
         if (!filetype || filetype->size() != 1) {
-            refuse(fmt::format("is an HDF5 file of another program (no attribute filetype), expected a {}",
-                               format.name));
+            refuse(
+                fmt::format("is an HDF5 file of another program (no attribute filetype), expected a {}", format.name));
         }
         if (filetype->front() != format.name) {
             refuse(fmt::format("is a {}, expected a {}", filetype->front(), format.name));
         }
         const auto version = integer_attribute(file.get(), "version");
         if (!version || version->size() != 2) refuse("attribute version is not [major, minor]");
-        if ((*version)[0] < static_cast<std::uint64_t>(format.oldest_major) || (*version)[0] > static_cast<std::uint64_t>(format.major)) {
-            const std::string readable = format.oldest_major < format.major ? fmt::format("{}.x to {}.x", format.oldest_major, format.major)
-                                                                            : fmt::format("{}.x", format.major);
-            refuse(fmt::format("{} version {}.{}, this build reads {}", format.name, (*version)[0], (*version)[1], readable));
+        if ((*version)[0] < static_cast<std::uint64_t>(format.oldest_major) ||
+            (*version)[0] > static_cast<std::uint64_t>(format.major)) {
+            const std::string readable = format.oldest_major < format.major
+                                             ? fmt::format("{}.x to {}.x", format.oldest_major, format.major)
+                                             : fmt::format("{}.x", format.major);
+            refuse(fmt::format("{} version {}.{}, this build reads {}", format.name, (*version)[0], (*version)[1],
+                               readable));
         }
     }
 
@@ -59,8 +62,7 @@ struct Hdf5Reader::Impl {
             refuse(fmt::format("{}: type is {}, expected {}", field.name, type_text(type.get()),
                                element_name(field.type)));
         }
-        if (H5Sget_simple_extent_type(space.get()) == H5S_NULL)
-            refuse(fmt::format("{}: has no extent", field.name));
+        if (H5Sget_simple_extent_type(space.get()) == H5S_NULL) refuse(fmt::format("{}: has no extent", field.name));
         auto extents = extents_of(space.get());
         if (extents.size() != rank) {
             refuse(fmt::format("{}: rank is {}, expected {}", field.name, extents.size(), rank));

@@ -1,8 +1,7 @@
 #include "formats/io/hdf5_writer.h"
 
-#include <fmt/format.h>
-
 #include <fcntl.h>
+#include <fmt/format.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -43,8 +42,7 @@ std::vector<char> buffer_from_texts(std::span<const std::string> texts, std::siz
     n_bytes = 1;
     for (const auto& text : texts) n_bytes = std::max(n_bytes, text.size());
     std::vector<char> buffer(n_bytes * texts.size(), '\0');
-    for (std::size_t i = 0; i < texts.size(); ++i)
-        std::memcpy(&buffer[i * n_bytes], texts[i].data(), texts[i].size());
+    for (std::size_t i = 0; i < texts.size(); ++i) std::memcpy(&buffer[i * n_bytes], texts[i].data(), texts[i].size());
     return buffer;
 }
 
@@ -71,11 +69,9 @@ struct Hdf5Writer::Impl {
     void attribute(hid_t object, const char* name, hid_t type, const std::vector<std::size_t>& extents,
                    const void* data) const {
         const Hdf5Handle space = space_of(extents);
-        const Hdf5Handle made(H5Acreate2(object, name, type, space.get(), H5P_DEFAULT, H5P_DEFAULT),
-                              H5Aclose);
+        const Hdf5Handle made(H5Acreate2(object, name, type, space.get(), H5P_DEFAULT, H5P_DEFAULT), H5Aclose);
         const bool empty = !extents.empty() && extents[0] == 0;
-        if (!made || (!empty && H5Awrite(made.get(), type, data) < 0))
-            fail(fmt::format("attribute {}", name));
+        if (!made || (!empty && H5Awrite(made.get(), type, data) < 0)) fail(fmt::format("attribute {}", name));
     }
     void text(hid_t object, const char* name, std::string_view value) const {
         const std::string text(value);
@@ -85,13 +81,12 @@ struct Hdf5Writer::Impl {
     }
 
     void make_groups(const std::string& dataset) {
-        for (auto slash = dataset.find('/'); slash != std::string::npos;
-             slash = dataset.find('/', slash + 1)) {
+        for (auto slash = dataset.find('/'); slash != std::string::npos; slash = dataset.find('/', slash + 1)) {
             const std::string group = dataset.substr(0, slash);
             if (H5Lexists(file.get(), group.c_str(), H5P_DEFAULT) > 0) continue;
-            const Hdf5Handle made(H5Gcreate2(file.get(), group.c_str(), H5P_DEFAULT,
-                                             timeless(H5P_GROUP_CREATE).get(), H5P_DEFAULT),
-                                  H5Gclose);
+            const Hdf5Handle made(
+                H5Gcreate2(file.get(), group.c_str(), H5P_DEFAULT, timeless(H5P_GROUP_CREATE).get(), H5P_DEFAULT),
+                H5Gclose);
             if (!made) fail(group);
         }
     }
@@ -201,8 +196,7 @@ struct Hdf5Writer::Impl {
     }
 };
 
-Hdf5Writer::Hdf5Writer(const std::filesystem::path& path, const FormatId& format,
-                       const Provenance& provenance)
+Hdf5Writer::Hdf5Writer(const std::filesystem::path& path, const FormatId& format, const Provenance& provenance)
     : impl_(std::make_unique<Impl>(path)) {
     start_hdf5();
     const Hdf5Handle creation = timeless(H5P_FILE_CREATE);
@@ -211,8 +205,8 @@ Hdf5Writer::Hdf5Writer(const std::filesystem::path& path, const FormatId& format
     H5Pset_libver_bounds(access.get(), H5F_LIBVER_V110, H5F_LIBVER_V110);
     H5Pset_alignment(access.get(), aligned_from_bytes, page_bytes);
     H5Pset_file_locking(access.get(), false, true);
-    impl_->file = Hdf5Handle(
-        H5Fcreate(impl_->output.partial().c_str(), H5F_ACC_TRUNC, creation.get(), access.get()), H5Fclose);
+    impl_->file =
+        Hdf5Handle(H5Fcreate(impl_->output.partial().c_str(), H5F_ACC_TRUNC, creation.get(), access.get()), H5Fclose);
     if (!impl_->file) impl_->fail("the file");
 
     const hid_t root = impl_->file.get();
@@ -238,8 +232,7 @@ void Hdf5Writer::commit(Sync sync) {
     impl_->output.commit(sync, impl_->nonfinite_text());
 }
 
-void Hdf5Writer::write(const Field& field, const std::vector<std::size_t>& extents,
-                       std::span<const std::byte> data) {
+void Hdf5Writer::write(const Field& field, const std::vector<std::size_t>& extents, std::span<const std::byte> data) {
     impl_->count(std::string(field.name), field.type, data);
     impl_->dataset(field, extents, disk_type(field.type).get(), data.data());
 }
@@ -247,7 +240,8 @@ void Hdf5Writer::write(const Field& field, const std::vector<std::size_t>& exten
 void Hdf5Writer::fill_bytes(std::string_view name, std::size_t first, std::span<const std::byte> bytes) {
     impl_->close_structure();
     for (const Impl::Reserved& r : impl_->reserved)
-        if (r.name == name && !impl_->write_counted(r, bytes, static_cast<off_t>(r.offset + first))) impl_->fail(name, std::strerror(errno));
+        if (r.name == name && !impl_->write_counted(r, bytes, static_cast<off_t>(r.offset + first)))
+            impl_->fail(name, std::strerror(errno));
 }
 
 void Hdf5Writer::reserve(const Field& field, const std::vector<std::size_t>& extents, Pieces pieces) {

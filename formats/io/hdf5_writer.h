@@ -51,8 +51,7 @@ class Hdf5Writer : public FieldVisitor<Hdf5Writer> {
     void fill_bytes(std::string_view name, std::size_t first, std::span<const std::byte> bytes);
     void reserve(const Field& field, const std::vector<std::size_t>& extents, Pieces pieces);
     void write(const Field& field, const std::vector<std::size_t>& extents, std::span<const std::byte> data);
-    void write_texts(const Field& field, const std::vector<std::size_t>& extents,
-                     std::span<const std::string> texts);
+    void write_texts(const Field& field, const std::vector<std::size_t>& extents, std::span<const std::string> texts);
     std::unique_ptr<Impl> impl_;
 };
 

@@ -43,13 +43,11 @@ class Parser {
     static constexpr int max_depth = 64;
 
     [[noreturn]] void fail(std::string_view what) const {
-        const auto line =
-            1 + std::count(text_.begin(), text_.begin() + static_cast<std::ptrdiff_t>(at_), '\n');
+        const auto line = 1 + std::count(text_.begin(), text_.begin() + static_cast<std::ptrdiff_t>(at_), '\n');
         throw InputError(fmt::format("{}:{}: {}", file_, line, what));
     }
     void skip_space() {
-        while (at_ < text_.size() && std::string_view(" \t\r\n").find(text_[at_]) != std::string_view::npos)
-            ++at_;
+        while (at_ < text_.size() && std::string_view(" \t\r\n").find(text_[at_]) != std::string_view::npos) ++at_;
     }
     bool take(std::string_view word) {
         skip_space();
@@ -132,8 +130,7 @@ class Parser {
     char escaped() {
         const std::string digits(text_.substr(at_ + 1, 4));
         if (digits.size() != 4 || !digits.starts_with("00") ||
-            !std::all_of(digits.begin(), digits.end(),
-                         [](unsigned char c) { return std::isxdigit(c) != 0; })) {
+            !std::all_of(digits.begin(), digits.end(), [](unsigned char c) { return std::isxdigit(c) != 0; })) {
             fail("expected \\u00XX");
         }
         at_ += 4;

@@ -18,17 +18,16 @@ namespace {
 int open_regular(const std::filesystem::path& path, std::size_t& n_bytes) {
     const int fd = ::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK);
     if (fd < 0) {
-        throw InputError(errno == ENOENT
-                             ? fmt::format("{}: no such file", path.native())
-                             : fmt::format("{}: cannot open: {}", path.native(), std::strerror(errno)));
+        throw InputError(errno == ENOENT ? fmt::format("{}: no such file", path.native())
+                                         : fmt::format("{}: cannot open: {}", path.native(), std::strerror(errno)));
     }
     struct stat status {};
     const bool known = ::fstat(fd, &status) == 0;
     if (!known || !S_ISREG(status.st_mode)) {
         ::close(fd);
-        throw InputError(fmt::format(
-            "{}: {}", path.native(),
-            known && S_ISDIR(status.st_mode) ? "is a directory, not a file" : "is not a regular file"));
+        throw InputError(
+            fmt::format("{}: {}", path.native(),
+                        known && S_ISDIR(status.st_mode) ? "is a directory, not a file" : "is not a regular file"));
     }
     n_bytes = static_cast<std::size_t>(status.st_size);
     return fd;

@@ -1,7 +1,8 @@
 #pragma once
 // Unit vectors in 4 bytes: the sphere is projected on the octahedron |x| + |y| + |z| = 1, whose lower
 // half is folded over the upper one; the two remaining coordinates are stored as signed 16-bit
-// fractions of 32767. Axis directions come back exactly, and what came back once comes back the same; the largest error is 6.4e-5 rad.
+// fractions of 32767. Axis directions come back exactly, and what came back once comes back the same; the largest error
+// is 6.4e-5 rad.
 //                                          [Cigolle2014] "A Survey of Efficient Representations for
 //                                          Independent Unit Vectors", section 3.3
 

@@ -95,10 +95,12 @@ void OutputFile::commit(Sync sync, std::string_view nonfinite) {
     if (nonfinite.empty()) std::filesystem::remove(kept);
     if (sync == Sync::yes) sync_path(folder_of(path_), O_RDONLY | O_DIRECTORY);
     if (!nonfinite.empty())
-        throw NonfiniteError(fmt::format("{}: values are NaN or infinite ({}); kept as {}", path_.native(), nonfinite, kept.native()));
+        throw NonfiniteError(
+            fmt::format("{}: values are NaN or infinite ({}); kept as {}", path_.native(), nonfinite, kept.native()));
 }
 
-OutputStream::OutputStream(const OutputFile& output) : path_(output.path()), file_(std::fopen(output.partial().c_str(), "wbe")) {
+OutputStream::OutputStream(const OutputFile& output)
+    : path_(output.path()), file_(std::fopen(output.partial().c_str(), "wbe")) {
     if (file_ == nullptr) error_ = errno, fail();
 }
 
@@ -106,7 +108,9 @@ OutputStream::~OutputStream() {
     if (file_ != nullptr) std::fclose(file_);
 }
 
-void OutputStream::fail() const { throw std::runtime_error(fmt::format("{}: cannot write: {}", path_.native(), std::strerror(error_))); }
+void OutputStream::fail() const {
+    throw std::runtime_error(fmt::format("{}: cannot write: {}", path_.native(), std::strerror(error_)));
+}
 
 void OutputStream::write(const void* bytes, std::size_t n) {
     if (std::fwrite(bytes, 1, n, file_) == n) return;

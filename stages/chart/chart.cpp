@@ -13,18 +13,15 @@
 namespace loom::chart {
 namespace {
 
-std::string match_lines(const std::vector<Match>& matches, const std::string& equal,
-                        const std::string& what) {
+std::string match_lines(const std::vector<Match>& matches, const std::string& equal, const std::string& what) {
     std::string text;
     for (const Match& m : matches) {
         const bool better = m.ratio >= 1;
-        text +=
-            fmt::format("{}{} at equal {} {:.3g}: {} {:.3g} against {:.3g} of {}, {:.3g} times {}",
-                        m.scene.empty() ? "" : m.scene + ": ", m.method, equal, m.level, what, m.value_method,
-                        m.value_first, m.first, better ? m.ratio : 1 / m.ratio, better ? "better" : "worse");
+        text += fmt::format("{}{} at equal {} {:.3g}: {} {:.3g} against {:.3g} of {}, {:.3g} times {}",
+                            m.scene.empty() ? "" : m.scene + ": ", m.method, equal, m.level, what, m.value_method,
+                            m.value_first, m.first, better ? m.ratio : 1 / m.ratio, better ? "better" : "worse");
         if (!std::isnan(m.low)) {
-            text += fmt::format(" ({:.3g} to {:.3g}, 95 %)", better ? m.low : 1 / m.high,
-                                better ? m.high : 1 / m.low);
+            text += fmt::format(" ({:.3g} to {:.3g}, 95 %)", better ? m.low : 1 / m.high, better ? m.high : 1 / m.low);
         }
         text += "\n";
     }
@@ -37,8 +34,8 @@ std::string summary(const std::vector<Curve>& curves, const Options& options) {
     std::string text;
     for (const Curve& curve : curves) {
         if (std::isnan(curve.slope.mean)) continue;
-        text += fmt::format("{}{}: {} falls as {}^{:.3f}", curve.scene.empty() ? "" : curve.scene + ": ",
-                            curve.method, options.y, options.x, curve.slope.mean);
+        text += fmt::format("{}{}: {} falls as {}^{:.3f}", curve.scene.empty() ? "" : curve.scene + ": ", curve.method,
+                            options.y, options.x, curve.slope.mean);
         if (!std::isnan(curve.slope.se)) text += fmt::format(" ± {:.2g}", curve.slope.se);
         text += "\n";
     }
@@ -47,16 +44,12 @@ std::string summary(const std::vector<Curve>& curves, const Options& options) {
 }
 
 void declare(app::Command& command, Options& options) {
-    command.files("tables", options.tables, "TSV with a line of names, as loom-compare --tsv prints it")
+    command.files("tables", options.tables, "TSV with a line of names, as loom-compare --tsv prints it").required();
+    command.output("-o,--output", options.output, "chart.svg; beside it chart.png, .tsv (data), .gp (commands), tables")
         .required();
-    command
-        .output("-o,--output", options.output,
-                "chart.svg; beside it chart.png, .tsv (data), .gp (commands), tables")
-        .required();
-    command.choice<Kind>(
-        "--kind", options.kind,
-        "error against cost, its parts against cost, or time by stage (of loom-compare --cost --tsv)",
-        {{"curves", Kind::curves}, {"parts", Kind::parts}, {"stages", Kind::stages}});
+    command.choice<Kind>("--kind", options.kind,
+                         "error against cost, its parts against cost, or time by stage (of loom-compare --cost --tsv)",
+                         {{"curves", Kind::curves}, {"parts", Kind::parts}, {"stages", Kind::stages}});
     command.option("--x", options.x, "column of the cost (samples, wall_s, an iteration, …)");
     command.option("--y", options.y, "column of the error");
     command.option("--by", options.by, "column that tells curves apart");
@@ -70,8 +63,7 @@ void run(const Options& given, app::Report& report) {
     Options options = given;
     options.command = report.command();
     const std::filesystem::path svg = options.output;
-    if (svg.extension() != ".svg")
-        throw InputError(fmt::format("{}: the output must end in .svg", options.output));
+    if (svg.extension() != ".svg") throw InputError(fmt::format("{}: the output must end in .svg", options.output));
     check_output_path(svg);
     const std::string stem = svg.stem();
     const Table table = read_tables(options.tables);

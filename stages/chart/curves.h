@@ -4,8 +4,8 @@
 #include <string>
 #include <vector>
 
-#include "stages/core/table/table.h"
 #include "stages/core/stats/student.h"
+#include "stages/core/table/table.h"
 
 namespace loom::chart {
 

@@ -21,19 +21,18 @@ constexpr std::array<int, 7> markers{7, 5, 9, 11, 13, 15, 4};
 using plot::in_quotes;
 
 std::string words_for(const std::string& column) {
-    static const std::map<std::string, std::string> words{
-        {"cpu_s", "CPU time (s)"},
-        {"wall_s", "wall time (s)"},
-        {"render_s", "render time (CPU s)"},
-        {"samples", "samples per pixel"},
-        {"relmse", "relMSE"},
-        {"relmse_trimmed", "relMSE, 0.1 % trimmed"},
-        {"relmse_net", "relMSE less the reference's noise"},
-        {"mse", "MSE"},
-        {"rmse", "RMSE"},
-        {"mape", "MAPE"},
-        {"iteration", "step of the refinement"},
-        {"residual", "change of radiance, as a share"}};
+    static const std::map<std::string, std::string> words{{"cpu_s", "CPU time (s)"},
+                                                          {"wall_s", "wall time (s)"},
+                                                          {"render_s", "render time (CPU s)"},
+                                                          {"samples", "samples per pixel"},
+                                                          {"relmse", "relMSE"},
+                                                          {"relmse_trimmed", "relMSE, 0.1 % trimmed"},
+                                                          {"relmse_net", "relMSE less the reference's noise"},
+                                                          {"mse", "MSE"},
+                                                          {"rmse", "RMSE"},
+                                                          {"mape", "MAPE"},
+                                                          {"iteration", "step of the refinement"},
+                                                          {"residual", "change of radiance, as a share"}};
     const auto at = words.find(column);
     return at == words.end() ? column : at->second;
 }
@@ -49,13 +48,11 @@ struct LogAxis {
         const double from = low / 1.4, to = high * 1.4;
         const bool many = std::log10(to / from) > 3;
         std::string ticks;
-        for (int decade = int(std::floor(std::log10(from))); decade <= int(std::ceil(std::log10(to)));
-             ++decade) {
+        for (int decade = int(std::floor(std::log10(from))); decade <= int(std::ceil(std::log10(to))); ++decade) {
             for (int step : {1, 2, 5}) {
                 if (many && step > 1) continue;
                 const double value = double(step) * std::pow(10.0, decade);
-                if (value >= from && value <= to)
-                    ticks += fmt::format("{}{:.6g}", ticks.empty() ? "" : ", ", value);
+                if (value >= from && value <= to) ticks += fmt::format("{}{:.6g}", ticks.empty() ? "" : ", ", value);
             }
         }
         return fmt::format("set {0}range [{1:.6g}:{2:.6g}]\nset {0}tics ({3})\n", name, from, to, ticks);
@@ -63,8 +60,7 @@ struct LogAxis {
 };
 
 /// Both pictures from one set of commands.
-std::string script(const std::string& stem, int width, int height, const std::string& body,
-                   const Options& options) {
+std::string script(const std::string& stem, int width, int height, const std::string& body, const Options& options) {
     return fmt::format(
         "{7}# gnuplot {0}.gp\n"
         "set datafile separator '\\t'\n"
@@ -93,13 +89,12 @@ std::string script(const std::string& stem, int width, int height, const std::st
         options.command.empty() ? "" : fmt::format("# {}\n", options.command));
 }
 
-std::string match_table(const std::vector<Match>& matches, const std::string& equal,
-                        const std::string& what) {
-    std::string text = fmt::format(
-        "scene\tfirst\tmethod\tequal_{0}\t{1}_first\t{1}_method\ttimes_better\tlow\thigh\n", equal, what);
+std::string match_table(const std::vector<Match>& matches, const std::string& equal, const std::string& what) {
+    std::string text =
+        fmt::format("scene\tfirst\tmethod\tequal_{0}\t{1}_first\t{1}_method\ttimes_better\tlow\thigh\n", equal, what);
     for (const Match& m : matches) {
-        text += fmt::format("{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\n", m.scene, m.first, m.method, m.level,
-                            m.value_first, m.value_method, m.ratio, m.low, m.high);
+        text += fmt::format("{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\n", m.scene, m.first, m.method, m.level, m.value_first,
+                            m.value_method, m.ratio, m.low, m.high);
     }
     return text;
 }
@@ -128,9 +123,9 @@ Files curve_files(const std::string& stem, const std::vector<Curve>& curves, con
         body += fmt::format("set multiplot layout {},{}{}\n", lines, columns,
                             options.title.empty() ? "" : " title " + in_quotes(options.title));
     }
-    body += fmt::format(
-        "set logscale {}\nset xlabel {}\nset ylabel {}\nset style fill transparent solid 0.2 noborder\n",
-        options.linear_x ? "y" : "xy", in_quotes(words_for(options.x)), in_quotes(words_for(options.y)));
+    body +=
+        fmt::format("set logscale {}\nset xlabel {}\nset ylabel {}\nset style fill transparent solid 0.2 noborder\n",
+                    options.linear_x ? "y" : "xy", in_quotes(words_for(options.x)), in_quotes(words_for(options.y)));
     // A long key, one in a small panel, or one above curves that rise would lie on them.
     if (methods.size() > 3 || scenes.size() > 1 || options.no_front) body += "set key outside top center horizontal\n";
     std::size_t row = 1;  // of the data; 0 is its head
@@ -149,33 +144,30 @@ Files curve_files(const std::string& stem, const std::vector<Curve>& curves, con
                 x.add(p.cost);
                 y.add(p.low), y.add(p.high);
                 has_band = has_band || p.errors.size() > 1;
-                data += fmt::format("{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\n", scene, curve.method,
-                                    p.cost, p.error, p.se, p.low, p.high, int(p.on_front), p.errors.size(),
-                                    curve.slope.mean, curve.slope.se);
+                data += fmt::format("{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\n", scene, curve.method, p.cost,
+                                    p.error, p.se, p.low, p.high, int(p.on_front), p.errors.size(), curve.slope.mean,
+                                    curve.slope.se);
             }
-            if (has_band)
-                bands += fmt::format("{} using 3:6:7 with filledcurves lc rgb '{}' notitle, ", every, colour);
-            drawn += fmt::format("{} using 3:4 with linespoints lw 2 pt {} ps 1 lc rgb '{}' title {}, ",
-                                 every, markers[style % markers.size()], colour,
+            if (has_band) bands += fmt::format("{} using 3:6:7 with filledcurves lc rgb '{}' notitle, ", every, colour);
+            drawn += fmt::format("{} using 3:4 with linespoints lw 2 pt {} ps 1 lc rgb '{}' title {}, ", every,
+                                 markers[style % markers.size()], colour,
                                  in_quotes(curve.method + (options.linear_x ? "" : slope_text(curve.slope))));
             row = last + 1;
             if (options.linear_x || options.no_front) continue;
             // One ring in the key is enough.
-            front += fmt::format(
-                "{} using 3:($8 == 1 ? $4 : NaN) with points pt 6 ps 2 lw 1.5 lc rgb '#222222' {}, ", every,
-                front.empty() ? "title 'Pareto front'" : "notitle");
+            front += fmt::format("{} using 3:($8 == 1 ? $4 : NaN) with points pt 6 ps 2 lw 1.5 lc rgb '#222222' {}, ",
+                                 every, front.empty() ? "title 'Pareto front'" : "notitle");
         }
         const std::string title = scenes.size() > 1 || options.title.empty() ? scene : options.title;
         body += title.empty() ? "unset title\n" : fmt::format("set title {}\n", in_quotes(title));
         std::string plotted = bands + drawn + front;
         plotted.resize(plotted.size() - 2);
-        body += (options.linear_x ? fmt::format("set xrange [{}:{}]\n", x.low - 0.5, x.high + 0.5)
-                                  : x.commands("x")) +
+        body += (options.linear_x ? fmt::format("set xrange [{}:{}]\n", x.low - 0.5, x.high + 0.5) : x.commands("x")) +
                 y.commands("y") + fmt::format("plot {}\n", plotted);
     }
     if (scenes.size() > 1) body += "unset multiplot\n";
-    return {{stem + ".gp", script(stem, columns == 1 ? 800 : 560 * columns, columns == 1 ? 540 : 500 * lines,
-                                  body, options)},
+    return {{stem + ".gp",
+             script(stem, columns == 1 ? 800 : 560 * columns, columns == 1 ? 540 : 500 * lines, body, options)},
             {data_name, data},
             {stem + ".equal-cost.tsv", match_table(equal_cost(curves), options.x, options.y)},
             {stem + ".equal-error.tsv", match_table(equal_error(curves), options.y, options.x)}};
@@ -204,8 +196,8 @@ Files part_files(const std::string& stem, const Table& table, const Options& opt
         }
     }
     if (scenes.empty())
-        throw InputError(fmt::format(
-            "{}: neither variance nor bias2 is known: replicates or VarMean are needed", table.file));
+        throw InputError(
+            fmt::format("{}: neither variance nor bias2 is known: replicates or VarMean are needed", table.file));
     const int columns = int(std::min<std::size_t>(scenes.size(), 3));
     const int lines = (int(scenes.size()) + columns - 1) / columns;
     if (scenes.size() > 1) body += fmt::format("set multiplot layout {},{}\n", lines, columns);
@@ -225,8 +217,8 @@ Files part_files(const std::string& stem, const Table& table, const Options& opt
                 if (curve == curves[k].end()) continue;
                 for (const Point& p : curve->points) {
                     x.add(p.cost), y.add(p.error);
-                    data += fmt::format("{}\t{}\t{}\t{}\t{}\n", scene, methods[style], parts[k].column,
-                                        p.cost, p.error);
+                    data +=
+                        fmt::format("{}\t{}\t{}\t{}\t{}\n", scene, methods[style], parts[k].column, p.cost, p.error);
                 }
                 const std::size_t last = row + curve->points.size() - 1;
                 plotted += fmt::format(
@@ -243,8 +235,8 @@ Files part_files(const std::string& stem, const Table& table, const Options& opt
         body += x.commands("x") + y.commands("y") + fmt::format("plot {}\n", plotted);
     }
     if (scenes.size() > 1) body += "unset multiplot\n";
-    return {{stem + ".gp", script(stem, columns == 1 ? 800 : 560 * columns, columns == 1 ? 540 : 500 * lines,
-                                  body, options)},
+    return {{stem + ".gp",
+             script(stem, columns == 1 ? 800 : 560 * columns, columns == 1 ? 540 : 500 * lines, body, options)},
             {stem + ".tsv", data}};
 }
 
@@ -254,9 +246,8 @@ Files stage_files(const std::string& stem, const Table& table, const Options& op
         std::map<std::string, double> time_of;  // by stage, summed over the replicates
         std::vector<std::string> replicates;
     };
-    const std::size_t time = table.column(options.x), stage = table.column("stage"),
-                      by = table.column(options.by), scene = table.column("scene"),
-                      samples = table.column("samples"), file = table.column("file");
+    const std::size_t time = table.column(options.x), stage = table.column("stage"), by = table.column(options.by),
+                      scene = table.column("scene"), samples = table.column("samples"), file = table.column("file");
     std::vector<Bar> bars;
     std::vector<std::string> stages;
     for (std::size_t i = 0; i < table.rows.size(); ++i) {
@@ -264,8 +255,7 @@ Files stage_files(const std::string& stem, const Table& table, const Options& op
         auto bar = std::find_if(bars.begin(), bars.end(), [&](const Bar& b) {
             return b.scene == cells[scene] && b.method == cells[by] && b.samples == cells[samples];
         });
-        if (bar == bars.end())
-            bar = bars.insert(bars.end(), {cells[scene], cells[by], cells[samples], {}, {}});
+        if (bar == bars.end()) bar = bars.insert(bars.end(), {cells[scene], cells[by], cells[samples], {}, {}});
         if (std::find(bar->replicates.begin(), bar->replicates.end(), cells[file]) == bar->replicates.end())
             bar->replicates.push_back(cells[file]);
         // In the order of the chain: a stage that only some methods have stands behind the one before it.
@@ -277,8 +267,7 @@ Files stage_files(const std::string& stem, const Table& table, const Options& op
         }
         bar->time_of[cells[stage]] += table.number(i, time);
     }
-    std::string data = fmt::format("scene\t{}\tsamples\tstage\tbar\tbegin_s\tend_s\n", options.by), ticks,
-                plotted;
+    std::string data = fmt::format("scene\t{}\tsamples\tstage\tbar\tbegin_s\tend_s\n", options.by), ticks, plotted;
     const bool many_scenes =
         std::any_of(bars.begin(), bars.end(), [&](const Bar& b) { return b.scene != bars[0].scene; });
     std::vector<double> begin(bars.size());
@@ -292,8 +281,8 @@ Files stage_files(const std::string& stem, const Table& table, const Options& op
             // An unknown number of samples counts as one.
             const double per = double(bar.replicates.size()) * std::max(1.0, std::stod(bar.samples));
             const double end = begin[k] + found->second / per;
-            data += fmt::format("{}\t{}\t{}\t{}\t{}\t{}\t{}\n", bar.scene, bar.method, bar.samples, stages[s],
-                                k, begin[k], end);
+            data += fmt::format("{}\t{}\t{}\t{}\t{}\t{}\t{}\n", bar.scene, bar.method, bar.samples, stages[s], k,
+                                begin[k], end);
             begin[k] = end;
             ++row;
         }
@@ -313,8 +302,7 @@ Files stage_files(const std::string& stem, const Table& table, const Options& op
         "set key outside top center horizontal\nplot {}\n",
         options.title.empty() ? "" : "set title " + in_quotes(options.title) + "\n",
         in_quotes(words_for(options.x) + " per sample per pixel"), double(bars.size()) - 0.3, ticks, plotted);
-    return {{stem + ".gp", script(stem, 800, 140 + 40 * int(bars.size()), body, options)},
-            {stem + ".tsv", data}};
+    return {{stem + ".gp", script(stem, 800, 140 + 40 * int(bars.size()), body, options)}, {stem + ".tsv", data}};
 }
 
 }  // namespace loom::chart

@@ -191,8 +191,8 @@ void select(std::span<const Point> points, std::span<Point> chosen, std::uint64_
 }
 
 /// in: mean_size  of a cell;  splits  of what is larger than a cell may be
-Cells centre_cells(const BucketedPoints& in, const ClusterOptions& options, std::uint32_t mean_size, const Splits& splits,
-                   Workspace::Parts& memory) {
+Cells centre_cells(const BucketedPoints& in, const ClusterOptions& options, std::uint32_t mean_size,
+                   const Splits& splits, Workspace::Parts& memory) {
     const std::size_t n = in.points.size();
     parallel_chunks(in.first.size() - 1, 1, options.threads, [&](std::uint64_t bucket, std::uint64_t, std::uint64_t) {
         sort_along_curve(in.points.subspan(in.first[bucket], in.first[bucket + 1] - in.first[bucket]));
@@ -245,12 +245,15 @@ PooledCells make_cells(const Pool& pool, const ClusterOptions& options, Workspac
     if (options.normal_weight > 0) splits.normal_spread = normal_spread * options.normal_weight;
     if (pool.joint()) splits.second_graph = std::uint32_t(pool.n_first());
     splits.k = options.method == Method::balanced ? options.k : max_size;
-    Cells cells = options.method == Method::balanced ? balanced_cells(points, options, splits)
-                                                     : centre_cells(points, options, n_graphs * options.k, splits, memory);
+    Cells cells = options.method == Method::balanced
+                      ? balanced_cells(points, options, splits)
+                      : centre_cells(points, options, n_graphs * options.k, splits, memory);
     const auto rays = [](const Scene* scene) { return scene ? scene->rays.get() : nullptr; };
-    const Separation separation = separate(pool, rays(options.scene), rays(options.with_scene), options.threads, memory.separation, cells);
+    const Separation separation =
+        separate(pool, rays(options.scene), rays(options.with_scene), options.threads, memory.separation, cells);
     return {std::move(cells),
-            {std::string(method_name(options.method)), options.k, max_size, options.normal_weight, length_scale, options.private_roughness, options.seed},
+            {std::string(method_name(options.method)), options.k, max_size, options.normal_weight, length_scale,
+             options.private_roughness, options.seed},
             separation};
 }
 
@@ -265,7 +268,8 @@ Clusters clusters_within(const PooledCells& pooled, std::size_t begin, std::size
     std::vector<std::uint32_t> first{0}, member;
     for (std::size_t c = 0; c + 1 < pooled.cells.first.size(); ++c) {
         for (std::uint32_t i = pooled.cells.first[c]; i < pooled.cells.first[c + 1]; ++i)
-            if (const std::uint32_t vertex = pooled.cells.member[i]; vertex >= begin && vertex < end) member.push_back(std::uint32_t(vertex - begin));
+            if (const std::uint32_t vertex = pooled.cells.member[i]; vertex >= begin && vertex < end)
+                member.push_back(std::uint32_t(vertex - begin));
         if (member.size() > first.back()) first.push_back(std::uint32_t(member.size()));
     }
     Clusters out;
@@ -315,9 +319,12 @@ std::string plan(const PathGraph& graph, const PathGraph* with, const ClusterOpt
     (options.normal_weight > 0 ? on : off) += options.normal_weight > 0 ? ", normals" : "normals (weight 0)";
     if (with) on += ", cells of two graphs";
     std::string& visibility = options.scene ? on : off;
-    visibility += std::string(visibility.empty() ? "" : ", ") + (options.scene ? "visibility of members" : "visibility of members (no --scene)");
-    if (n_solitary == 0) off += std::string(off.empty() ? "" : ", ") + "solitary vertices (all share)";
-    else on += fmt::format(", {} solitary vertices", n_solitary);
+    visibility += std::string(visibility.empty() ? "" : ", ") +
+                  (options.scene ? "visibility of members" : "visibility of members (no --scene)");
+    if (n_solitary == 0)
+        off += std::string(off.empty() ? "" : ", ") + "solitary vertices (all share)";
+    else
+        on += fmt::format(", {} solitary vertices", n_solitary);
     return "on: " + on + "; off: " + (off.empty() ? "nothing" : off);
 }
 

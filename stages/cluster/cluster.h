@@ -24,12 +24,12 @@ std::string_view method_name(Method method);
 /// How vertices are put into clusters.
 struct ClusterOptions {
     Method method = Method::balanced;
-    std::uint32_t k = 16;             // balanced: largest cluster; centres: mean size
-    std::uint32_t max_size = 0;       // of a cluster; 0: 2 k
-    float normal_weight = 8;          // w of the metric, in cluster radii per unit of |dn|; 0: positions alone
-    float private_roughness = 0.03f;  // narrower vertices are in no cluster
-    std::uint64_t seed = 0;           // another one moves all borders
-    int threads = 0;                  // 0: all
+    std::uint32_t k = 16;               // balanced: largest cluster; centres: mean size
+    std::uint32_t max_size = 0;         // of a cluster; 0: 2 k
+    float normal_weight = 8;            // w of the metric, in cluster radii per unit of |dn|; 0: positions alone
+    float private_roughness = 0.03f;    // narrower vertices are in no cluster
+    std::uint64_t seed = 0;             // another one moves all borders
+    int threads = 0;                    // 0: all
     const Scene* scene = nullptr;       // that the graph was traced in, for the test of visibility; null: no test
     const Scene* with_scene = nullptr;  // that of a second graph
 };
@@ -66,8 +66,8 @@ Clusters make_clusters(const PathGraph& graph, const ClusterOptions& options);
 ///   balanced:  median splits of all vertices of both, down to at most k of either
 ///   centres:   one set of centres, drawn from both: one for k of each
 /// Vertices of one place and normal are in the same cell, whichever graph they are of (unless more than k of one graph
-/// lie there). A cell with vertices of one graph alone is in that graph's clusters only: the numbers of the two files do
-/// not go together. The same graph twice gives the same clusters twice.
+/// lie there). A cell with vertices of one graph alone is in that graph's clusters only: the numbers of the two files
+/// do not go together. The same graph twice gives the same clusters twice.
 /// needs:   fewer than 2^32 - 1 vertices in both
 struct JointClusters {
     Clusters first, second;
@@ -77,14 +77,14 @@ JointClusters make_joint_clusters(const PathGraph& first, const PathGraph& secon
 
 struct Options {
     std::vector<std::string> graphs;  // path graphs (.h5)
-    std::string output;  // clusters (.h5); % stands for the name of the graph, without its ending
-    std::vector<std::string> with;  // for each graph another one in the same cells, or none for all
-    std::string with_output;        // their clusters, named as output
-    std::string scene, with_scene;  // scene files that the graphs were traced in
+    std::string output;               // clusters (.h5); % stands for the name of the graph, without its ending
+    std::vector<std::string> with;    // for each graph another one in the same cells, or none for all
+    std::string with_output;          // their clusters, named as output
+    std::string scene, with_scene;    // scene files that the graphs were traced in
     std::vector<std::string> defines, with_defines;  // of those scenes, name=value
-    std::string sensor;             // of both scenes, id or number; empty: the first
+    std::string sensor;                              // of both scenes, id or number; empty: the first
     ClusterOptions cluster;
-    bool plan = false;   // print the plan and stop
+    bool plan = false;  // print the plan and stop
 };
 
 void declare(app::Command& command, Options& options);

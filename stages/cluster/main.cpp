@@ -1,5 +1,4 @@
 #include "stages/cluster/cluster.h"
-
 #include "stages/core/app/command.h"
 
 int main(int argc, char** argv) {

@@ -142,7 +142,8 @@ class Splitter {
     /// Of the graph that has more points here.
     std::size_t counted(std::span<const Point> points) const {
         if (!joint()) return points.size();
-        const auto n_second = std::size_t(std::ranges::count_if(points, [this](const Point& p) { return of_second(p); }));
+        const auto n_second =
+            std::size_t(std::ranges::count_if(points, [this](const Point& p) { return of_second(p); }));
         return std::max(n_second, points.size() - n_second);
     }
 

@@ -13,9 +13,9 @@ namespace loom::cluster {
 inline constexpr float infinite_spread = std::numeric_limits<float>::infinity();
 
 struct Splits {
-    std::uint32_t k = 16;                   // largest piece
-    float normal_spread = infinite_spread;  // widest piece along each axis of the normals' half, in its units (w)
-    std::uint64_t seed = 0;                 // where the larger half goes when a split cannot be even
+    std::uint32_t k = 16;                    // largest piece
+    float normal_spread = infinite_spread;   // widest piece along each axis of the normals' half, in its units (w)
+    std::uint64_t seed = 0;                  // where the larger half goes when a split cannot be even
     std::uint32_t second_graph = no_second;  // vertices from here on are of another graph than those before
 
     static constexpr std::uint32_t no_second = 0xffffffffu;

@@ -22,7 +22,9 @@ constexpr std::size_t clusters_to_measure = 4096;
 PathGraph read_graph(const std::string& file) {
     PathGraph graph = read_path_graph(file);
     // Their directions are not those of BSDF sampling, by whose densities neighbours are weighted.
-    if (!graph.nlos.capture.empty()) throw InputError(fmt::format("{}: vertices of a capture around a corner cannot be shared; loom-transient reads it", file));
+    if (!graph.nlos.capture.empty())
+        throw InputError(
+            fmt::format("{}: vertices of a capture around a corner cannot be shared; loom-transient reads it", file));
     return graph;
 }
 
@@ -35,15 +37,18 @@ void check(const Options& options) {
     if (options.graphs.empty()) throw InputError("no graph is named; loom-cluster GRAPH -o CLUSTERS, or --help");
     const bool joint = !options.with.empty();
     if (joint && options.with.size() != options.graphs.size())
-        throw InputError(fmt::format("--with: {} for {} graphs; one for each", options.with.size(), options.graphs.size()));
+        throw InputError(
+            fmt::format("--with: {} for {} graphs; one for each", options.with.size(), options.graphs.size()));
     if (joint == options.with_output.empty() && !(options.plan && joint))
-        throw InputError(joint ? fmt::format("--with {}: needs --with-output", options.with[0]) : fmt::format("--with-output {}: needs --with", options.with_output));
+        throw InputError(joint ? fmt::format("--with {}: needs --with-output", options.with[0])
+                               : fmt::format("--with-output {}: needs --with", options.with_output));
     if (!options.plan) {
         if (options.output.empty()) throw InputError("--output: missing (a .h5 file)");
         std::vector<std::string> outputs;
         const auto add = [&](const std::string& name, const std::vector<std::string>& graphs) {
             if (graphs.size() > 1 && name.find('%') == std::string::npos)
-                throw InputError(name + ": several graphs need a % in the name of the output, for the names of the graphs");
+                throw InputError(name +
+                                 ": several graphs need a % in the name of the output, for the names of the graphs");
             for (const std::string& graph : graphs) {
                 outputs.push_back(output_of(name, graph));
                 check_output_path(outputs.back());
@@ -52,15 +57,19 @@ void check(const Options& options) {
         add(options.output, options.graphs);
         add(options.with_output, options.with);
         std::sort(outputs.begin(), outputs.end());
-        if (const auto twice = std::adjacent_find(outputs.begin(), outputs.end()); twice != outputs.end()) throw InputError(fmt::format("{}: is named twice", *twice));
+        if (const auto twice = std::adjacent_find(outputs.begin(), outputs.end()); twice != outputs.end())
+            throw InputError(fmt::format("{}: is named twice", *twice));
     }
     if (options.scene.empty() && !options.defines.empty()) throw InputError("--define: needs --scene");
-    if (options.with_scene.empty() && !options.with_defines.empty()) throw InputError("--with-define: needs --with-scene");
+    if (options.with_scene.empty() && !options.with_defines.empty())
+        throw InputError("--with-define: needs --with-scene");
     if (joint && options.scene.empty() != options.with_scene.empty())
         throw InputError("--scene, --with-scene: of two graphs both scenes are needed, or none");
-    if (!joint && !options.with_scene.empty()) throw InputError(fmt::format("--with-scene {}: needs --with", options.with_scene));
+    if (!joint && !options.with_scene.empty())
+        throw InputError(fmt::format("--with-scene {}: needs --with", options.with_scene));
     const ClusterOptions& c = options.cluster;
-    if (c.max_size != 0 && c.max_size < c.k) throw InputError(fmt::format("--max-size {}: smaller than --k {}", c.max_size, c.k));
+    if (c.max_size != 0 && c.max_size < c.k)
+        throw InputError(fmt::format("--max-size {}: smaller than --k {}", c.max_size, c.k));
 }
 
 /// The command that makes the clusters of graph i alone.
@@ -71,16 +80,20 @@ std::string command_of(const Options& options, std::string command, std::size_t 
         for (const std::string& graph : graphs) all += before + app::shell_word(app::base_name(graph));
         return all;
     };
-    std::vector<std::pair<std::string, std::string>> changes{{words(" ", options.graphs), words(" ", {&options.graphs[i], 1})}};
-    if (!options.with.empty()) changes.emplace_back(words(" --with ", options.with), words(" --with ", {&options.with[i], 1}));
-    changes.emplace_back(fmt::format(" --seed {}", options.cluster.seed), fmt::format(" --seed {}", options.cluster.seed + i));
+    std::vector<std::pair<std::string, std::string>> changes{
+        {words(" ", options.graphs), words(" ", {&options.graphs[i], 1})}};
+    if (!options.with.empty())
+        changes.emplace_back(words(" --with ", options.with), words(" --with ", {&options.with[i], 1}));
+    changes.emplace_back(fmt::format(" --seed {}", options.cluster.seed),
+                         fmt::format(" --seed {}", options.cluster.seed + i));
     return app::command_of_part(std::move(command), changes);
 }
 
 /// Makes clusters of one graph, or of two, and writes them.
 class Maker {
   public:
-    Maker(const Options& options, app::Report& report, const Scene* scene, const Scene* with_scene) : options_(options), report_(report) {
+    Maker(const Options& options, app::Report& report, const Scene* scene, const Scene* with_scene)
+        : options_(options), report_(report) {
         settings_ = options.cluster;
         settings_.scene = scene, settings_.with_scene = with_scene;
     }
@@ -97,7 +110,8 @@ class Maker {
         if (settings_.scene) require_scene_of(graph, file, *settings_.scene, options_.scene);
         if (settings_.with_scene) require_scene_of(with, with_file, *settings_.with_scene, options_.with_scene);
         if (graph.n_vertices() + with.n_vertices() >= no_cluster)
-            throw InputError(fmt::format("{}, {}: more than {} vertices together; trace fewer samples in a pass", file, with_file, no_cluster));
+            throw InputError(fmt::format("{}, {}: more than {} vertices together; trace fewer samples in a pass", file,
+                                         with_file, no_cluster));
         plan_ = plan(graph, joint ? &with : nullptr, settings_);
         if (options_.plan) {
             report_.answer(plan_ + "\n");
@@ -105,7 +119,9 @@ class Maker {
         }
         report_.info("plan: {}", plan_);
         if (!settings_.scene)
-            report_.warn("no --scene: members of a cluster that a wall hides from one another share their light, and an image from them can be wrong");
+            report_.warn(
+                "no --scene: members of a cluster that a wall hides from one another share their light, and an image "
+                "from them can be wrong");
         const std::string output = output_of(options_.output, file);
         const InputId id = identify(file);
         Cost cost;
@@ -144,7 +160,8 @@ class Maker {
     }
 
   private:
-    void write(Clusters& clusters, const PathGraph& of, const std::string& output, const InputId& own, const std::vector<InputId>& inputs) const {
+    void write(Clusters& clusters, const PathGraph& of, const std::string& output, const InputId& own,
+               const std::vector<InputId>& inputs) const {
         clusters.graph = own.hash;
         clusters.provenance.stage = report_.name();
         clusters.provenance.command = command_;
@@ -157,7 +174,8 @@ class Maker {
         report_.info("kept apart, of {} vertices: {}", clusters.n_members(), text_of(clusters.separation));
     }
     static std::string text_of_done(const Clusters& clusters) {
-        return fmt::format("{} vertices in {} clusters, {} solitary", clusters.n_members(), clusters.n_clusters(), clusters.graph_vertices - clusters.n_members());
+        return fmt::format("{} vertices in {} clusters, {} solitary", clusters.n_members(), clusters.n_clusters(),
+                           clusters.graph_vertices - clusters.n_members());
     }
 
     const Options& options_;
@@ -172,11 +190,16 @@ class Maker {
 void declare(app::Command& command, Options& options) {
     ClusterOptions& c = options.cluster;
     command.files("graphs", options.graphs, "path graphs (.h5), clustered one after the other");
-    command.output("-o,--output", options.output, "clusters (.h5); % stands for the name of the graph without its ending");
-    command.file("--scene", options.scene, "scene file that the graphs were traced in: members that a surface hides from one another are kept apart");
+    command.output("-o,--output", options.output,
+                   "clusters (.h5); % stands for the name of the graph without its ending");
+    command.file(
+        "--scene", options.scene,
+        "scene file that the graphs were traced in: members that a surface hides from one another are kept apart");
     command.option("-D,--define", options.defines, "NAME=VALUE of a parameter of that scene");
     command.option("--sensor", options.sensor, "sensor of that scene, as loom-trace had it");
-    command.files("--with", options.with, "for each graph another one, of nearly the same scene, that is put into the same cells; for differences of the two");
+    command.files("--with", options.with,
+                  "for each graph another one, of nearly the same scene, that is put into the same cells; for "
+                  "differences of the two");
     command.output("--with-output", options.with_output, "their clusters (.h5), named as those of --output");
     command.file("--with-scene", options.with_scene, "their scene file");
     command.option("--with-define", options.with_defines, "NAME=VALUE of a parameter of their scene");
@@ -193,7 +216,9 @@ void declare(app::Command& command, Options& options) {
     command.flag("--plan", options.plan, "print what is on and what is off, and stop");
     command.example("loom-cluster graph.h5 --scene scene.xml -o clusters.h5 --k 16");
     command.example("loom-cluster pass-0.h5 pass-1.h5 --scene scene.xml -o %.clusters.h5");
-    command.example("loom-cluster old.h5 --with new.h5 --scene old.xml --with-scene new.xml -o old.clusters.h5 --with-output new.clusters.h5");
+    command.example(
+        "loom-cluster old.h5 --with new.h5 --scene old.xml --with-scene new.xml -o old.clusters.h5 --with-output "
+        "new.clusters.h5");
 }
 
 void run(const Options& options, app::Report& report) {
@@ -202,7 +227,8 @@ void run(const Options& options, app::Report& report) {
         return file.empty() ? nullptr : load_scene(file, parse_defines(defines), options.sensor);
     };
     const double before_s = report.cost().cpu_s;
-    const auto scene = load(options.scene, options.defines), with_scene = load(options.with_scene, options.with_defines);
+    const auto scene = load(options.scene, options.defines),
+               with_scene = load(options.with_scene, options.with_defines);
     // What reading the scene has cost, each graph carries a part of.
     Cost loading = report.cost();
     const auto n = double(options.graphs.size());

@@ -18,7 +18,8 @@ namespace {
 constexpr std::uint64_t cells_per_chunk = 512, vertices_per_chunk = 1 << 16;
 /// A segment between members is raised by this part of its length.
 constexpr float raise = 0.1f;
-/// Planes closer than this part of the distance between two members are one plane: half floats and 16-bit normals are no finer.
+/// Planes closer than this part of the distance between two members are one plane: half floats and 16-bit normals are
+/// no finer.
 constexpr float one_plane = 1e-3f;
 
 /// A member's position and its geometric normal on the side of wo.
@@ -32,7 +33,8 @@ PackedPlace place_of(const PathGraph& g, std::size_t j) {
     const auto& column = v.ng.empty() ? v.ns : v.ng;
     PackedPlace place{{v.p[3 * j], v.p[3 * j + 1], v.p[3 * j + 2]}, {column[2 * j], column[2 * j + 1]}};
     const auto n = unit_vector<Normal3f>(column, j);
-    if (dot(n, Vector3f{v.wo[3 * j], v.wo[3 * j + 1], v.wo[3 * j + 2]}) < 0) place.n = octahedral_from_unit(-n.x, -n.y, -n.z);
+    if (dot(n, Vector3f{v.wo[3 * j], v.wo[3 * j + 1], v.wo[3 * j + 2]}) < 0)
+        place.n = octahedral_from_unit(-n.x, -n.y, -n.z);
     return place;
 }
 
@@ -56,7 +58,8 @@ std::uint64_t media_key(const PathGraph& g, std::size_t j) {
 /// Sets the bit of each vertex that begins a path.
 void mark_starts(const PathGraph& g, std::size_t offset, std::span<std::uint64_t> starts) {
     for (std::size_t path = 0; path < g.n_paths(); ++path)
-        if (const std::uint64_t j = g.paths.first_vertex[path]; j < g.n_vertices()) starts[(offset + j) / 64] |= std::uint64_t{1} << ((offset + j) % 64);
+        if (const std::uint64_t j = g.paths.first_vertex[path]; j < g.n_vertices())
+            starts[(offset + j) / 64] |= std::uint64_t{1} << ((offset + j) % 64);
 }
 
 /// The segment between two members, raised off their surface; see separate().
@@ -91,13 +94,15 @@ class Separator {
   public:
     /// in: places  of all vertices of the pool, or none: no visibility test;  media  their keys, or none: all alike
     ///     starts  bits of the vertices that begin a path
-    Separator(std::span<const PackedPlace> places, std::span<const std::uint64_t> media, std::span<const std::uint64_t> starts, std::size_t n_first,
-              const RayEngine* first, const RayEngine* second)
+    Separator(std::span<const PackedPlace> places, std::span<const std::uint64_t> media,
+              std::span<const std::uint64_t> starts, std::size_t n_first, const RayEngine* first,
+              const RayEngine* second)
         : places_(places), media_(media), starts_(starts), n_first_(n_first), engines_{first, second} {}
 
     /// Appends groups of one cell to `out`, their sizes to `sizes`.
     /// in: next  cell that comes after it, for which the cache is asked already: members lie far apart in the graph
-    void cut(std::span<const std::uint32_t> cell, std::span<const std::uint32_t> next, Group& w, std::vector<std::uint32_t>& out, std::vector<std::uint32_t>& sizes, Separation& count) const {
+    void cut(std::span<const std::uint32_t> cell, std::span<const std::uint32_t> next, Group& w,
+             std::vector<std::uint32_t>& out, std::vector<std::uint32_t>& sizes, Separation& count) const {
         for (const std::uint32_t vertex : next) {
             if (!media_.empty()) __builtin_prefetch(&media_[vertex]);
             if (!places_.empty()) __builtin_prefetch(&places_[vertex]);
@@ -117,7 +122,8 @@ class Separator {
   private:
     void keep_one_medium(Group& w, Separation& count) const {
         const std::uint64_t kept = media_[w.members[0]];
-        const auto other = std::stable_partition(w.members.begin(), w.members.end(), [&](std::uint32_t v) { return media_[v] == kept; });
+        const auto other = std::stable_partition(w.members.begin(), w.members.end(),
+                                                 [&](std::uint32_t v) { return media_[v] == kept; });
         count.n_media += std::uint64_t(w.members.end() - other);
         w.rest.assign(other, w.members.end());
         w.members.erase(other, w.members.end());
@@ -140,8 +146,10 @@ class Separator {
         const std::size_t n_before = w.rest.size();
         for (std::size_t i = 1; i < w.members.size(); ++i) {
             const std::uint32_t vertex = w.members[i];
-            if (one_path(w.members[kept - 1], vertex)) w.rest.push_back(vertex);
-            else w.members[kept++] = vertex;
+            if (one_path(w.members[kept - 1], vertex))
+                w.rest.push_back(vertex);
+            else
+                w.members[kept++] = vertex;
         }
         w.members.resize(kept);
         count.n_same_path += w.rest.size() - n_before;
@@ -187,8 +195,10 @@ class Separator {
         std::size_t kept = 0;
         const std::size_t n_before = w.rest.size();
         for (std::size_t i = 0; i < n; ++i) {
-            if (w.hidden[i]) w.rest.push_back(w.members[i]);
-            else w.members[kept++] = w.members[i];
+            if (w.hidden[i])
+                w.rest.push_back(w.members[i]);
+            else
+                w.members[kept++] = w.members[i];
         }
         count.n_occluded += w.rest.size() - n_before;
         ascend(w.rest, n_before);
@@ -203,7 +213,8 @@ class Separator {
 
 }  // namespace
 
-Separation separate(const Pool& pool, const RayEngine* first, const RayEngine* second, int threads, SeparationMemory& memory, Cells& cells) {
+Separation separate(const Pool& pool, const RayEngine* first, const RayEngine* second, int threads,
+                    SeparationMemory& memory, Cells& cells) {
     const std::size_t n_cells = cells.first.empty() ? 0 : cells.first.size() - 1;
     Separation sum{.tested_visibility = first != nullptr};
     // Read in the order of the graph: cell by cell each column of each member would be a page of its own.
@@ -223,15 +234,19 @@ Separation separate(const Pool& pool, const RayEngine* first, const RayEngine* s
     const std::uint64_t n_chunks = (n_cells + cells_per_chunk - 1) / cells_per_chunk;
     std::vector<std::vector<std::uint32_t>> sizes(n_chunks);
     std::vector<Separation> counts(n_chunks);
-    parallel_chunks(n_cells, cells_per_chunk, threads, [&](std::uint64_t chunk, std::uint64_t begin, std::uint64_t end) {
-        Group group;
-        std::vector<std::uint32_t> out;
-        out.reserve(cells.first[end] - cells.first[begin]);
-        const auto cell = [&](std::uint64_t c) { return std::span(cells.member).subspan(cells.first[c], cells.first[c + 1] - cells.first[c]); };
-        for (std::uint64_t c = begin; c < end; ++c)
-            separator.cut(cell(c), c + 1 < end ? cell(c + 1) : cell(begin).first(0), group, out, sizes[chunk], counts[chunk]);
-        std::copy(out.begin(), out.end(), cells.member.begin() + cells.first[begin]);
-    });
+    parallel_chunks(n_cells, cells_per_chunk, threads,
+                    [&](std::uint64_t chunk, std::uint64_t begin, std::uint64_t end) {
+                        Group group;
+                        std::vector<std::uint32_t> out;
+                        out.reserve(cells.first[end] - cells.first[begin]);
+                        const auto cell = [&](std::uint64_t c) {
+                            return std::span(cells.member).subspan(cells.first[c], cells.first[c + 1] - cells.first[c]);
+                        };
+                        for (std::uint64_t c = begin; c < end; ++c)
+                            separator.cut(cell(c), c + 1 < end ? cell(c + 1) : cell(begin).first(0), group, out,
+                                          sizes[chunk], counts[chunk]);
+                        std::copy(out.begin(), out.end(), cells.member.begin() + cells.first[begin]);
+                    });
     cells.first.assign(1, 0);
     for (const auto& of_chunk : sizes)
         for (const std::uint32_t size : of_chunk) cells.first.push_back(cells.first.back() + size);

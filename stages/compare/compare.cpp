@@ -23,8 +23,8 @@ namespace {
 namespace fs = std::filesystem;
 constexpr double unknown = std::numeric_limits<double>::quiet_NaN();
 
-/// A picture to compare: RGB and the variance of its pixels, empty where unknown. Of a cube [y, x, bin, rgb], in units of
-/// `scale`, and the sums over its bins.
+/// A picture to compare: RGB and the variance of its pixels, empty where unknown. Of a cube [y, x, bin, rgb], in units
+/// of `scale`, and the sums over its bins.
 struct Picture {
     std::size_t width = 0, height = 0;
     std::uint64_t samples = 0;
@@ -49,10 +49,19 @@ std::vector<float> sums_over_bins(std::span<const float> bins, std::size_t n_bin
 
 Picture read_cube(const std::string& file) {
     const TransientCube cube = read_any_cube(file);
-    for (const auto& [name, values] : {std::pair{"radiance", std::span<const float>(cube.radiance)}, {"var_mean", std::span<const float>(cube.var_mean)}})
-        if (const std::size_t n = count_nonfinite(values); n > 0 && (name == std::string("radiance") || cube.film.samples_per_pixel != 1))
+    for (const auto& [name, values] : {std::pair{"radiance", std::span<const float>(cube.radiance)},
+                                       {"var_mean", std::span<const float>(cube.var_mean)}})
+        if (const std::size_t n = count_nonfinite(values);
+            n > 0 && (name == std::string("radiance") || cube.film.samples_per_pixel != 1))
             throw InputError(fmt::format("{}: values that are NaN or infinite: {} of {}", file, n, name));
-    Picture picture{cube.film.width, cube.film.height, cube.film.samples_per_pixel, {cube.radiance.begin(), cube.radiance.end()}, {}, cube, {}, {}};
+    Picture picture{cube.film.width,
+                    cube.film.height,
+                    cube.film.samples_per_pixel,
+                    {cube.radiance.begin(), cube.radiance.end()},
+                    {},
+                    cube,
+                    {},
+                    {}};
     picture.sums = sums_over_bins(picture.rgb, picture.n_bins());
     if (picture.samples != 1) {
         picture.var_mean.assign(cube.var_mean.begin(), cube.var_mean.end());
@@ -75,14 +84,17 @@ Picture read_picture(const std::string& file) {
 
 void check_fit(const Picture& picture, const std::string& file, const Picture& other, const std::string& name) {
     if (picture.is_cube() != other.is_cube())
-        throw InputError(fmt::format("{}: is {}, but {} is {}", file, picture.is_cube() ? "a transient cube" : "an image", name, other.is_cube() ? "a transient cube" : "an image"));
+        throw InputError(fmt::format("{}: is {}, but {} is {}", file,
+                                     picture.is_cube() ? "a transient cube" : "an image", name,
+                                     other.is_cube() ? "a transient cube" : "an image"));
     if (picture.width != other.width || picture.height != other.height) {
         throw InputError(fmt::format("{}: is {} x {}, but {} is {} x {}", file, picture.width, picture.height, name,
                                      other.width, other.height));
     }
     // Programs differ in where lengths begin (a near plane); a tenth of a bin is let pass.
     if (!picture.is_cube()) return;
-    if (const std::string why = difference_in_words(picture.cube, other.cube, 0.1); !why.empty()) throw InputError(fmt::format("{}: {} (of {})", file, why, name));
+    if (const std::string why = difference_in_words(picture.cube, other.cube, 0.1); !why.empty())
+        throw InputError(fmt::format("{}: {} (of {})", file, why, name));
 }
 
 /// The mean of the bins that light reaches: the measure that makes errors of bins relative, as 1 does for images.
@@ -205,8 +217,9 @@ void test_bins(Loaded& loaded, const Picture& reference, const Options& options)
     Group& group = loaded.group;
     const double R = double(loaded.rgb.size());
     double p_pixels = unknown, p_bins = unknown, z_rms = unknown;
-    if (R > 1 || !loaded.first.var_sums.empty()) 
-        p_pixels = test_pixels(loaded.sums, loaded.first.var_sums, double(group.samples()), reference.sums, reference.var_sums, double(reference.samples));
+    if (R > 1 || !loaded.first.var_sums.empty())
+        p_pixels = test_pixels(loaded.sums, loaded.first.var_sums, double(group.samples()), reference.sums,
+                               reference.var_sums, double(reference.samples));
     if (!loaded.var_mean.empty()) {
         std::vector<float> mean(reference.rgb.size()), var_mean = std::move(loaded.var_mean);
         for (std::size_t i = 0; i < mean.size(); ++i) {
@@ -216,8 +229,10 @@ void test_bins(Loaded& loaded, const Picture& reference, const Options& options)
             var_mean[i] = float(double(var_mean[i]) / (R * R));
         }
         for (const Pooling pooling : {Pooling::pixels, Pooling::image})
-            group.pools.push_back(test_pools({mean, var_mean, R * double(group.samples())}, {reference.rgb, reference.var_mean, double(reference.samples)},
-                                             reference.width, reference.height, reference.n_bins(), pooling, options.pool_error));
+            group.pools.push_back(test_pools({mean, var_mean, R * double(group.samples())},
+                                             {reference.rgb, reference.var_mean, double(reference.samples)},
+                                             reference.width, reference.height, reference.n_bins(), pooling,
+                                             options.pool_error));
         p_bins = corrected_p(std::min(group.pools[0].p, group.pools[1].p), 2);
         z_rms = group.pools[0].rms_z;
     }
@@ -229,10 +244,12 @@ void finish(Loaded& loaded, const Picture& reference, const Options& options) {
     const std::span<const float> var_mean = loaded.first.var_mean;
     const Decomposition parts = decompose(loaded.rgb, var_mean, reference.rgb, reference.var_mean);
     if (reference.is_cube()) {
-        group.significance = test_means({loaded.sums, loaded.first.var_sums}, reference.sums, reference.var_sums, reference.width, reference.height);
+        group.significance = test_means({loaded.sums, loaded.first.var_sums}, reference.sums, reference.var_sums,
+                                        reference.width, reference.height);
         test_bins(loaded, reference, options);
     } else {
-        group.significance = test_means({loaded.rgb, var_mean}, reference.rgb, reference.var_mean, reference.width, reference.height);
+        group.significance =
+            test_means({loaded.rgb, var_mean}, reference.rgb, reference.var_mean, reference.width, reference.height);
     }
     for (Measured& m : group.replicates) {
         m.bias2 = parts.bias2;
@@ -293,7 +310,8 @@ int judge(const std::vector<Limit>& limits, const Comparison& comparison, app::R
 /// Samples per pixel as the header says, if there is one.
 std::uint64_t samples_of(const std::string& file) {
     if (!fs::exists(file)) return 0;
-    if (fs::path(file).extension() == ".h5") return is_transient_cube(file) ? read_transient_cube(file).film.samples_per_pixel : 0;
+    if (fs::path(file).extension() == ".h5")
+        return is_transient_cube(file) ? read_transient_cube(file).film.samples_per_pixel : 0;
     if (fs::path(file).extension() != ".exr") return 0;
     for (const auto& [name, value] : exr_attributes(file))
         if (name == "samples") return app::parse_number<std::uint64_t>(value).value_or(0);
@@ -366,16 +384,19 @@ Gain gain_of(const Group& first, const Group& group) {
 void declare(app::Command& command, Options& options) {
     command
         .labelled_files("inputs", options.inputs,
-                        "images (EXR) or transient cubes (.h5); those with the same label and samples per pixel are replicates of one method")
+                        "images (EXR) or transient cubes (.h5); those with the same label and samples per pixel are "
+                        "replicates of one method")
         .required();
     command.file("-r,--reference", options.reference,
-                 "image (EXR) or cube (.h5, also one with mean and var_mean of another program) to compare with; may be left out for two inputs: the second is it then");
+                 "image (EXR) or cube (.h5, also one with mean and var_mean of another program) to compare with; may "
+                 "be left out for two inputs: the second is it then");
     command.file("--reference-variance", options.reference_variance,
                  "EXR with the variance of the reference's pixels as RGB (else its VarMean layer)");
     command.option("--scene", options.scene, "what the tables call the picture");
     command.option("--exposure", options.exposure_ev, "of what psnr and ssim look at",
                    app::Range<double>{-40, 40, "EV"});
-    command.option("--pool-error", options.pool_error, "of cubes: bins are pooled until the relative standard error of a pool is this",
+    command.option("--pool-error", options.pool_error,
+                   "of cubes: bins are pooled until the relative standard error of a pool is this",
                    app::Range<double>{1e-6, 1e6});
     command.flag("--cost", options.cost,
                  "add up what the inputs cost with all their parents; without --reference: by stage, and nothing else");
@@ -415,8 +436,10 @@ int run(const Options& options, app::Report& report) {
     Provenance provenance;
     provenance.stage = report.name();
     provenance.command = report.command();
-    Comparison comparison{options.scene, reference_file, reference.width, reference.height, reference.cube.time.n_bins, {}};
-    if (reference.is_cube() && reference.var_mean.empty()) throw InputError(fmt::format("{}: has a single sample, and no variance: no reference", reference_file));
+    Comparison comparison{
+        options.scene, reference_file, reference.width, reference.height, reference.cube.time.n_bins, {}};
+    if (reference.is_cube() && reference.var_mean.empty())
+        throw InputError(fmt::format("{}: has a single sample, and no variance: no reference", reference_file));
     std::map<std::string, std::string> name_by_hash;
     std::vector<Loaded> loaded;
     std::map<std::pair<std::string, std::uint64_t>, std::size_t> group_by_key;
@@ -443,8 +466,10 @@ int run(const Options& options, app::Report& report) {
         into.rgb.push_back(std::move(picture.rgb));
         if (picture.is_cube()) {
             into.sums.push_back(std::move(picture.sums));
-            if (is_new) into.var_mean = picture.var_mean;
-            else for (std::size_t i = 0; i < into.var_mean.size(); ++i) into.var_mean[i] += picture.var_mean[i];
+            if (is_new)
+                into.var_mean = picture.var_mean;
+            else
+                for (std::size_t i = 0; i < into.var_mean.size(); ++i) into.var_mean[i] += picture.var_mean[i];
         }
         if (is_new) into.first = std::move(picture);
     }

@@ -1,5 +1,6 @@
 #pragma once
-// loom-compare: errors of images or transient cubes against a reference, whether they are more than noise, and what they cost.
+// loom-compare: errors of images or transient cubes against a reference, whether they are more than noise, and what
+// they cost.
 
 #include <span>
 #include <string>
@@ -74,7 +75,7 @@ Gain gain_of(const Group& first, const Group& group);
 struct Comparison {
     std::string scene, reference;
     std::size_t width = 0, height = 0, n_bins = 0;  // n_bins: 0 for images
-    std::vector<Group> groups;  // in the order of their first input
+    std::vector<Group> groups;                      // in the order of their first input
 };
 
 /// What the tables look like.

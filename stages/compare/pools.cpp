@@ -33,9 +33,9 @@ double variance_by_all(double n_x, double var_x, double n_r, double var_r) {
 }
 
 struct Pool {
-    double difference = 0, variance = 0;         // of x - r, by both their variances
-    double mean = 0, expected_variance = 0;      // of all samples together, and of the difference by them
-    std::size_t pixel = 0, bin = 0;              // where it begins
+    double difference = 0, variance = 0;     // of x - r, by both their variances
+    double mean = 0, expected_variance = 0;  // of all samples together, and of the difference by them
+    std::size_t pixel = 0, bin = 0;          // where it begins
     bool empty = true;
 
     void add(const Pool& other) {
@@ -44,13 +44,15 @@ struct Pool {
         difference += other.difference, variance += other.variance;
         mean += other.mean, expected_variance += other.expected_variance;
     }
-    bool is_enough(double relative_error) const { return mean != 0 && std::sqrt(expected_variance) <= relative_error * std::abs(mean); }
+    bool is_enough(double relative_error) const {
+        return mean != 0 && std::sqrt(expected_variance) <= relative_error * std::abs(mean);
+    }
 };
 
 }  // namespace
 
-PoolTests test_pools(const SampledCube& x, const SampledCube& r, std::size_t width, std::size_t height, std::size_t n_bins, Pooling pooling,
-                     double relative_error) {
+PoolTests test_pools(const SampledCube& x, const SampledCube& r, std::size_t width, std::size_t height,
+                     std::size_t n_bins, Pooling pooling, double relative_error) {
     PoolTests tests;
     tests.name = pooling == Pooling::pixels ? "pools of pixels" : "bins of the image";
     const std::vector<std::uint32_t> order = z_order(width, height);
@@ -61,7 +63,8 @@ PoolTests test_pools(const SampledCube& x, const SampledCube& r, std::size_t wid
         const auto close = [&] {
             const double variance = std::max(last.variance, last.expected_variance);
             if (!last.empty && (variance > 0 || last.difference != 0)) {
-                const double z = variance > 0 ? last.difference / std::sqrt(variance) : std::copysign(infinite, last.difference);
+                const double z =
+                    variance > 0 ? last.difference / std::sqrt(variance) : std::copysign(infinite, last.difference);
                 ++tests.n;
                 sum += z, squares += z * z;
                 if (!(std::abs(z) <= std::abs(tests.worst_z))) {
@@ -109,8 +112,8 @@ PoolTests test_pools(const SampledCube& x, const SampledCube& r, std::size_t wid
     return tests;
 }
 
-double test_pixels(std::span<const std::vector<float>> sums, std::span<const float> var_sums, double n_x, std::span<const float> reference,
-                   std::span<const float> var_reference, double n_r) {
+double test_pixels(std::span<const std::vector<float>> sums, std::span<const float> var_sums, double n_x,
+                   std::span<const float> reference, std::span<const float> var_reference, double n_r) {
     const bool welch = sums.size() > 1;
     if (!(n_r > 0)) n_r = n_x;
     double least = 1;
@@ -124,10 +127,13 @@ double test_pixels(std::span<const std::vector<float>> sums, std::span<const flo
             difference = {ours.mean, std::hypot(ours.se, std::sqrt(var_r)), ours.dof};
         } else {
             const double var_x = double(var_sums[i]);
-            difference = {values[0], std::sqrt(std::max(var_x + var_r, variance_by_all(n_x, var_x, n_r, var_r))), infinite};
+            difference = {values[0], std::sqrt(std::max(var_x + var_r, variance_by_all(n_x, var_x, n_r, var_r))),
+                          infinite};
         }
         difference.mean -= double(reference[i]);
-        const double p = difference.se > 0 ? student_p_value(difference.mean / difference.se, difference.dof) : difference.mean == 0 ? 1 : 0;
+        const double p = difference.se > 0      ? student_p_value(difference.mean / difference.se, difference.dof)
+                         : difference.mean == 0 ? 1
+                                                : 0;
         least = std::min(least, p);
     }
     return corrected_p(least, double(reference.size()));

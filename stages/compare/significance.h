@@ -37,7 +37,8 @@ struct RegionTest {
     double p_value = 1;
 };
 
-/// Of m tests the smallest p, corrected for their number: 1 - (1 - p)^m                                       [Sidak1967]
+/// Of m tests the smallest p, corrected for their number: 1 - (1 - p)^m
+/// [Sidak1967]
 double corrected_p(double p, double m);
 
 struct Significance {

@@ -68,15 +68,19 @@ std::string gain_line(const Comparison& comparison, const Group& group) {
 
 /// Tests of the bins of cubes.
 std::vector<std::vector<std::string>> pool_rows(const Comparison& comparison) {
-    std::vector<std::vector<std::string>> rows{{"method", "spp", "tests", "n", "mean z", "rms z", "worst z", "bin", "pixel", "channel", "p"}};
+    std::vector<std::vector<std::string>> rows{
+        {"method", "spp", "tests", "n", "mean z", "rms z", "worst z", "bin", "pixel", "channel", "p"}};
     for (const Group& group : comparison.groups) {
         const Measured& m = group.replicates[0];
         for (const PoolTests& tests : group.pools)
-            rows.push_back({group.method(), samples_text(group.samples()), tests.name, fmt::format("{}", tests.n), fmt::format("{:.3f}", tests.mean_z),
-                            fmt::format("{:.3f}", tests.rms_z), fmt::format("{:.2f}", tests.worst_z), fmt::format("{}", tests.worst_bin),
-                            fmt::format("{}:{}", tests.worst_x, tests.worst_y), std::string(1, "RGB"[tests.worst_channel]), p_text(tests.p)});
-        rows.push_back({group.method(), samples_text(group.samples()), "sums of pixels", fmt::format("{}", 3 * comparison.width * comparison.height), "", "", "",
-                        "", "", "", p_text(m.p_pixels)});
+            rows.push_back({group.method(), samples_text(group.samples()), tests.name, fmt::format("{}", tests.n),
+                            fmt::format("{:.3f}", tests.mean_z), fmt::format("{:.3f}", tests.rms_z),
+                            fmt::format("{:.2f}", tests.worst_z), fmt::format("{}", tests.worst_bin),
+                            fmt::format("{}:{}", tests.worst_x, tests.worst_y),
+                            std::string(1, "RGB"[tests.worst_channel]), p_text(tests.p)});
+        rows.push_back({group.method(), samples_text(group.samples()), "sums of pixels",
+                        fmt::format("{}", 3 * comparison.width * comparison.height), "", "", "", "", "", "",
+                        p_text(m.p_pixels)});
     }
     return rows;
 }
@@ -121,8 +125,9 @@ std::string text_of(const Comparison& comparison) {
                          with_error(group.estimate(&Measured::wall_s)), fmt::format("{:.4g}", mean(&Measured::rays)),
                          peak_text(mean(&Measured::peak_memory_bytes))});
     }
-    std::string text = fmt::format("reference {}, {} x {}{}\n\n", comparison.reference, comparison.width, comparison.height,
-                                   comparison.n_bins > 0 ? fmt::format(", {} bins", comparison.n_bins) : "");
+    std::string text =
+        fmt::format("reference {}, {} x {}{}\n\n", comparison.reference, comparison.width, comparison.height,
+                    comparison.n_bins > 0 ? fmt::format(", {} bins", comparison.n_bins) : "");
     text += fmt::format("{}\n{}", aligned(errors), aligned(parts));
     if (comparison.n_bins > 0) text += fmt::format("\n{}", aligned(pool_rows(comparison)));
     if (has_cost) text += fmt::format("\n{}", aligned(costs));
@@ -270,11 +275,10 @@ std::string tsv_of(std::span<const InputCost> costs) {
         "written\trender_s\n";
     for (const InputCost& input : costs) {
         for (const StageCost& s : input.stages) {
-            text +=
-                fmt::format("{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\n", input.scene, input.method,
-                            input.samples, input.replicate, input.file, s.cost.stage, s.n_files, s.cost.wall_s,
-                            s.cost.cpu_s, s.cost.rays, s.cost.samples, s.cost.peak_memory_bytes, s.cost.bytes_written,
-                            s.cost.cpu_s - s.cost.load_s);
+            text += fmt::format("{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\n", input.scene, input.method,
+                                input.samples, input.replicate, input.file, s.cost.stage, s.n_files, s.cost.wall_s,
+                                s.cost.cpu_s, s.cost.rays, s.cost.samples, s.cost.peak_memory_bytes,
+                                s.cost.bytes_written, s.cost.cpu_s - s.cost.load_s);
         }
     }
     return text;

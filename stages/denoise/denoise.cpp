@@ -61,7 +61,9 @@ std::string plan_of(const Layers& layers, const std::optional<Oidn>& oidn, Metho
     }
     say(albedo ? on : off, albedo ? "albedo" : "albedo (not in the image)");
     const bool normal_used = normal && (!oidn || albedo);
-    say(normal_used ? on : off, normal_used ? "normal" : normal ? "normal (taken only beside albedo)" : "normal (not in the image)");
+    say(normal_used ? on : off, normal_used ? "normal"
+                                : normal    ? "normal (taken only beside albedo)"
+                                            : "normal (not in the image)");
     if (layers.depth.empty())
         say(off, "depth (not in the image)");
     else
@@ -126,7 +128,8 @@ void declare(app::Command& command, Options& options) {
     command.option("--exposure", options.exposure_ev, "of the preview", app::Range<double>{-40, 40, "EV"});
     command.choice("--method", options.method, "auto: Open Image Denoise where it is, else the built-in filter",
                    {{"auto", Method::automatic}, {"oidn", Method::oidn}, {"filter", Method::filter}});
-    command.option("--oidn", options.oidn, "libOpenImageDenoise.so.2 or its folder; else $LOOM_OIDN, `make oidn`, the system's");
+    command.option("--oidn", options.oidn,
+                   "libOpenImageDenoise.so.2 or its folder; else $LOOM_OIDN, `make oidn`, the system's");
     command.threads(options.threads);
     command.flag("--plan", options.plan, "print what would run, and stop");
     command.example("loom-denoise image.exr -o clean.exr --png clean.png");
@@ -153,7 +156,8 @@ void run(const Options& options, app::Report& report) {
     }
     report.info("plan: {}", plan);
     if (prepared.n_bad_pixels > 0)
-        report.warn("{}: {} pixels were not finite and are replaced by their neighbours", options.image, prepared.n_bad_pixels);
+        report.warn("{}: {} pixels were not finite and are replaced by their neighbours", options.image,
+                    prepared.n_bad_pixels);
     if (prepared.n_bad_values > 0)
         report.warn("{}: {} numbers of other layers were not finite; their neighbours are taken", options.image,
                     prepared.n_bad_values);
@@ -178,7 +182,8 @@ void run(const Options& options, app::Report& report) {
     // Neither the variance of the noisy means nor the parts that they were blended of belong to the clean ones.
     const auto of_noisy = [](const std::string& name) {
         const std::string layer = name.substr(0, name.find('.'));
-        return layer == "VarMean" || std::find(estimate_layers.begin(), estimate_layers.end(), layer) != estimate_layers.end();
+        return layer == "VarMean" ||
+               std::find(estimate_layers.begin(), estimate_layers.end(), layer) != estimate_layers.end();
     };
     for (auto& channel : image.channels)
         if (clean.find(channel.name).empty() && !of_noisy(channel.name)) clean.channels.push_back(std::move(channel));

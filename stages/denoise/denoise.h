@@ -22,9 +22,9 @@ struct Options {
     std::string png;         // preview for the eye
     double exposure_ev = 0;  // of the preview
     Method method = Method::automatic;
-    std::string oidn;        // libOpenImageDenoise.so.2 or its folder
-    int threads = 0;         // 0: all
-    bool plan = false;       // say what would run, and stop
+    std::string oidn;   // libOpenImageDenoise.so.2 or its folder
+    int threads = 0;    // 0: all
+    bool plan = false;  // say what would run, and stop
 };
 
 void declare(app::Command& command, Options& options);
@@ -34,10 +34,10 @@ void run(const Options& options, app::Report& report);
 
 /// Layers of an image in the form that the denoisers take, every number of them finite.
 struct Prepared {
-    Layers layers;                             // views of `storage`
+    Layers layers;  // views of `storage`
     std::vector<std::vector<float>> storage;
-    std::uint64_t n_bad_pixels = 0;            // whose colour was NaN or infinite
-    std::uint64_t n_bad_values = 0;            // numbers of all other layers that were
+    std::uint64_t n_bad_pixels = 0;  // whose colour was NaN or infinite
+    std::uint64_t n_bad_values = 0;  // numbers of all other layers that were
 };
 
 /// Takes the layers that an image has. NaN and infinities are replaced by the mean of the finite values of the

@@ -20,7 +20,9 @@ using Column = std::vector<float>;
 class Picture {
   public:
     Picture(const Layers& layers, const FilterParameters& p, int threads)
-        : width_(int(layers.width)), height_(int(layers.height)), border_(p.window_radius + p.patch_radius),
+        : width_(int(layers.width)),
+          height_(int(layers.height)),
+          border_(p.window_radius + p.patch_radius),
           stride_((tiles_across() - 1) * filter_tile_width + filter_patch_width + 2 * border_),
           arena_(threads > 0 ? threads : tbb::task_arena::automatic) {}
 
@@ -150,9 +152,10 @@ Filtered filter(const Layers& layers, const FilterParameters& parameters, int th
     Column color[3], variance[3];
     for (int c = 0; c < 3; ++c) {
         color[c] = picture.column([&](int x, int y) { return unit * layers.color[c][picture.at(x, y)]; });
-        variance[c] = layers.var_mean[c].empty()
-                          ? variance_from_neighbours(picture, color[c])
-                          : picture.column([&](int x, int y) { return unit * (unit * layers.var_mean[c][picture.at(x, y)]); });
+        variance[c] =
+            layers.var_mean[c].empty()
+                ? variance_from_neighbours(picture, color[c])
+                : picture.column([&](int x, int y) { return unit * (unit * layers.var_mean[c][picture.at(x, y)]); });
     }
     if (parameters.outlier_limit > 0)
         out.n_outliers = bound_outliers(picture, parameters.outlier_limit, color, variance);
@@ -172,8 +175,10 @@ Filtered filter(const Layers& layers, const FilterParameters& parameters, int th
         return picture.bordered([&](std::size_t i) { return layer.empty() ? 0.0f : value(layer[i]); });
     };
     for (int c = 0; c < 3; ++c) {
-        feature[c] = stored(layers.albedo[c], [&](float a) { return parameters.albedo_scale * std::clamp(a, 0.0f, 1.0f); });
-        feature[3 + c] = stored(layers.normal[c], [&](float n) { return parameters.normal_scale * std::clamp(n, -1.0f, 1.0f); });
+        feature[c] =
+            stored(layers.albedo[c], [&](float a) { return parameters.albedo_scale * std::clamp(a, 0.0f, 1.0f); });
+        feature[3 + c] =
+            stored(layers.normal[c], [&](float n) { return parameters.normal_scale * std::clamp(n, -1.0f, 1.0f); });
     }
     // What no ray hit lies behind everything.
     const float far = layers.depth.empty() ? 0 : *std::max_element(layers.depth.begin(), layers.depth.end());
@@ -182,7 +187,8 @@ Filtered filter(const Layers& layers, const FilterParameters& parameters, int th
     });
     Column inside(color_b[0].size());
     for (int y = 0; y < picture.height(); ++y)
-        std::fill_n(inside.begin() + (y + picture.border()) * picture.stride() + picture.border(), picture.width(), 1.0f);
+        std::fill_n(inside.begin() + (y + picture.border()) * picture.stride() + picture.border(), picture.width(),
+                    1.0f);
 
     // Centres of a band write to the rows of their windows; bands overlap there and are added up in order.
     static const auto filter_tile = __builtin_cpu_supports("x86-64-v4")   ? v4::filter_tile
@@ -226,8 +232,8 @@ Filtered filter(const Layers& layers, const FilterParameters& parameters, int th
         const int band_of_row = y / filter_tile_height;
         for (int x = 0; x < picture.width(); ++x) {
             float total[4] = {};
-            for (int band = std::max(0, band_of_row - overlap); band <= std::min(picture.bands() - 1, band_of_row + overlap);
-                 ++band) {
+            for (int band = std::max(0, band_of_row - overlap);
+                 band <= std::min(picture.bands() - 1, band_of_row + overlap); ++band) {
                 const int row = y - band * filter_tile_height + radius;
                 if (row < 0 || row >= band_rows) continue;
                 const float* at = sums[std::size_t(band)].data() + row * picture.stride() + picture.border() + x;

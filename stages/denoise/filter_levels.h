@@ -18,7 +18,7 @@ constexpr int filter_patch_width =
 struct FilterTile {
     const float* color[3];
     const float* variance[3];
-    const float* guide[3];                    // what patches are compared by
+    const float* guide[3];  // what patches are compared by
     const float* guide_variance[3];
     const float* feature[n_stored_features];  // scaled
     const float* inside;                      // 1 in the image, 0 in the border
@@ -27,13 +27,14 @@ struct FilterTile {
     int window_radius, patch_radius;
     float k_squared, ridge, pixel_scale;
 
-    int x, y, height;       // first pixel of the tile, in columns with border, and rows of it
-    float* weights;         // scratch: filter_weights_size
-    float* sums[4];         // R, G, B, weight: row 0 is row y - window_radius of the columns, same stride
+    int x, y, height;  // first pixel of the tile, in columns with border, and rows of it
+    float* weights;    // scratch: filter_weights_size
+    float* sums[4];    // R, G, B, weight: row 0 is row y - window_radius of the columns, same stride
 };
 
 constexpr std::size_t filter_weights_size(int window_radius) {
-    return std::size_t(2 * window_radius + 1) * std::size_t(2 * window_radius + 1) * filter_tile_width * filter_tile_height;
+    return std::size_t(2 * window_radius + 1) * std::size_t(2 * window_radius + 1) * filter_tile_width *
+           filter_tile_height;
 }
 
 #define LOOM_DECLARE_LEVEL(level)             \

@@ -1,6 +1,5 @@
-#include "stages/denoise/denoise.h"
-
 #include "stages/core/app/command.h"
+#include "stages/denoise/denoise.h"
 
 int main(int argc, char** argv) {
     using namespace loom;

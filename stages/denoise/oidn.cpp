@@ -111,7 +111,8 @@ std::optional<Oidn> Oidn::load(const std::string& path, std::string& missing) {
         }
     }
     std::error_code none;
-    const fs::path beside = fs::read_symlink("/proc/self/exe", none).parent_path().parent_path() / "oidn" / library_name;
+    const fs::path beside =
+        fs::read_symlink("/proc/self/exe", none).parent_path().parent_path() / "oidn" / library_name;
     try {
         return open(fs::exists(beside, none) ? in_folder(beside) : fs::path(library_name));
     } catch (const std::exception& failure) {
@@ -128,7 +129,7 @@ std::string Oidn::version() const {
 
 void Oidn::denoise(const Layers& layers, int threads, std::vector<float> (&color)[3]) const {
     const std::size_t n = layers.n_pixels();
-    const auto interleaved = [n](const std::span<const float> (&channels)[3], float sign, float low, float high) {
+    const auto interleaved = [n](const std::span<const float>(&channels)[3], float sign, float low, float high) {
         std::vector<float> triples(3 * n);
         for (std::size_t c = 0; c < 3; ++c)
             for (std::size_t i = 0; i < n; ++i) triples[3 * i + c] = std::clamp(sign * channels[c][i], low, high);
@@ -148,7 +149,8 @@ void Oidn::denoise(const Layers& layers, int threads, std::vector<float> (&color
         const Owned<Filter> filter(oidn.new_filter(device.get(), "RT"), oidn.release_filter);
         const auto image = [&](const char* name, std::vector<float>& values) {
             if (values.empty()) return;
-            oidn.set_shared_filter_image(filter.get(), name, values.data(), format_float3, layers.width, layers.height, 0, 0, 0);
+            oidn.set_shared_filter_image(filter.get(), name, values.data(), format_float3, layers.width, layers.height,
+                                         0, 0, 0);
         };
         image("color", part);
         image("albedo", albedo);

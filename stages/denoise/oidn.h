@@ -11,8 +11,8 @@ namespace loom::denoise {
 /// Open Image Denoise [Afra2019], loaded at run time: one build serves machines with and without it.
 class Oidn {
   public:
-    /// Loads the library; looks, in this order, at `path` (--oidn), at the variable LOOM_OIDN, in the folder oidn/ beside
-    /// the one of the program (`make oidn` fills it) and where the system keeps libraries. A path is that of
+    /// Loads the library; looks, in this order, at `path` (--oidn), at the variable LOOM_OIDN, in the folder oidn/
+    /// beside the one of the program (`make oidn` fills it) and where the system keeps libraries. A path is that of
     /// libOpenImageDenoise.so.2 or of its folder.
     /// out:     nothing when it is in none of these places; `missing` then says why
     /// throws:  InputError when the library of --oidn or LOOM_OIDN cannot be used

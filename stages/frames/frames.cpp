@@ -27,7 +27,8 @@ std::size_t pixel_of(const std::string& text, const TransientCube& cube) {
     const auto y = app::parse_number<std::uint32_t>(colon == std::string::npos ? "" : text.substr(colon + 1));
     if (!x || !y) throw InputError(fmt::format("--pixel {}: expected X:Y, 0:0 is top left", text));
     if (*x >= cube.film.width || *y >= cube.film.height)
-        throw InputError(fmt::format("--pixel {}: the cube has {} x {} pixels", text, cube.film.width, cube.film.height));
+        throw InputError(
+            fmt::format("--pixel {}: the cube has {} x {} pixels", text, cube.film.width, cube.film.height));
     return std::size_t(*y) * cube.film.width + *x;
 }
 
@@ -60,19 +61,26 @@ void clear_frames(const fs::path& folder) {
     }
 }
 
-fs::path frame_path(const fs::path& folder, std::size_t bin, const char* ending) { return folder / fmt::format("frame-{:04}{}", bin, ending); }
+fs::path frame_path(const fs::path& folder, std::size_t bin, const char* ending) {
+    return folder / fmt::format("frame-{:04}{}", bin, ending);
+}
 
 /// All frames one after the other; nothing but a message where ffmpeg is not installed.
 void write_movie(const Options& options, const TransientCube& cube, const fs::path& frames, app::Report& report) {
     OutputFile output(options.movie);
     const std::size_t zoom = std::max<std::size_t>(1, 480 / std::min(cube.film.width, cube.film.height));
     // Encoders want even sides.
-    const std::string size = fmt::format("scale={}:{}:flags=neighbor", (zoom * cube.film.width + 1) / 2 * 2, (zoom * cube.film.height + 1) / 2 * 2);
+    const std::string size = fmt::format("scale={}:{}:flags=neighbor", (zoom * cube.film.width + 1) / 2 * 2,
+                                         (zoom * cube.film.height + 1) / 2 * 2);
     const fs::path log = fs::absolute(output.partial()).native() + ".log";
     const auto encode = [&](const std::vector<std::string>& codec) {
-        std::vector<std::string> words{"ffmpeg", "-y", "-loglevel", "error", "-framerate", fmt::format("{}", options.fps), "-i", "frame-%04d.png", "-vf", size};
+        std::vector<std::string> words{
+            "ffmpeg",         "-y",  "-loglevel", "error", "-framerate", fmt::format("{}", options.fps), "-i",
+            "frame-%04d.png", "-vf", size};
         words.insert(words.end(), codec.begin(), codec.end());
-        for (const char* word : {"-pix_fmt", "yuv420p", "-threads", "1", "-fflags", "+bitexact", "-flags:v", "+bitexact", "-movflags", "+faststart", "-f", "mp4"}) words.push_back(word);
+        for (const char* word : {"-pix_fmt", "yuv420p", "-threads", "1", "-fflags", "+bitexact", "-flags:v",
+                                 "+bitexact", "-movflags", "+faststart", "-f", "mp4"})
+            words.push_back(word);
         words.push_back(fs::absolute(output.partial()).native());
         return plot::run_program(fs::absolute(frames), words, log);
     };
@@ -88,21 +96,29 @@ void write_movie(const Options& options, const TransientCube& cube, const fs::pa
     }
     if (*status != 0) throw std::runtime_error(fmt::format("{}: ffmpeg failed:\n{}", options.movie, said));
     output.commit();
-    report.info("{}: {} frames, a second is {:.4g} {}", options.movie, cube.time.n_bins, options.fps * cube.in_unit(cube.time.bin_width_opl), time_unit(cube));
+    report.info("{}: {} frames, a second is {:.4g} {}", options.movie, cube.time.n_bins,
+                options.fps * cube.in_unit(cube.time.bin_width_opl), time_unit(cube));
 }
 
 }  // namespace
 
 void declare(app::Command& command, Options& options) {
     command.file("cube", options.cube, "transient cube (.h5)").required();
-    command.output("-o,--output", options.output, "strip of frames (.png); beside it streak-x, streak-y, peak (.png), curves (.svg .png .tsv .gp)").required();
-    command.option("--exposure", options.exposure_ev, "of frames and strip, beyond that of --quantile", app::Range<double>{-50, 50, "EV"});
-    command.option("--quantile", options.quantile, "share of the lit bins that is not brighter than white", app::Range<double>{0, 1});
+    command
+        .output("-o,--output", options.output,
+                "strip of frames (.png); beside it streak-x, streak-y, peak (.png), curves (.svg .png .tsv .gp)")
+        .required();
+    command.option("--exposure", options.exposure_ev, "of frames and strip, beyond that of --quantile",
+                   app::Range<double>{-50, 50, "EV"});
+    command.option("--quantile", options.quantile, "share of the lit bins that is not brighter than white",
+                   app::Range<double>{0, 1});
     command.option("--count", options.count, "frames of the strip", app::Range<std::uint32_t>{1, 1000});
     command.option("--row", options.row, "of the streak over x and time (the middle)");
     command.option("--column", options.column, "of the streak over y and time (the middle)");
     command.option("--pixel", options.pixels, "X:Y of a curve; again for more (three of the middle column)");
-    command.option("--radius", options.radius, "of the squares of pixels that a curve is the mean of; 0: the pixel alone", app::Range<std::uint32_t>{0, 1000, "px"});
+    command.option("--radius", options.radius,
+                   "of the squares of pixels that a curve is the mean of; 0: the pixel alone",
+                   app::Range<std::uint32_t>{0, 1000, "px"});
     command.flag("--png", options.png, "also each bin as frames/frame-NNNN.png, all with one exposure");
     command.flag("--exr", options.exr, "also each bin as frames/frame-NNNN.exr, with its variance");
     command.output("--movie", options.movie, "also a movie (.mp4), where ffmpeg is installed");
@@ -111,7 +127,8 @@ void declare(app::Command& command, Options& options) {
 }
 
 void run(const Options& options, app::Report& report) {
-    const fs::path output = options.output, folder = output.parent_path().empty() ? fs::path(".") : output.parent_path();
+    const fs::path output = options.output,
+                   folder = output.parent_path().empty() ? fs::path(".") : output.parent_path();
     if (output.extension() != ".png") throw InputError(fmt::format("{}: the strip must end in .png", options.output));
     check_output_path(output);
     const TransientCube cube = read_transient_cube(options.cube);
@@ -128,15 +145,19 @@ void run(const Options& options, app::Report& report) {
         report.warn("{}: all bins are dark", options.cube);
         white = 1;
     }
-    for (const Plot& plot : {strip(cube, output.filename(), strip_bins(cube, options.count), white), streaks(cube, row, column), peak(cube)})
+    for (const Plot& plot : {strip(cube, output.filename(), strip_bins(cube, options.count), white),
+                             streaks(cube, row, column), peak(cube)})
         plot::make_pictures(folder, {}, "commands", plot.pictures, [&] {
             auto passing = plot.data;
             passing["commands"] = plot.commands;
             return passing;
         }());
     const Plot of_pixels = curves(cube, pixels, options.radius);
-    plot::make_pictures(folder, {{"curves.gp", fmt::format("# {}\n# gnuplot curves.gp\n{}", report.command(), of_pixels.commands)}, *of_pixels.data.begin()}, "curves.gp",
-                        of_pixels.pictures);
+    plot::make_pictures(
+        folder,
+        {{"curves.gp", fmt::format("# {}\n# gnuplot curves.gp\n{}", report.command(), of_pixels.commands)},
+         *of_pixels.data.begin()},
+        "curves.gp", of_pixels.pictures);
 
     const fs::path frames = folder / "frames";
     if (options.png || options.exr || !options.movie.empty()) {
@@ -151,7 +172,8 @@ void run(const Options& options, app::Report& report) {
             image.provenance.inputs = {input};
             // Hundreds of files, and soon made again: none waits for the disk.
             if (options.exr) write_image(image, frame_path(frames, bin, ".exr"), Compression::zip, Sync::no);
-            if (options.png || !options.movie.empty()) write_png(image, frame_path(frames, bin, ".png"), -std::log2(white), Sync::no);
+            if (options.png || !options.movie.empty())
+                write_png(image, frame_path(frames, bin, ".png"), -std::log2(white), Sync::no);
             progress.add();
         }
         if (!options.movie.empty()) write_movie(options, cube, frames, report);

@@ -1,6 +1,5 @@
-#include "stages/frames/frames.h"
-
 #include "stages/core/app/command.h"
+#include "stages/frames/frames.h"
 
 int main(int argc, char** argv) {
     using namespace loom;

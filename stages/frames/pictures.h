@@ -22,8 +22,8 @@ Plot streaks(const TransientCube& cube, std::size_t row, std::size_t column);
 Plot peak(const TransientCube& cube);
 /// Frames side by side under their times; `white` is shown as white.
 Plot strip(const TransientCube& cube, const std::string& name, const std::vector<std::size_t>& bins, double white);
-/// Luminance over time with bands of two standard errors, of squares of pixels around some: curves.svg, curves.png; data
-/// curves.tsv. Pixels are independent of each other, so that the bands are as sure as the cube's variances.
+/// Luminance over time with bands of two standard errors, of squares of pixels around some: curves.svg, curves.png;
+/// data curves.tsv. Pixels are independent of each other, so that the bands are as sure as the cube's variances.
 Plot curves(const TransientCube& cube, const std::vector<std::size_t>& pixels, std::size_t radius);
 
 }  // namespace loom::frames

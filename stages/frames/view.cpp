@@ -85,7 +85,8 @@ std::vector<std::size_t> strip_bins(const TransientCube& cube, std::size_t count
     }
     count = std::clamp<std::size_t>(count, 1, last - first + 1);
     std::vector<std::size_t> chosen;
-    for (std::size_t i = 0; i < count; ++i) chosen.push_back(first + (count == 1 ? 0 : (i * (last - first) + (count - 1) / 2) / (count - 1)));
+    for (std::size_t i = 0; i < count; ++i)
+        chosen.push_back(first + (count == 1 ? 0 : (i * (last - first) + (count - 1) / 2) / (count - 1)));
     return chosen;
 }
 

@@ -1,7 +1,6 @@
 #include "stages/gather/gather.h"
 
 #include <fmt/format.h>
-
 #include <tbb/enumerable_thread_specific.h>
 
 #include <algorithm>
@@ -25,9 +24,10 @@ namespace loom::gather {
 namespace {
 
 FirstHit first_hit(const PathGraph& g, std::size_t path, const ShadingPoint& at) {
-    const Point3f origin = g.paths.origin.empty()
-                               ? Point3f{float(g.sensor.origin[0]), float(g.sensor.origin[1]), float(g.sensor.origin[2])}
-                               : Point3f{g.paths.origin[3 * path], g.paths.origin[3 * path + 1], g.paths.origin[3 * path + 2]};
+    const Point3f origin =
+        g.paths.origin.empty()
+            ? Point3f{float(g.sensor.origin[0]), float(g.sensor.origin[1]), float(g.sensor.origin[2])}
+            : Point3f{g.paths.origin[3 * path], g.paths.origin[3 * path + 1], g.paths.origin[3 * path + 2]};
     return {albedo(at.bsdf, at.wo_local), at.frame.n, length(at.p - origin)};
 }
 
@@ -51,8 +51,8 @@ struct Estimates {
 
 /// in: first light edge of the path; out: that of the next path
 /// paths:   also what the path alone says: as it was stored, else by a walk along all of it
-Estimates estimates_of(const GraphReader& reader, const Radiance& radiance, bool paths, std::size_t path, std::size_t& edge,
-                       FirstHit& first) {
+Estimates estimates_of(const GraphReader& reader, const Radiance& radiance, bool paths, std::size_t path,
+                       std::size_t& edge, FirstHit& first) {
     const PathGraph& g = reader.graph();
     const auto& e = g.light_edges;
     Estimates L;
@@ -63,7 +63,8 @@ Estimates estimates_of(const GraphReader& reader, const Radiance& radiance, bool
         first = first_hit(g, path, at);
         L.direct_cluster = rgb(radiance.direct, path);
         L.indirect_cluster = rgb(radiance.L, begin) - L.direct_cluster;
-        for (; edge < e.vertex.size() && e.vertex[edge] == begin; ++edge) L.direct_own += own_light(reader, at, begin, edge);
+        for (; edge < e.vertex.size() && e.vertex[edge] == begin; ++edge)
+            L.direct_own += own_light(reader, at, begin, edge);
         if (begin + 1 < end) {
             Spectrum beta = own_continuation(reader, at, begin, continuation_direction(g, begin));
             L.indirect_own = beta * rgb(radiance.L, begin + 1);
@@ -71,7 +72,8 @@ Estimates estimates_of(const GraphReader& reader, const Radiance& radiance, bool
             if (paths && stored) L.indirect_path = rgb(radiance.indirect_path, path);
             for (std::uint64_t j = begin + 1; paths && !stored && j < end; ++j) {
                 const ShadingPoint here = reader.vertex(j);
-                for (; edge < e.vertex.size() && e.vertex[edge] == j; ++edge) L.indirect_path += beta * own_light(reader, here, j, edge);
+                for (; edge < e.vertex.size() && e.vertex[edge] == j; ++edge)
+                    L.indirect_path += beta * own_light(reader, here, j, edge);
                 if (j + 1 < end) beta *= own_continuation(reader, here, j, continuation_direction(g, j));
             }
         }
@@ -109,18 +111,25 @@ void declare(app::Command& command, Options& options) {
     command.output("-o,--output", options.output, "image with layers (.exr)");
     command.output("--png", options.png, "also write a preview");
     command.option("--exposure", options.exposure_ev, "of the preview", app::Range<double>{-40, 40, "EV"});
-    command.choice("--direct", options.gather.direct, "direct light at first hits: of the whole cluster, the path's own samples, or both its own and those of some members",
+    command.choice("--direct", options.gather.direct,
+                   "direct light at first hits: of the whole cluster, the path's own samples, or both its own and "
+                   "those of some members",
                    {{"cluster", Source::cluster}, {"own", Source::own}, {"subset", Source::subset}});
     command.choice("--indirect", options.gather.indirect, "indirect light at first hits",
                    {{"cluster", Source::cluster}, {"own", Source::own}, {"subset", Source::subset}});
-    command.option("--members", options.gather.members, "of a subset: random members of the cluster besides the vertex itself", app::Range<std::uint32_t>{1, max_lanes});
+    command.option("--members", options.gather.members,
+                   "of a subset: random members of the cluster besides the vertex itself",
+                   app::Range<std::uint32_t>{1, max_lanes});
     command.choice("--reuse", options.gather.reuse, "of a subset: what is taken over from a member's continuation",
                    {{"directions", Reuse::directions}, {"points", Reuse::points}});
-    command.flag("--occlusion", options.gather.occlusion, "of a subset: reconnect continuations and test each by rays, which leaves no bias but that of the radiance; needs --scene");
+    command.flag("--occlusion", options.gather.occlusion,
+                 "of a subset: reconnect continuations and test each by rays, which leaves no bias but that of the "
+                 "radiance; needs --scene");
     command.file("--scene", options.scene, "scene file that the graph was traced in");
     command.option("-D,--define", options.defines, "NAME=VALUE of a parameter of that scene");
     command.option("--sensor", options.sensor, "sensor of that scene, as loom-trace had it");
-    command.flag("--estimates", options.gather.estimates, "also write all estimates of direct and indirect light as layers, for loom-merge to blend");
+    command.flag("--estimates", options.gather.estimates,
+                 "also write all estimates of direct and indirect light as layers, for loom-merge to blend");
     command.threads(options.threads);
     command.example("loom-gather graph.h5 -o image.exr --png image.png");
 }
@@ -138,28 +147,34 @@ Image gathered_image(const PathGraph& graph, const Radiance& radiance, const Gat
     const bool subset_direct = options.direct == Source::subset, subset_indirect = options.indirect == Source::subset;
     std::optional<SubsetGather> subset;
     if (subset_direct || subset_indirect)
-        subset.emplace(reader, *inputs.clusters, radiance, SubsetOptions{options.members, options.reuse, options.occlusion ? inputs.scene : nullptr, inputs.seed});
+        subset.emplace(
+            reader, *inputs.clusters, radiance,
+            SubsetOptions{options.members, options.reuse, options.occlusion ? inputs.scene : nullptr, inputs.seed});
     tbb::enumerable_thread_specific<std::unique_ptr<SubsetGather::Worker>> workers([&] {
         prepare_ray_thread();
         return std::make_unique<SubsetGather::Worker>(*subset);
     });
     const std::uint64_t n_pixels = graph.n_pixels();
-    std::vector<std::vector<float>> layers(options.estimates ? estimate_layers.size() : 0, std::vector<float>(3 * n_pixels));
+    std::vector<std::vector<float>> layers(options.estimates ? estimate_layers.size() : 0,
+                                           std::vector<float>(3 * n_pixels));
     const float inv_samples = 1.0f / float(graph.tracing.samples_per_pixel);
     Image image = image_of(graph, threads, [&](std::size_t path, std::size_t& edge, FirstHit& first) {
         Estimates L = estimates_of(reader, radiance, options.estimates, path, edge, first);
         if (subset && first.depth != 0) {
-            const auto few = workers.local()->at(path, std::uint32_t(graph.paths.first_vertex[path]), {L.direct_own, L.indirect_own}, subset_direct, subset_indirect);
+            const auto few = workers.local()->at(path, std::uint32_t(graph.paths.first_vertex[path]),
+                                                 {L.direct_own, L.indirect_own}, subset_direct, subset_indirect);
             if (subset_direct) L.direct_cluster = few.direct;
             if (subset_indirect) (options.occlusion ? L.indirect_own : L.indirect_cluster) = few.indirect;
         }
         if (options.estimates) {
-            const std::array values{L.Le, L.direct_own, L.direct_cluster, L.indirect_path, L.indirect_own, L.indirect_cluster};
+            const std::array values{L.Le,           L.direct_own,      L.direct_cluster, L.indirect_path,
+                                    L.indirect_own, L.indirect_cluster};
             for (std::size_t i = 0; i < values.size(); ++i)
                 for (int c = 0; c < 3; ++c) layers[i][3 * (path % n_pixels) + c] += values[i][c] * inv_samples;
         }
         return L.Le + (options.direct == Source::own ? L.direct_own : L.direct_cluster) +
-               (options.indirect == Source::own || (subset_indirect && options.occlusion) ? L.indirect_own : L.indirect_cluster);
+               (options.indirect == Source::own || (subset_indirect && options.occlusion) ? L.indirect_own
+                                                                                          : L.indirect_cluster);
     });
     if (n_rays)
         for (const auto& worker : workers) *n_rays += worker->rays();
@@ -176,11 +191,14 @@ void run(const Options& options, app::Report& report) {
     if (subsets && options.clusters.empty())
         throw InputError("clusters: missing (made by loom-cluster); a subset is drawn from them");
     if (!subsets && !options.clusters.empty())
-        throw InputError(fmt::format("{}: only subsets need clusters (--direct subset, --indirect subset)", options.clusters));
+        throw InputError(
+            fmt::format("{}: only subsets need clusters (--direct subset, --indirect subset)", options.clusters));
     const bool occlusion = options.gather.occlusion;
-    if (occlusion && options.gather.indirect != Source::subset) throw InputError("--occlusion: only --indirect subset has rays");
+    if (occlusion && options.gather.indirect != Source::subset)
+        throw InputError("--occlusion: only --indirect subset has rays");
     if (occlusion != !options.scene.empty())
-        throw InputError(occlusion ? "--occlusion: needs --scene" : fmt::format("--scene {}: only --occlusion needs it", options.scene));
+        throw InputError(occlusion ? "--occlusion: needs --scene"
+                                   : fmt::format("--scene {}: only --occlusion needs it", options.scene));
     std::unique_ptr<Scene> scene;
     std::uint64_t rays = 0;
     double load_s = 0;
@@ -196,7 +214,8 @@ void run(const Options& options, app::Report& report) {
             require_clusters_of(graph, graph_id, clusters, options.clusters);
             for (std::size_t c = 0; c < clusters.n_clusters(); ++c)
                 if (clusters.first[c + 1] - clusters.first[c] > max_lanes && options.gather.members >= max_lanes)
-                    throw InputError(fmt::format("--members {}: {} has clusters of more than {} vertices", options.gather.members, options.clusters, max_lanes));
+                    throw InputError(fmt::format("--members {}: {} has clusters of more than {} vertices",
+                                                 options.gather.members, options.clusters, max_lanes));
         }
         if (occlusion) {
             const double before_s = report.cost().cpu_s;
@@ -204,7 +223,8 @@ void run(const Options& options, app::Report& report) {
             load_s = report.cost().cpu_s - before_s;
             require_scene_of(graph, options.graph, *scene, options.scene);
         }
-        image = gathered_image(graph, radiance, options.gather, options.threads, {&clusters, scene.get(), graph.provenance.seed}, &rays);
+        image = gathered_image(graph, radiance, options.gather, options.threads,
+                               {&clusters, scene.get(), graph.provenance.seed}, &rays);
     }
     image.provenance.stage = report.name();
     image.provenance.command = report.command();
@@ -214,13 +234,18 @@ void run(const Options& options, app::Report& report) {
     image.provenance.plan = "on: own paths only; off: neighbours (no radiance given)";
     if (!options.radiance.empty()) {
         const auto name = [&](Source source) {
-            return source == Source::own ? "own samples" : source == Source::cluster ? "cluster" : fmt::format("own samples and {} members", options.gather.members);
+            return source == Source::own       ? "own samples"
+                   : source == Source::cluster ? "cluster"
+                                               : fmt::format("own samples and {} members", options.gather.members);
         };
         image.provenance.inputs.push_back(identify(options.radiance));
         if (subsets) image.provenance.inputs.push_back(identify(options.clusters));
         const char* test = occlusion ? "on: occlusion rays, " : "on: ";
-        const char* off = occlusion ? "nothing" : options.gather.indirect == Source::subset ? "occlusion rays (no --occlusion)" : "occlusion rays (no subset)";
-        image.provenance.plan = fmt::format("{}direct light by {}, indirect by {}; off: {}", test, name(options.gather.direct), name(options.gather.indirect), off);
+        const char* off = occlusion                                   ? "nothing"
+                          : options.gather.indirect == Source::subset ? "occlusion rays (no --occlusion)"
+                                                                      : "occlusion rays (no subset)";
+        image.provenance.plan = fmt::format("{}direct light by {}, indirect by {}; off: {}", test,
+                                            name(options.gather.direct), name(options.gather.indirect), off);
     }
     write_image(image, options.output);
     if (!options.png.empty()) write_png(image, options.png, options.exposure_ev);

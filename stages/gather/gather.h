@@ -28,10 +28,10 @@ enum class Source {
 
 struct GatherOptions {
     Source direct = Source::cluster, indirect = Source::cluster;
-    bool estimates = false;              // all of them as layers, for loom-merge to blend
-    std::uint32_t members = 4;           // of a subset, besides the vertex itself
-    Reuse reuse = Reuse::directions;     // of a subset: what it takes over from a continuation
-    bool occlusion = false;              // of a subset: continuations are reconnected, and rays say what sees what
+    bool estimates = false;           // all of them as layers, for loom-merge to blend
+    std::uint32_t members = 4;        // of a subset, besides the vertex itself
+    Reuse reuse = Reuse::directions;  // of a subset: what it takes over from a continuation
+    bool occlusion = false;           // of a subset: continuations are reconnected, and rays say what sees what
 };
 
 /// What a subset is drawn from, and what its rays meet.
@@ -42,17 +42,17 @@ struct SubsetInputs {
 };
 
 struct Options {
-    std::string graph;      // path graph
-    std::string radiance;   // refined radiance of that graph; empty: own paths only
-    std::string clusters;   // of that graph; for subsets only
-    std::string scene;      // that the graph was traced in; for occlusion rays only
+    std::string graph;                 // path graph
+    std::string radiance;              // refined radiance of that graph; empty: own paths only
+    std::string clusters;              // of that graph; for subsets only
+    std::string scene;                 // that the graph was traced in; for occlusion rays only
     std::vector<std::string> defines;  // of that scene, name=value
     std::string sensor;                // of that scene, id or number; empty: the first
-    std::string output;     // image with layers (.exr)
-    std::string png;        // preview for the eye
-    double exposure_ev = 0; // of the preview
-    GatherOptions gather;   // with radiance only
-    int threads = 0;        // 0: all
+    std::string output;                // image with layers (.exr)
+    std::string png;                   // preview for the eye
+    double exposure_ev = 0;            // of the preview
+    GatherOptions gather;              // with radiance only
+    int threads = 0;                   // 0: all
 };
 
 void declare(app::Command& command, Options& options);

@@ -1,6 +1,5 @@
-#include "stages/gather/gather.h"
-
 #include "stages/core/app/command.h"
+#include "stages/gather/gather.h"
 
 int main(int argc, char** argv) {
     using namespace loom;

@@ -20,8 +20,13 @@ Normal3f geometric_normal(const PathGraph& g, std::size_t j) {
 
 }  // namespace
 
-SubsetGather::SubsetGather(const GraphReader& reader, const Clusters& clusters, const Radiance& radiance, const SubsetOptions& options)
-    : reader_(reader), clusters_(clusters), radiance_(radiance), options_(options), light_edges_(light_edge_offsets(reader.graph())) {
+SubsetGather::SubsetGather(const GraphReader& reader, const Clusters& clusters, const Radiance& radiance,
+                           const SubsetOptions& options)
+    : reader_(reader),
+      clusters_(clusters),
+      radiance_(radiance),
+      options_(options),
+      light_edges_(light_edge_offsets(reader.graph())) {
     const PathGraph& g = reader.graph();
     const std::vector<std::uint32_t> of_vertex = cluster_of_vertices(clusters);
     cluster_.assign(g.n_paths(), no_cluster);
@@ -38,7 +43,8 @@ void SubsetGather::choose(std::size_t path, std::uint32_t first, std::vector<std
     const std::size_t others = members.size() - 1, wanted = std::min<std::size_t>(options_.members, others);
     if (wanted == others) return;
     // The first of a random permutation; by path, pass and seed, whatever the thread.
-    std::uint64_t key = mix64(mix64(options_.seed ^ reader_.graph().tracing.first_sample * 0x9e3779b97f4a7c15ull) ^ path);
+    std::uint64_t key =
+        mix64(mix64(options_.seed ^ reader_.graph().tracing.first_sample * 0x9e3779b97f4a7c15ull) ^ path);
     for (std::size_t i = 0; i < wanted; ++i) {
         key = mix64(key + 0x9e3779b97f4a7c15ull);
         std::swap(members[1 + i], members[1 + i + ((key >> 32) * (others - i) >> 32)]);
@@ -51,7 +57,8 @@ int SubsetGather::Worker::own_lane() const {
         if (shading_.vertex(lane) == first_) return lane;
 }
 
-SubsetGather::Light SubsetGather::Worker::at(std::size_t path, std::uint32_t first, const Light& own, bool direct, bool indirect) {
+SubsetGather::Light SubsetGather::Worker::at(std::size_t path, std::uint32_t first, const Light& own, bool direct,
+                                             bool indirect) {
     const PathGraph& g = gather_.reader_.graph();
     if (gather_.cluster_[path] == no_cluster) return own;
     gather_.choose(path, first, members_);
@@ -62,14 +69,16 @@ SubsetGather::Light SubsetGather::Worker::at(std::size_t path, std::uint32_t fir
     if (direct) {
         const int c = own_lane();
         out.direct = Spectrum(0);
-        for_each_light_edge(shading_, g, gather_.light_edges_, {}, [&](int, std::uint32_t, const Spectrum& light, float inv_rho) {
-            out.direct += shading_.f(c, inv_rho) * light;
-        });
+        for_each_light_edge(shading_, g, gather_.light_edges_, {},
+                            [&](int, std::uint32_t, const Spectrum& light, float inv_rho) {
+                                out.direct += shading_.f(c, inv_rho) * light;
+                            });
         // A light that the vertex's own delta lobe has found is no other's.
         if (is_delta(Lobe(g.vertices.lobe[first]))) {
             const ShadingPoint at = gather_.reader_.vertex(first);
             for (std::uint32_t e = gather_.light_edges_[first]; e < gather_.light_edges_[first + 1]; ++e)
-                if (LightTechnique(g.light_edges.technique[e]) == LightTechnique::bsdf_hit) out.direct += own_light(gather_.reader_, at, first, e);
+                if (LightTechnique(g.light_edges.technique[e]) == LightTechnique::bsdf_hit)
+                    out.direct += own_light(gather_.reader_, at, first, e);
         }
     }
     if (indirect) {
@@ -96,14 +105,16 @@ Spectrum SubsetGather::Worker::reconnected(std::uint32_t first) {
     const RayEngine& rays = *scene.rays;
     const int c = own_lane(), n = shading_.size();
     const float M = float(n - 1);
-    const auto end_at = [&](std::size_t j) { return RayEnd{position(g, j), geometric_normal(g, j), scene.shapes[g.vertices.shape[j]].hit_error}; };
+    const auto end_at = [&](std::size_t j) {
+        return RayEnd{position(g, j), geometric_normal(g, j), scene.shapes[g.vertices.shape[j]].hit_error};
+    };
     const RayEnd from = end_at(first);
 
     // What waits for the answer of a ray.
     std::array<Ray, 2 * max_lanes> segments;
     std::array<const Ray*, 2 * max_lanes> pointers;
     std::array<bool, 2 * max_lanes> blocked;
-    std::array<Spectrum, max_lanes> value;  // of others' samples, if c sees them
+    std::array<Spectrum, max_lanes> value;   // of others' samples, if c sees them
     std::array<float, max_lanes> other_pdf;  // of others for the own sample, if they see it
     int n_others = 0, n_back = 0;
     Spectrum own_value(0);

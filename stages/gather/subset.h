@@ -16,14 +16,15 @@ struct Scene;
 namespace loom::gather {
 
 struct SubsetOptions {
-    std::uint32_t members = 4;           // besides the vertex itself
-    Reuse reuse = Reuse::directions;     // of a continuation, when there are no rays
-    const Scene* scene = nullptr;        // with it: continuations are reconnected, tested by occlusion rays
+    std::uint32_t members = 4;        // besides the vertex itself
+    Reuse reuse = Reuse::directions;  // of a continuation, when there are no rays
+    const Scene* scene = nullptr;     // with it: continuations are reconnected, tested by occlusion rays
     std::uint64_t seed = 0;
 };
 
 /// Vertex c with a random subset S of M other members.
-///   no rays   sum over k in S + c of f_c cos_c X(y_k) / sum_m p_m(y_k): the cluster's own estimate, of a smaller cluster
+///   no rays   sum over k in S + c of f_c cos_c X(y_k) / sum_m p_m(y_k): the cluster's own estimate, of a smaller
+///   cluster
 ///   rays      pairwise: each member against the vertex's own sample,                       [Bitterli2022]
 ///                 sum over i in S of f_c cos_c G_c V_c(y_i) X(y_i) / (M p_i(y_i) + p_c(y_i))
 ///               + f_c cos_c G_c X(y_c) / M sum over i in S of 1 / (M p_i(y_c) V_i(y_c) + p_c(y_c))
@@ -41,13 +42,15 @@ class SubsetGather {
     };
 
     /// The graph of `reader`, clusters, radiance and scene are borrowed.
-    SubsetGather(const GraphReader& reader, const Clusters& clusters, const Radiance& radiance, const SubsetOptions& options);
+    SubsetGather(const GraphReader& reader, const Clusters& clusters, const Radiance& radiance,
+                 const SubsetOptions& options);
 
     /// Of one thread.
     class Worker {
       public:
         explicit Worker(const SubsetGather& gather) : gather_(gather), shading_(gather.reader_) {}
-        /// in:      own  what the vertex knows by its own samples: all there is for a solitary vertex, for continuations
+        /// in:      own  what the vertex knows by its own samples: all there is for a solitary vertex, for
+        ///          continuations
         ///               of delta lobes
         /// needs:   `first` the first vertex of the path
         Light at(std::size_t path, std::uint32_t first, const Light& own, bool direct, bool indirect);

@@ -33,8 +33,7 @@ struct GraphFacts {
           n_vertices(graph.n_vertices()),
           n_edges(graph.n_light_edges()),
           columns(column_bytes(graph)) {
-        for (std::uint16_t flags : graph.vertices.flags)
-            ++endings[static_cast<std::size_t>(ending_of(flags))];
+        for (std::uint16_t flags : graph.vertices.flags) ++endings[static_cast<std::size_t>(ending_of(flags))];
     }
     double per_vertex(std::size_t n) const {
         return n_vertices == 0 ? 0.0 : static_cast<double>(n) / static_cast<double>(n_vertices);
@@ -98,7 +97,7 @@ struct ClusterFacts {
 struct CubeFacts {
     TransientCubeHeader header;
     double inside = 0, before = 0, after = 0, never = 0, steady = 0;  // luminance, mean over the pixels
-    double relative_error = 0;                                        // root of the summed variances over the sum of the bins
+    double relative_error = 0;  // root of the summed variances over the sum of the bins
     double brightest = 0;
     std::size_t brightest_x = 0, brightest_y = 0, brightest_bin = 0;
     double half_by = 0;  // half of the light in the bins has arrived, in the cube's unit
@@ -109,16 +108,20 @@ struct CubeFacts {
         const std::size_t n = cube.time.n_bins;
         const auto sum_of = [&](const Column<float>& field) {
             double sum = 0;
-            for (std::size_t i = 0; i < field.size(); i += 3) sum += luminance(Rgb<double>(field[i], field[i + 1], field[i + 2]));
+            for (std::size_t i = 0; i < field.size(); i += 3)
+                sum += luminance(Rgb<double>(field[i], field[i + 1], field[i + 2]));
             return sum / double(cube.n_pixels());
         };
-        before = sum_of(cube.before), after = sum_of(cube.after), never = sum_of(cube.never), steady = sum_of(cube.steady);
+        before = sum_of(cube.before), after = sum_of(cube.after), never = sum_of(cube.never),
+        steady = sum_of(cube.steady);
         std::vector<double> of_bin(n);
         double variance = 0;
         for (std::size_t i = 0; i < cube.radiance.size(); i += 3) {
             const double Y = luminance(Rgb<double>(cube.radiance[i], cube.radiance[i + 1], cube.radiance[i + 2]));
             // Channels of a path go together.
-            const double sd = luminance(Rgb<double>(std::sqrt(double(cube.var_mean[i])), std::sqrt(double(cube.var_mean[i + 1])), std::sqrt(double(cube.var_mean[i + 2]))));
+            const double sd =
+                luminance(Rgb<double>(std::sqrt(double(cube.var_mean[i])), std::sqrt(double(cube.var_mean[i + 1])),
+                                      std::sqrt(double(cube.var_mean[i + 2]))));
             variance += sd * sd;
             of_bin[i / 3 % n] += Y / double(cube.n_pixels());
             if (Y > brightest) {
@@ -135,24 +138,34 @@ struct CubeFacts {
             half_by = opening_of(bin + 1);
         }
     }
-    double opening_of(std::size_t bin) const { return header.in_unit(header.time.start_opl + double(bin) * header.time.bin_width_opl); }
+    double opening_of(std::size_t bin) const {
+        return header.in_unit(header.time.start_opl + double(bin) * header.time.bin_width_opl);
+    }
     double percent(double part) const { return steady > 0 ? 100 * part / steady : 0; }
     const char* unit() const { return header.time.unit == "ns" ? "ns" : "m"; }
 
     std::string text() const {
-        const auto &t = header.time;
-        const auto &r = header.response;
-        std::string text = fmt::format("\n{} x {} pixels of {} samples; {} bins of {:.6g} {} from {:.6g} to {:.6g}, {}{}\n", header.film.width, header.film.height,
-                                       header.film.samples_per_pixel, t.n_bins, header.in_unit(t.bin_width_opl), unit(), opening_of(0), opening_of(t.n_bins),
-                                       t.gate_opl == t.bin_width_opl ? "" : fmt::format("each open for {:.6g}, ", header.in_unit(t.gate_opl)),
-                                       t.camera_segment ? "counted from the camera" : "counted from the first hit");
+        const auto& t = header.time;
+        const auto& r = header.response;
+        std::string text = fmt::format(
+            "\n{} x {} pixels of {} samples; {} bins of {:.6g} {} from {:.6g} to {:.6g}, {}{}\n", header.film.width,
+            header.film.height, header.film.samples_per_pixel, t.n_bins, header.in_unit(t.bin_width_opl), unit(),
+            opening_of(0), opening_of(t.n_bins),
+            t.gate_opl == t.bin_width_opl ? "" : fmt::format("each open for {:.6g}, ", header.in_unit(t.gate_opl)),
+            t.camera_segment ? "counted from the camera" : "counted from the first hit");
         text += fmt::format("pulse: {}", r.pulse);
-        for (const auto& [name, opl] : {std::pair{"length", r.length_opl}, std::pair{"tail", r.tail_opl}, std::pair{"period", r.period_opl}})
+        for (const auto& [name, opl] :
+             {std::pair{"length", r.length_opl}, std::pair{"tail", r.tail_opl}, std::pair{"period", r.period_opl}})
             if (opl != 0) text += fmt::format(", {} {:.6g} {}", name, header.in_unit(opl), unit());
-        text += fmt::format("\nlight: {:.5g} W m^-2 sr^-1 (mean luminance), of it {:.4g} % in the bins, {:.3g} % before, {:.3g} % after, {:.3g} % never\n", steady,
-                            percent(inside), percent(before), percent(after), percent(never));
-        return text + fmt::format("brightest bin: {:.4g} at pixel {}:{}, bin {} ({:.6g} {}); half of the light by {:.6g} {}; standard error of the sum {:.2g} %\n", brightest,
-                                  brightest_x, brightest_y, brightest_bin, opening_of(brightest_bin), unit(), half_by, unit(), 100 * relative_error);
+        text += fmt::format(
+            "\nlight: {:.5g} W m^-2 sr^-1 (mean luminance), of it {:.4g} % in the bins, {:.3g} % before, {:.3g} % "
+            "after, {:.3g} % never\n",
+            steady, percent(inside), percent(before), percent(after), percent(never));
+        return text + fmt::format(
+                          "brightest bin: {:.4g} at pixel {}:{}, bin {} ({:.6g} {}); half of the light by {:.6g} {}; "
+                          "standard error of the sum {:.2g} %\n",
+                          brightest, brightest_x, brightest_y, brightest_bin, opening_of(brightest_bin), unit(),
+                          half_by, unit(), 100 * relative_error);
     }
     void write(JsonWriter& json) const {
         json.begin_object("transient_cube");
@@ -198,13 +211,16 @@ struct LedgerFacts {
     Ledger ledger;
     std::vector<std::optional<double>> cpu_s;  // by link; of the first all that it was made from
 
-    explicit LedgerFacts(const Survey& survey, const std::string& file) : ledger(ledger_from_text(survey.attribute("ledger"), file)), cpu_s(ledger.size()) {
+    explicit LedgerFacts(const Survey& survey, const std::string& file)
+        : ledger(ledger_from_text(survey.attribute("ledger"), file)), cpu_s(ledger.size()) {
         // The picture of a link has that of the link before as its first parent; others are residuals made before.
         std::filesystem::path picture = file;
         for (std::size_t i = ledger.size(); i-- > 1 && has_cost(picture);) {
             const Cost cost = read_cost(picture);
             if (cost.parents.empty()) return;
-            const auto parent = [&](std::size_t k) { return (picture.parent_path() / cost.parents[k]).lexically_normal(); };
+            const auto parent = [&](std::size_t k) {
+                return (picture.parent_path() / cost.parents[k]).lexically_normal();
+            };
             cpu_s[i] = cost.cpu_s;
             for (std::size_t k = 1; k < cost.parents.size() && cpu_s[i]; ++k) {
                 const auto made = whole_cpu_s(parent(k));
@@ -216,15 +232,19 @@ struct LedgerFacts {
         if (ledger.size() == 1) cpu_s[0] = whole_cpu_s(file);
     }
     std::string text() const {
-        std::string text = fmt::format("\n  {:>4}  {:<12} {:>9}  {:>11}  {:>11}  {:>7}  {:>9}  {:>9}  {}\n", "link", "method", "per pixel", "var_mean", "sum", "share",
-                                       "fresh spp", "CPU", "shows; edit");
+        std::string text =
+            fmt::format("\n  {:>4}  {:<12} {:>9}  {:>11}  {:>11}  {:>7}  {:>9}  {:>9}  {}\n", "link", "method",
+                        "per pixel", "var_mean", "sum", "share", "fresh spp", "CPU", "shows; edit");
         const double all = accumulated_var_mean(ledger, ledger.size());
         for (std::size_t i = 0; i < ledger.size(); ++i) {
             const LedgerLink& link = ledger[i];
             const double worth = worth_samples(ledger, i + 1);
-            text += fmt::format("  {:>4}  {:<12} {:>9}  {:>11.4g}  {:>11.4g}  {:>5.1f} %  {:>9}  {:>9}  {}; {}\n", i, link.method, link.samples, link.var_mean,
-                                accumulated_var_mean(ledger, i + 1), all > 0 ? 100 * link.var_mean / all : 0.0, worth == 0 ? "?" : fmt::format("{:.4g}", worth),
-                                cpu_s[i] ? app::duration_text(*cpu_s[i]) : "?", link.scene.hash.empty() ? "?" : link.scene.name, link.what);
+            text +=
+                fmt::format("  {:>4}  {:<12} {:>9}  {:>11.4g}  {:>11.4g}  {:>5.1f} %  {:>9}  {:>9}  {}; {}\n", i,
+                            link.method, link.samples, link.var_mean, accumulated_var_mean(ledger, i + 1),
+                            all > 0 ? 100 * link.var_mean / all : 0.0, worth == 0 ? "?" : fmt::format("{:.4g}", worth),
+                            cpu_s[i] ? app::duration_text(*cpu_s[i]) : "?",
+                            link.scene.hash.empty() ? "?" : link.scene.name, link.what);
         }
         return text;
     }
@@ -259,10 +279,9 @@ std::string shortened(std::string text, std::size_t n) {
 }
 
 std::string dataset_line(const DatasetSummary& d, std::size_t name_width) {
-    std::string line = fmt::format("  {:<{}}  {:<9} {:>14}  {:<14}", d.name, name_width, d.type,
-                                   extents_text(d.extents), d.units);
-    if (!d.values.empty())
-        return line + " " + shortened(fmt::format("{}", fmt::join(d.values, ", ")), 60) + "\n";
+    std::string line =
+        fmt::format("  {:<{}}  {:<9} {:>14}  {:<14}", d.name, name_width, d.type, extents_text(d.extents), d.units);
+    if (!d.values.empty()) return line + " " + shortened(fmt::format("{}", fmt::join(d.values, ", ")), 60) + "\n";
     if (!d.is_number) return line + "\n";
     const Statistics& s = d.statistics;
     line += fmt::format(" {:>11.5g} {:>11.5g} {:>11.5g}", s.min, s.mean, s.max);
@@ -271,13 +290,12 @@ std::string dataset_line(const DatasetSummary& d, std::size_t name_width) {
 }
 
 std::string graph_text(const GraphFacts& facts) {
-    std::string text = fmt::format(
-        "\n{} paths, {} vertices ({:.3g} per path), {} light edges ({:.3g} per vertex)\n", facts.n_paths,
-        facts.n_vertices, facts.vertices_per_path(), facts.n_edges, facts.per_vertex(facts.n_edges));
+    std::string text =
+        fmt::format("\n{} paths, {} vertices ({:.3g} per path), {} light edges ({:.3g} per vertex)\n", facts.n_paths,
+                    facts.n_vertices, facts.vertices_per_path(), facts.n_edges, facts.per_vertex(facts.n_edges));
     text += "endings:";
     for (std::size_t k = 1; k < facts.endings.size(); ++k) {
-        text +=
-            fmt::format("{} {} {}", k == 1 ? "" : ",", facts.endings[k], ending_name(static_cast<Ending>(k)));
+        text += fmt::format("{} {} {}", k == 1 ? "" : ",", facts.endings[k], ending_name(static_cast<Ending>(k)));
     }
     text += "\n\nbytes per vertex by column:\n";
     for (const auto& column : facts.columns) {
@@ -334,14 +352,14 @@ void dataset_json(const DatasetSummary& d, JsonWriter& json) {
 
 std::string text_of(const Survey& survey, const std::string& file, const std::string& graph) {
     const std::string filetype = survey.attribute("filetype");
-    std::string text =
-        fmt::format("{}: {}, {}\n", file,
-                    !filetype.empty() ? fmt::format("{} {}", filetype, survey.attribute("version"))
-                    : survey.kind == Survey::Kind::exr ? "EXR of another program"
-                                                       : "HDF5 of another program",
-                    app::bytes_text(survey.file_bytes));
+    std::string text = fmt::format("{}: {}, {}\n", file,
+                                   !filetype.empty() ? fmt::format("{} {}", filetype, survey.attribute("version"))
+                                   : survey.kind == Survey::Kind::exr ? "EXR of another program"
+                                                                      : "HDF5 of another program",
+                                   app::bytes_text(survey.file_bytes));
     for (const auto& [name, value] : survey.attributes) {
-        if (name == "filetype" || name == "version" || value.empty() || (name == "ledger" && has_ledger(survey))) continue;
+        if (name == "filetype" || name == "version" || value.empty() || (name == "ledger" && has_ledger(survey)))
+            continue;
         for (std::size_t at = 0; at < value.size();) {  // one line per input
             const std::size_t end = std::min(value.find('\n', at), value.size());
             text += fmt::format("  {:<18} {}\n", at == 0 ? name : "", value.substr(at, end - at));
@@ -351,8 +369,8 @@ std::string text_of(const Survey& survey, const std::string& file, const std::st
     if (has_cost(file)) {
         const Cost cost = read_cost(file);
         text += fmt::format("  {:<18} {}, {} of CPU, {} rays, {} samples, peak memory {}\n", "cost",
-                            app::duration_text(cost.wall_s), app::duration_text(cost.cpu_s), cost.rays,
-                            cost.samples, app::bytes_text(cost.peak_memory_bytes));
+                            app::duration_text(cost.wall_s), app::duration_text(cost.cpu_s), cost.rays, cost.samples,
+                            app::bytes_text(cost.peak_memory_bytes));
     }
     if (is_path_graph(survey)) text += graph_text(GraphFacts(read_path_graph(file)));
     if (is_clusters(survey)) text += ClusterFacts(file, graph).text();
@@ -360,8 +378,8 @@ std::string text_of(const Survey& survey, const std::string& file, const std::st
     if (has_ledger(survey)) text += LedgerFacts(survey, file).text();
     std::size_t name_width = 7;
     for (const auto& d : survey.datasets) name_width = std::max(name_width, d.name.size());
-    text += fmt::format("\n  {:<{}}  {:<9} {:>14}  {:<14} {:>11} {:>11} {:>11}\n", "dataset", name_width,
-                        "type", "extent", "units", "min", "mean", "max");
+    text += fmt::format("\n  {:<{}}  {:<9} {:>14}  {:<14} {:>11} {:>11} {:>11}\n", "dataset", name_width, "type",
+                        "extent", "units", "min", "mean", "max");
     for (const auto& d : survey.datasets) text += dataset_line(d, name_width);
     return text;
 }

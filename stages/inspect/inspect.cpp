@@ -14,22 +14,22 @@
 namespace loom::inspect {
 
 void declare(app::Command& command, Options& options) {
-    command.files("file", options.files,
-                 "any HDF5 or EXR file; a path_graph for --path and --obj, an image for --png");
+    command.files("file", options.files, "any HDF5 or EXR file; a path_graph for --path and --obj, an image for --png");
     command.flag("--json", options.json, "print JSON instead of a table");
     command.option("--path", options.path,
                    "print one path of a graph: PIXEL,SAMPLE, the pixel as x:y (0:0 is top left) or as the "
                    "index y width + x");
     command.output("--obj", options.obj, "write paths of a graph as lines of a Wavefront OBJ");
-    command.option("--max-paths", options.max_paths, "most paths in the OBJ",
-                   app::Range<std::uint64_t>{1, 10'000'000});
+    command.option("--max-paths", options.max_paths, "most paths in the OBJ", app::Range<std::uint64_t>{1, 10'000'000});
     command.output("--png", options.png, "write an sRGB preview of an image");
-    command.option("--exposure", options.exposure_ev, "exposure of the preview",
-                   app::Range<double>{-50, 50, "EV"});
+    command.option("--exposure", options.exposure_ev, "exposure of the preview", app::Range<double>{-50, 50, "EV"});
     command.file("--graph", options.graph, "the path graph of a clusters file, for radii and normal spread");
     command.flag("--iterations", options.iterations, "print the steps of the refinement of a radiance file as TSV");
-    command.output("--stamp", options.stamp, "write the content hashes of the files, of any kind, for make to depend on; a stamp that has them already is left alone");
-    command.file("--scene", options.scene, "with --stamp: also those of a scene file (Mitsuba XML) and of all files that it names");
+    command.output("--stamp", options.stamp,
+                   "write the content hashes of the files, of any kind, for make to depend on; a stamp that has them "
+                   "already is left alone");
+    command.file("--scene", options.scene,
+                 "with --stamp: also those of a scene file (Mitsuba XML) and of all files that it names");
     command.option("-D,--define", options.defines, "with --scene: NAME=VALUE of a scene parameter $NAME");
     command.option("--sensor", options.sensor, "with --scene: its sensor, as loom-trace has it");
     command.flag("--check", options.check, "with --stamp: compare only; exit code 1 when contents differ");
@@ -67,7 +67,8 @@ int run(const Options& options, app::Report& report) {
     if (options.check || !options.scene.empty() || !options.defines.empty() || !options.sensor.empty())
         throw InputError("--scene, --define, --sensor, --check: only with --stamp");
     if (options.files.empty()) throw InputError("no file is named; loom-inspect FILE, or --help");
-    if (options.files.size() > 1) throw InputError(fmt::format("{}: one file at a time, but for --stamp", options.files[1]));
+    if (options.files.size() > 1)
+        throw InputError(fmt::format("{}: one file at a time, but for --stamp", options.files[1]));
     const std::string& file = options.files[0];
     if (options.iterations) {
         report.answer(iterations_tsv(read_radiance(file)));
@@ -75,16 +76,15 @@ int run(const Options& options, app::Report& report) {
     }
     if (options.path.empty() && options.obj.empty() && options.png.empty()) {
         const Survey survey = survey_file(file);
-        report.answer(options.json ? json_of(survey, file, options.graph)
-                                   : text_of(survey, file, options.graph));
+        report.answer(options.json ? json_of(survey, file, options.graph) : text_of(survey, file, options.graph));
     }
     if (!options.path.empty() || !options.obj.empty()) {
         const PathGraph graph = read_path_graph(file);
         if (!options.path.empty()) report.answer(path_text(graph, options.path));
         if (!options.obj.empty()) {
             write_text_file(options.obj, obj_text(graph, options.max_paths));
-            report.info("{}: {} of {} paths", options.obj,
-                        std::min<std::uint64_t>(options.max_paths, graph.n_paths()), graph.n_paths());
+            report.info("{}: {} of {} paths", options.obj, std::min<std::uint64_t>(options.max_paths, graph.n_paths()),
+                        graph.n_paths());
         }
     }
     if (!options.png.empty()) {

@@ -17,21 +17,21 @@ class Report;
 namespace loom::inspect {
 
 struct Options {
-    std::vector<std::string> files;  // one HDF5 or EXR file; of a stamp, any files
-    bool json = false;               // print JSON instead of a table
-    std::string path;                // "PIXEL,SAMPLE": print this path of a graph
-    std::string obj;                 // write the paths of a graph as lines to this file
-    std::uint64_t max_paths = 1000;  // at most so many paths in the OBJ file
-    std::string png;                 // write a preview of an image to this file
-    double exposure_ev = 0;          // of the preview, in stops
-    std::string graph;               // path graph of the clusters in `file`, for their radii
-    bool iterations = false;         // print how the refinement of a radiance file converged, as TSV
-    std::string stamp;               // write the content hashes of the files to this file
-    std::string scene;               // of a stamp: a scene, with all files that it names
+    std::vector<std::string> files;    // one HDF5 or EXR file; of a stamp, any files
+    bool json = false;                 // print JSON instead of a table
+    std::string path;                  // "PIXEL,SAMPLE": print this path of a graph
+    std::string obj;                   // write the paths of a graph as lines to this file
+    std::uint64_t max_paths = 1000;    // at most so many paths in the OBJ file
+    std::string png;                   // write a preview of an image to this file
+    double exposure_ev = 0;            // of the preview, in stops
+    std::string graph;                 // path graph of the clusters in `file`, for their radii
+    bool iterations = false;           // print how the refinement of a radiance file converged, as TSV
+    std::string stamp;                 // write the content hashes of the files to this file
+    std::string scene;                 // of a stamp: a scene, with all files that it names
     std::vector<std::string> defines;  // of the scene, "NAME=VALUE"
     std::string sensor;                // of the scene, id or number; empty: the first
-    bool check = false;              // of a stamp: only compare
-    bool formats = false;            // print the documentation of all formats
+    bool check = false;                // of a stamp: only compare
+    bool formats = false;              // print the documentation of all formats
 };
 
 /// Binds the options to the command line; `options` must outlive `command`.

@@ -1,6 +1,5 @@
-#include "stages/inspect/inspect.h"
-
 #include "stages/core/app/command.h"
+#include "stages/inspect/inspect.h"
 
 int main(int argc, char** argv) {
     using namespace loom;

@@ -12,8 +12,7 @@ namespace loom::inspect {
 namespace {
 
 constexpr std::array<std::string_view, 7> lobe_names{
-    "none", "diffuse", "glossy reflection", "glossy transmission", "delta reflection", "delta transmission",
-    "null"};
+    "none", "diffuse", "glossy reflection", "glossy transmission", "delta reflection", "delta transmission", "null"};
 
 std::string triple(std::span<const float> v) {
     return fmt::format("({:.6g}, {:.6g}, {:.6g})", v[0], v[1], v[2]);
@@ -25,8 +24,7 @@ std::string normal(std::span<const std::int16_t> uv) {
 
 std::string halves(std::span<const Half> values) {
     std::string text;
-    for (Half value : values)
-        text += fmt::format("{}{:.4g}", text.empty() ? "" : ", ", float_from_half(value));
+    for (Half value : values) text += fmt::format("{}{:.4g}", text.empty() ? "" : ", ", float_from_half(value));
     return "(" + text + ")";
 }
 
@@ -43,8 +41,7 @@ std::uint64_t number(const std::string& text, const std::string& which) {
 /// Row of `paths` that "PIXEL,SAMPLE" names.
 std::size_t path_index(const PathGraph& g, const std::string& which) {
     const auto comma = which.find(',');
-    if (comma == std::string::npos)
-        refuse_path(which, "expected PIXEL,SAMPLE, for example 320:180,0 or 115520,0");
+    if (comma == std::string::npos) refuse_path(which, "expected PIXEL,SAMPLE, for example 320:180,0 or 115520,0");
     const std::string pixel_text = which.substr(0, comma);
     const auto colon = pixel_text.find(':');
     std::uint64_t pixel = 0;
@@ -61,8 +58,8 @@ std::size_t path_index(const PathGraph& g, const std::string& which) {
     if (pixel >= g.n_pixels()) refuse_path(which, fmt::format("the image has {} pixels", g.n_pixels()));
     const std::uint64_t sample = number(which.substr(comma + 1), which), first = g.tracing.first_sample;
     if (sample < first || sample - first >= g.tracing.samples_per_pixel) {
-        refuse_path(which, fmt::format("the file has samples {} to {}", first,
-                                       first + g.tracing.samples_per_pixel - 1));
+        refuse_path(which,
+                    fmt::format("the file has samples {} to {}", first, first + g.tracing.samples_per_pixel - 1));
     }
     return (sample - first) * g.n_pixels() + pixel;
 }
@@ -73,8 +70,7 @@ std::string vertex_text(const PathGraph& g, std::uint64_t j) {
     std::string text = fmt::format("  vertex {}\n    p       {} m\n    wo      {}\n    ns      {}\n", j,
                                    triple(x.p.row(j, 3)), triple(x.wo.row(j, 3)), normal(x.ns.row(j, 2)));
     if (!x.ng.empty()) text += fmt::format("    ng      {}\n", normal(x.ng.row(j, 2)));
-    text +=
-        fmt::format("    on      {} of shape {}\n", g.materials.id[x.material[j]], g.shapes.id[x.shape[j]]);
+    text += fmt::format("    on      {} of shape {}\n", g.materials.id[x.material[j]], g.shapes.id[x.shape[j]]);
     const auto parameter = [&](std::string_view name, const Column<Half>& column, std::size_t width) {
         if (!column.empty()) text += fmt::format("    {:<7} {}\n", name, halves(column.row(j, width)));
     };
@@ -97,8 +93,8 @@ std::string edge_text(const PathGraph& g, std::size_t k) {
     const auto y = e.y.row(k, 4);
     return fmt::format("    light   {} {} at {}{}: Li {}, pdf_nee_w {:.6g}, pdf_bsdf_w {:.6g}\n",
                        e.technique[k] == 0 ? "next event on" : "BSDF hit of", g.emitters.id[e.emitter[k]],
-                       triple(y.first(3)), y[3] == 0 ? " (direction)" : " m", triple(e.Li.row(k, 3)),
-                       e.pdf_nee_w[k], e.pdf_bsdf_w[k]);
+                       triple(y.first(3)), y[3] == 0 ? " (direction)" : " m", triple(e.Li.row(k, 3)), e.pdf_nee_w[k],
+                       e.pdf_bsdf_w[k]);
 }
 
 /// First light edge of a vertex or of a later one.
@@ -117,14 +113,13 @@ std::string path_text(const PathGraph& graph, const std::string& which) {
     const std::size_t i = path_index(graph, which);
     const auto first = graph.paths.first_vertex[i], end = graph.paths.first_vertex[i + 1];
     const std::size_t pixel = i % graph.n_pixels();
-    std::string text = fmt::format(
-        "path {}: pixel {}:{} (index {}), sample {}, {} vertices, Le {} seen directly\n", i,
-        pixel % graph.sensor.width, pixel / graph.sensor.width, pixel,
-        graph.tracing.first_sample + i / graph.n_pixels(), end - first, triple(graph.paths.Le.row(i, 3)));
+    std::string text =
+        fmt::format("path {}: pixel {}:{} (index {}), sample {}, {} vertices, Le {} seen directly\n", i,
+                    pixel % graph.sensor.width, pixel / graph.sensor.width, pixel,
+                    graph.tracing.first_sample + i / graph.n_pixels(), end - first, triple(graph.paths.Le.row(i, 3)));
     for (std::uint64_t j = first; j < end; ++j) {
         text += vertex_text(graph, j);
-        for (std::size_t k = first_edge(graph, j);
-             k < graph.n_light_edges() && graph.light_edges.vertex[k] == j; ++k) {
+        for (std::size_t k = first_edge(graph, j); k < graph.n_light_edges() && graph.light_edges.vertex[k] == j; ++k) {
             text += edge_text(graph, k);
         }
     }
@@ -144,20 +139,19 @@ std::string obj_text(const PathGraph& graph, std::uint64_t max_paths) {
         const auto& pinhole = graph.sensor.origin;
         const std::array<float, 3> eye{static_cast<float>(pinhole[0]), static_cast<float>(pinhole[1]),
                                        static_cast<float>(pinhole[2])};
-        paths += vertex_line(graph.paths.origin.empty() ? std::span<const float>(eye)
-                                                        : graph.paths.origin.row(i, 3));
+        paths += vertex_line(graph.paths.origin.empty() ? std::span<const float>(eye) : graph.paths.origin.row(i, 3));
         for (std::uint64_t j = first; j < end; ++j) paths += vertex_line(graph.vertices.p.row(j, 3));
         paths += "l";
         for (std::uint64_t j = first; j <= end; ++j) paths += fmt::format(" {}", ++n_points);
         paths += '\n';
-        for (std::size_t k = first_edge(graph, first);
-             k < graph.n_light_edges() && graph.light_edges.vertex[k] < end; ++k) {
+        for (std::size_t k = first_edge(graph, first); k < graph.n_light_edges() && graph.light_edges.vertex[k] < end;
+             ++k) {
             const auto y = graph.light_edges.y.row(k, 4);
             if (y[3] == 0) continue;
             // Numbers below zero count back from the last point, which spares the offset of the paths'
             // points.
-            lights += vertex_line(graph.vertices.p.row(graph.light_edges.vertex[k], 3)) +
-                      vertex_line(y.first(3)) + "l -2 -1\n";
+            lights += vertex_line(graph.vertices.p.row(graph.light_edges.vertex[k], 3)) + vertex_line(y.first(3)) +
+                      "l -2 -1\n";
         }
     }
     return fmt::format("# {} of {} paths\no paths\n{}o light_edges\n{}", n_shown, n_paths, paths, lights);

@@ -9,26 +9,29 @@
 namespace loom::merge {
 namespace {
 
-/// Over which window bias is looked for, and by how many standard errors it must show. Noise that few paths bring is not
-/// seen in most windows of that size, which then look biased, and quiet: it is measured over a wider one as well.
+/// Over which window bias is looked for, and by how many standard errors it must show. Noise that few paths bring is
+/// not seen in most windows of that size, which then look biased, and quiet: it is measured over a wider one as well.
 struct Test {
     int radius;
     double standard_errors;
     int noise_radius;
 };
 constexpr Test direct_against_own{3, 0.5, 3};
-constexpr Test against_own{3, 0.5, 27};  // own samples against the cluster's: noise of a few samples
-constexpr Test against_path{6, 0.5, 54};   // whole paths against both
+constexpr Test against_own{3, 0.5, 27};   // own samples against the cluster's: noise of a few samples
+constexpr Test against_path{6, 0.5, 54};  // whole paths against both
 
 /// Mean over the window, as far as it lies within the image. A window is the end of one block of its length and the
 /// beginning of the next: whatever its size one sum of two, and nothing is lost beside values that are far larger.
 std::vector<double> window_mean(const std::vector<double>& values, int width, int height, int radius) {
-    const auto along = [length = 2 * radius + 1, radius](const std::vector<double>& in, int n, int stride, int n_lines, int line_stride) {
+    const auto along = [length = 2 * radius + 1, radius](const std::vector<double>& in, int n, int stride, int n_lines,
+                                                         int line_stride) {
         std::vector<double> out(in.size()), from_block_begin(std::size_t(n) + 1), to_block_end(std::size_t(n) + 1);
         for (int line = 0; line < n_lines; ++line) {
             const std::size_t first = std::size_t(line) * line_stride;
-            for (int i = 0; i < n; ++i) from_block_begin[i] = in[first + std::size_t(i) * stride] + (i % length ? from_block_begin[i - 1] : 0);
-            for (int i = n; i-- > 0;) to_block_end[i] = in[first + std::size_t(i) * stride] + ((i + 1) % length ? to_block_end[i + 1] : 0);
+            for (int i = 0; i < n; ++i)
+                from_block_begin[i] = in[first + std::size_t(i) * stride] + (i % length ? from_block_begin[i - 1] : 0);
+            for (int i = n; i-- > 0;)
+                to_block_end[i] = in[first + std::size_t(i) * stride] + ((i + 1) % length ? to_block_end[i + 1] : 0);
             for (int i = 0; i < n; ++i) {
                 const int begin = std::max(i - radius, 0), last = std::min(i + radius, n - 1);
                 double sum = begin % length ? to_block_end[begin] : from_block_begin[last];
@@ -65,15 +68,18 @@ std::vector<double> significant(const std::vector<double>& estimate, int width, 
     return mean;
 }
 
-/// Test of bias: whether a blend differs from the paths' own estimate A, which has none, by more than noise explains, in
-/// windows of 7 x 7 or 13 x 13 pixels. The noise of A is what makes such a test hard: a window that rare bright paths have
-/// missed looks quiet. So the size of such paths, v = var / mean, is taken from a wide window. Light of mean f that comes in
-/// events of size v is found in n samples of mean a with a probability of at most exp(-(n f / v) h(a / f)), by Chernoff's bound of
-/// a Poisson number; below exp(-7), one in 1100, the blend is refused. f is first moved towards a by three standard errors of the
-/// blend, whose noise counts as common to 16 pixels, about what clusters span.
+/// Test of bias: whether a blend differs from the paths' own estimate A, which has none, by more than noise explains,
+/// in windows of 7 x 7 or 13 x 13 pixels. The noise of A is what makes such a test hard: a window that rare bright
+/// paths have missed looks quiet. So the size of such paths, v = var / mean, is taken from a wide window. Light of mean
+/// f that comes in events of size v is found in n samples of mean a with a probability of at most exp(-(n f / v) h(a /
+/// f)), by Chernoff's bound of a Poisson number; below exp(-7), one in 1100, the blend is refused. f is first moved
+/// towards a by three standard errors of the blend, whose noise counts as common to 16 pixels, about what clusters
+/// span.
 ///   h(r) = r ln r - r + 1
-/// Power: at four passes (two in the half that tests) a relative bias of 0.33 sqrt(v / f) over a 13 x 13 window is found with
-/// probability 0.99: 16 % of light whose passes have a relative variance of 1/4, 3 % of one of 1/100.   [Boucheron2013] 2.2
+/// Power: at four passes (two in the half that tests) a relative bias of 0.33 sqrt(v / f) over a 13 x 13 window is
+/// found with
+/// probability 0.99: 16 % of light whose passes have a relative variance of 1/4, 3 % of one of 1/100.   [Boucheron2013]
+/// 2.2
 struct Distrust {
     static constexpr double log_odds = 7, blend_errors = 3;
     static constexpr int wide_radius = 27, common_pixels = 16;
@@ -91,16 +97,20 @@ struct Distrust {
 
     /// 1 where the blend is not to be trusted, else 0.
     std::vector<double> pixels(int width, int height) const {
-        const std::vector<double> wide_var = window_mean(var_a, width, height, wide_radius), wide_mean = window_mean(a, width, height, wide_radius);
+        const std::vector<double> wide_var = window_mean(var_a, width, height, wide_radius),
+                                  wide_mean = window_mean(a, width, height, wide_radius);
         std::vector<double> out(a.size());
         for (const int radius : {3, 6}) {
-            const std::vector<double> A = window_mean(a, width, height, radius), F = window_mean(f, width, height, radius),
+            const std::vector<double> A = window_mean(a, width, height, radius),
+                                      F = window_mean(f, width, height, radius),
                                       F_var = window_mean(var_f, width, height, radius);
             for (std::size_t i = 0; i < out.size(); ++i) {
                 const int x = int(i) % width, y = int(i) / width;
-                const double n_pixels = double(std::min(x + radius, width - 1) - std::max(x - radius, 0) + 1) * (std::min(y + radius, height - 1) - std::max(y - radius, 0) + 1);
+                const double n_pixels = double(std::min(x + radius, width - 1) - std::max(x - radius, 0) + 1) *
+                                        (std::min(y + radius, height - 1) - std::max(y - radius, 0) + 1);
                 const double n = n_pixels * n_parts, v = wide_mean[i] > 0 ? wide_var[i] / wide_mean[i] : 0.0;
-                const double noise = blend_errors * std::sqrt(F_var[i] * std::min(common_pixels / n_pixels, 1.0) / n_parts);
+                const double noise =
+                    blend_errors * std::sqrt(F_var[i] * std::min(common_pixels / n_pixels, 1.0) / n_parts);
                 const double f = std::abs(A[i] - F[i]) <= noise ? A[i] : F[i] + (A[i] > F[i] ? noise : -noise);
                 // Equal but for rounding is no bias; light where the blend has none is.
                 if (std::abs(A[i] - f) <= 1e-6 * std::abs(F[i])) continue;
@@ -135,7 +145,8 @@ struct PairSums {
     std::vector<double> distrust(const std::vector<double>& t, int width, int height) const {
         Distrust guard(d.size(), n);
         for (std::size_t i = 0; i < d.size(); ++i)
-            guard.set(i, (b[i] + d[i]) / n, (b2[i] + 2 * bd[i] + d2[i]) / n, (b[i] + t[i] * d[i]) / n, (b2[i] + 2 * t[i] * bd[i] + sqr(t[i]) * d2[i]) / n);
+            guard.set(i, (b[i] + d[i]) / n, (b2[i] + 2 * bd[i] + d2[i]) / n, (b[i] + t[i] * d[i]) / n,
+                      (b2[i] + 2 * t[i] * bd[i] + sqr(t[i]) * d2[i]) / n);
         return guard.pixels(width, height);
     }
 
@@ -144,7 +155,8 @@ struct PairSums {
         std::vector<double> bias2(d.size()), var_a(d.size()), var_b(d.size()), cov(d.size());
         for (std::size_t i = 0; i < d.size(); ++i) {
             const double mean = d[i] / n, scale = importance[i] / (n - 1);
-            const double of_d = std::max(d2[i] / n - sqr(mean), 0.0), of_b = std::max(b2[i] / n - sqr(b[i] / n), 0.0), with_b = bd[i] / n - mean * b[i] / n;
+            const double of_d = std::max(d2[i] / n - sqr(mean), 0.0), of_b = std::max(b2[i] / n - sqr(b[i] / n), 0.0),
+                         with_b = bd[i] / n - mean * b[i] / n;
             bias2[i] = sqr(mean) * importance[i] - of_d * scale;
             var_b[i] = of_b * scale;
             cov[i] = (of_b + with_b) * scale;
@@ -156,7 +168,8 @@ struct PairSums {
         var_b = window_mean(var_b, width, height, test.radius);
         cov = window_mean(cov, width, height, test.radius);
         for (std::size_t i = 0; i < d.size(); ++i) {
-            const double with_a = std::max(var_a[i], wide[i]) - cov[i], with_b = bias2[i] + var_b[i] - cov[i], under = with_a + with_b;
+            const double with_a = std::max(var_a[i], wide[i]) - cov[i], with_b = bias2[i] + var_b[i] - cov[i],
+                         under = with_a + with_b;
             bias2[i] = under > 0 ? std::clamp(with_b / under, 0.0, 1.0) : 0.0;
         }
         return bias2;
@@ -165,7 +178,7 @@ struct PairSums {
 
 /// Three estimates: whole paths, the own sample of refined light, the cluster.
 struct TripleSums {
-    PairSums own;                        // own sample against the cluster
+    PairSums own;                       // own sample against the cluster
     std::vector<double> u, u2, uv, ub;  // u = path - cluster, v = own - cluster, b = cluster
 
     explicit TripleSums(std::size_t n_pixels) : own(n_pixels), u(n_pixels), u2(n_pixels), uv(n_pixels), ub(n_pixels) {}
@@ -212,8 +225,8 @@ struct SharedDirect {
     }
 
     /// Weight of an independent image `a` without bias, of variance var_a.
-    std::vector<double> weights(const Luminances& a, const Luminances& var_a, const std::vector<double>& importance, int width,
-                                int height, const Test& test) const {
+    std::vector<double> weights(const Luminances& a, const Luminances& var_a, const std::vector<double>& importance,
+                                int width, int height, const Test& test) const {
         std::vector<double> bias2(b.size()), noise(b.size()), all(b.size());
         for (std::size_t i = 0; i < b.size(); ++i) {
             const double mean = b[i] / n, var_mean = std::max(b2[i] / n - sqr(mean), 0.0) / (n - 1);
@@ -253,7 +266,8 @@ struct Expectation {
     };
     Errors errors(const std::vector<double>& importance, int width, int height, const Test& test) const {
         const std::size_t n_pixels = a.size();
-        Errors e{std::vector<double>(n_pixels), std::vector<double>(n_pixels), std::vector<double>(n_pixels), std::vector<double>(n_pixels)};
+        Errors e{std::vector<double>(n_pixels), std::vector<double>(n_pixels), std::vector<double>(n_pixels),
+                 std::vector<double>(n_pixels)};
         std::vector<double> cov(n_pixels);
         const auto co = [&](double xy, double x, double y) { return (xy / n - x / n * y / n) / (n - 1); };
         for (std::size_t i = 0; i < n_pixels; ++i) {
@@ -267,7 +281,8 @@ struct Expectation {
         e.var_b = window_mean(e.var_b, width, height, test.radius);
         cov = window_mean(cov, width, height, test.radius);
         for (std::size_t i = 0; i < n_pixels; ++i) {
-            const double with_a = e.var_a[i] - cov[i], with_b = e.bias2_b[i] + e.var_b[i] - cov[i], under = with_a + with_b;
+            const double with_a = e.var_a[i] - cov[i], with_b = e.bias2_b[i] + e.var_b[i] - cov[i],
+                         under = with_a + with_b;
             const double t = under > 0 ? std::clamp(with_b / under, 0.0, 1.0) : 0.0;
             e.best[i] = sqr(t) * e.var_a[i] + sqr(1 - t) * (e.bias2_b[i] + e.var_b[i]) + 2 * t * (1 - t) * cov[i];
         }
@@ -308,8 +323,9 @@ struct LayerMeans {
             result.width = image.width;
             result.height = image.height;
             const auto estimate = [](const Image::Channel& channel) {
-                return std::ranges::any_of(estimate_layers,
-                                           [&](const char* layer) { return channel.name.starts_with(std::string(layer) + "."); });
+                return std::ranges::any_of(estimate_layers, [&](const char* layer) {
+                    return channel.name.starts_with(std::string(layer) + ".");
+                });
             };
             for (const Image::Channel& channel : image.channels)
                 if (!estimate(channel)) result.channels.push_back({channel.name, {}});
@@ -347,10 +363,12 @@ struct LayerMeans {
 }  // namespace
 
 bool has_estimates(const Image& image) {
-    return std::ranges::all_of(estimate_layers, [&](const char* layer) { return !image.find(std::string(layer) + ".R").empty(); });
+    return std::ranges::all_of(estimate_layers,
+                               [&](const char* layer) { return !image.find(std::string(layer) + ".R").empty(); });
 }
 
-Image blend_images(std::size_t n_parts, const std::function<Image(std::size_t)>& part, const Image* direct_image, bool test_bias) {
+Image blend_images(std::size_t n_parts, const std::function<Image(std::size_t)>& part, const Image* direct_image,
+                   bool test_bias) {
     LayerMeans layers(n_parts);
     std::vector<double> luminance_sum;
     std::vector<PairSums> direct;
@@ -396,7 +414,8 @@ Image blend_images(std::size_t n_parts, const std::function<Image(std::size_t)>&
     for (int half = 0; half < 2; ++half) {
         const TripleSums& other = indirect[1 - half];
         Weights& w = weights[half];
-        w.direct = direct_image ? shared_direct[1 - half].weights(direct_y, direct_var_y, importance, width, height, direct_against_own)
+        w.direct = direct_image ? shared_direct[1 - half].weights(direct_y, direct_var_y, importance, width, height,
+                                                                  direct_against_own)
                                 : direct[1 - half].weights(importance, width, height, direct_against_own);
         w.own = other.own.weights(importance, width, height, against_own);
         const PairSums path = other.against_blend(w.own);
@@ -425,8 +444,8 @@ Image blend_images(std::size_t n_parts, const std::function<Image(std::size_t)>&
     }
     Image result = std::move(layers).finish(moments);
     const double even = double((n_parts + 1) / 2) / double(n_parts);
-    const auto direct_weight = result.add("Blend.Direct"), own_weight = result.add("Blend.Own"), path_weight = result.add("Blend.Path"),
-               distrust = result.add("Blend.Distrust");
+    const auto direct_weight = result.add("Blend.Direct"), own_weight = result.add("Blend.Own"),
+               path_weight = result.add("Blend.Path"), distrust = result.add("Blend.Distrust");
     for (std::size_t p = 0; p < n_pixels; ++p) {
         direct_weight[p] = float(lerp(1 - even, weights[0].direct[p], weights[1].direct[p]));
         own_weight[p] = float(lerp(1 - even, weights[0].own[p], weights[1].own[p]));
@@ -437,7 +456,8 @@ Image blend_images(std::size_t n_parts, const std::function<Image(std::size_t)>&
     if (direct_image)
         for (int c = 0; c < 3; ++c) {
             const auto var_mean = result.add(std::string("VarMean.") + "RGB"[c]);
-            for (std::size_t p = 0; p < n_pixels; ++p) var_mean[p] += float(sqr(double(direct_weight[p])) * direct_var[3 * p + c]);
+            for (std::size_t p = 0; p < n_pixels; ++p)
+                var_mean[p] += float(sqr(double(direct_weight[p])) * direct_var[3 * p + c]);
         }
     return result;
 }

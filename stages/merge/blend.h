@@ -31,17 +31,19 @@ bool has_estimates(const Image& image);
 /// out:     R, G, B with VarMean over parts; layers that all parts have, without the estimates; Blend.Direct,
 ///          Blend.Own and Blend.Path, the mean weights t, and Blend.Distrust, the share of the parts in which a test of
 ///          bias refused the blend of direct or of indirect light
-Image blend_images(std::size_t n_parts, const std::function<Image(std::size_t)>& part, const Image* direct = nullptr, bool test_bias = true);
+Image blend_images(std::size_t n_parts, const std::function<Image(std::size_t)>& part, const Image* direct = nullptr,
+                   bool test_bias = true);
 
 /// How many samples of direct light alone the parts' blend should be given.
 struct DirectPlan {
-    std::uint64_t samples = 0;            // per pixel; 0: they do not pay
-    double direct = 0, direct_with = 0;   // expected relMSE of direct light without them and with them
-    double indirect = 0;                  // of all other light
+    std::uint64_t samples = 0;           // per pixel; 0: they do not pay
+    double direct = 0, direct_with = 0;  // expected relMSE of direct light without them and with them
+    double indirect = 0;                 // of all other light
 };
 
 /// m that makes error times cost least, of m = 0 or n / 4, n / 2, n, ... 16 n for parts of n samples in all:
-///   (E_i + E_d(m)) (n + c m),   E_d(m) = (b^2 + w) (v / m) / (b^2 + w + v / m),   E_d(0) as the parts' own samples blend
+///   (E_i + E_d(m)) (n + c m),   E_d(m) = (b^2 + w) (v / m) / (b^2 + w + v / m),   E_d(0) as the parts' own samples
+///   blend
 /// with v the variance of a direct sample and w that of the clusters' mean, b^2 its squared bias, all of luminance
 /// relative to brightness, measured between parts over windows, the 0.1 % worst pixels left out. Where the clusters'
 /// part is nil this is m / n = sqrt(V_d C_i / (V_i C_d)).                                    PG figure 10

@@ -1,6 +1,5 @@
-#include "stages/merge/merge.h"
-
 #include "stages/core/app/command.h"
+#include "stages/merge/merge.h"
 
 int main(int argc, char** argv) {
     using namespace loom;

@@ -20,61 +20,65 @@ constexpr double distrust_to_warn = 0.01;
 
 constexpr std::string_view variance_layer = "VarMean.";
 
-void check_fit(const Image& first, const Image& part, const std::string& first_name,
-               const std::string& name) {
-    if (part.samples == 0)
-        throw InputError(fmt::format("{}: does not say how many samples per pixel it has", name));
+void check_fit(const Image& first, const Image& part, const std::string& first_name, const std::string& name) {
+    if (part.samples == 0) throw InputError(fmt::format("{}: does not say how many samples per pixel it has", name));
     if (part.ledger.size() > 1)
-        throw InputError(fmt::format("{}: is a picture and {} added to it, whose samples do not weigh alike; merge passes of the residual instead", name,
-                                     part.ledger.size() == 2 ? "an edit" : fmt::format("{} edits", part.ledger.size() - 1)));
+        throw InputError(
+            fmt::format("{}: is a picture and {} added to it, whose samples do not weigh alike; merge passes of the "
+                        "residual instead",
+                        name, part.ledger.size() == 2 ? "an edit" : fmt::format("{} edits", part.ledger.size() - 1)));
     if (part.width != first.width || part.height != first.height) {
-        throw InputError(fmt::format("{}: is {} x {}, but {} is {} x {}", name, part.width, part.height,
-                                     first_name, first.width, first.height));
+        throw InputError(fmt::format("{}: is {} x {}, but {} is {} x {}", name, part.width, part.height, first_name,
+                                     first.width, first.height));
     }
     for (const auto& channel : first.channels) {
         if (part.find(channel.name).empty()) {
-            throw InputError(
-                fmt::format("{}: has no channel {}, but {} has", name, channel.name, first_name));
+            throw InputError(fmt::format("{}: has no channel {}, but {} has", name, channel.name, first_name));
         }
     }
     if (part.channels.size() != first.channels.size()) {
-        throw InputError(fmt::format("{}: has {} channels, but {} has {}", name, part.channels.size(),
-                                     first_name, first.channels.size()));
+        throw InputError(fmt::format("{}: has {} channels, but {} has {}", name, part.channels.size(), first_name,
+                                     first.channels.size()));
     }
 }
 
 /// What a part says of itself beside its pixels.
 struct Labels {
-    InputId scene;         // that it shows; of a difference, that it leads to
-    Ledger ledger;         // of a residual, its one link
+    InputId scene;  // that it shows; of a difference, that it leads to
+    Ledger ledger;  // of a residual, its one link
     std::uint64_t samples;
 };
 
 /// The scene that all parts show; none where they do not agree.
 InputId common_scene(std::span<const Labels> parts) {
-    const bool agree = std::all_of(parts.begin(), parts.end(), [&](const Labels& part) { return part.scene.hash == parts[0].scene.hash; });
+    const bool agree = std::all_of(parts.begin(), parts.end(),
+                                   [&](const Labels& part) { return part.scene.hash == parts[0].scene.hash; });
     return agree ? parts[0].scene : InputId();
 }
 
 /// The link of passes of one residual as of one; none where they are no such passes.
 Ledger link_of_passes(std::span<const Labels> parts, const Image& merged) {
     const auto is_pass = [&](const Labels& part) {
-        return part.ledger.size() == 1 && part.ledger[0].scene.hash == parts[0].ledger[0].scene.hash && part.ledger[0].method == parts[0].ledger[0].method;
+        return part.ledger.size() == 1 && part.ledger[0].scene.hash == parts[0].ledger[0].scene.hash &&
+               part.ledger[0].method == parts[0].ledger[0].method;
     };
     if (parts[0].ledger.size() != 1 || !std::all_of(parts.begin(), parts.end(), is_pass)) return {};
     LedgerLink link = parts[0].ledger[0];
     link.samples = merged.samples;
     link.var_mean = mean_var_mean(merged);
     link.var_sample = 0;
-    for (const Labels& part : parts) link.var_sample += part.ledger[0].var_sample * double(part.samples) / double(merged.samples);
+    for (const Labels& part : parts)
+        link.var_sample += part.ledger[0].var_sample * double(part.samples) / double(merged.samples);
     return {link};
 }
 
 /// One channel of all parts.
-std::vector<PartOf> parts_of(std::span<const Image> images, std::string_view mean_channel, std::string_view variance_channel = {}) {
+std::vector<PartOf> parts_of(std::span<const Image> images, std::string_view mean_channel,
+                             std::string_view variance_channel = {}) {
     std::vector<PartOf> parts;
     for (const Image& image : images)
-        parts.push_back({image.samples, image.find(mean_channel), variance_channel.empty() ? std::span<const float>() : image.find(variance_channel)});
+        parts.push_back({image.samples, image.find(mean_channel),
+                         variance_channel.empty() ? std::span<const float>() : image.find(variance_channel)});
     return parts;
 }
 
@@ -135,15 +139,19 @@ Image merge_images(std::span<const Image> parts, std::span<const std::string> na
     return merged;
 }
 
-Image difference_of(const Image& after, const Image& before, const std::string& after_name, const std::string& before_name) {
+Image difference_of(const Image& after, const Image& before, const std::string& after_name,
+                    const std::string& before_name) {
     check_fit(after, before, after_name, before_name);
     if (after.samples != before.samples)
-        throw InputError(fmt::format("{}: has {} samples per pixel, but {} has {}", before_name, before.samples, after_name, after.samples));
+        throw InputError(fmt::format("{}: has {} samples per pixel, but {} has {}", before_name, before.samples,
+                                     after_name, after.samples));
     Image difference = after;
     difference.scene = {};
-    std::erase_if(difference.channels, [](const Image::Channel& channel) { return channel.name.starts_with(variance_layer); });
+    std::erase_if(difference.channels,
+                  [](const Image::Channel& channel) { return channel.name.starts_with(variance_layer); });
     for (Image::Channel& channel : difference.channels) {
-        const bool of_surfaces = channel.name.starts_with("Albedo.") || channel.name.starts_with("N.") || channel.name.starts_with("Depth.");
+        const bool of_surfaces =
+            channel.name.starts_with("Albedo.") || channel.name.starts_with("N.") || channel.name.starts_with("Depth.");
         if (of_surfaces) continue;
         const auto subtracted = before.find(channel.name);
         for (std::size_t i = 0; i < subtracted.size(); ++i) channel.values[i] -= subtracted[i];
@@ -153,16 +161,24 @@ Image difference_of(const Image& after, const Image& before, const std::string& 
 
 void declare(app::Command& command, Options& options) {
     command
-        .files("parts", options.parts, "images (EXR with `samples`) of one size, or transient cubes (.h5) of one window, in the order to sum them")
+        .files(
+            "parts", options.parts,
+            "images (EXR with `samples`) of one size, or transient cubes (.h5) of one window, in the order to sum them")
         .required();
-    command.files("--minus", options.minus, "for each part the image of the scene before an edit, of the same random numbers: joins the differences, whose VarMean is the spread between them");
+    command.files("--minus", options.minus,
+                  "for each part the image of the scene before an edit, of the same random numbers: joins the "
+                  "differences, whose VarMean is the spread between them");
     command.output("-o,--output", options.output, "the joined image or cube");
     command.flag("--zip", options.zip, "compress the output image");
-    command.file("--direct", options.direct, "emission and direct light of other samples (EXR, paths of at most two edges), for the blend");
+    command.file("--direct", options.direct,
+                 "emission and direct light of other samples (EXR, paths of at most two edges), for the blend");
     command.flag("--no-blend", options.no_blend, "do not blend the estimates of path graphs with those of their paths");
-    command.option("--unbiased", options.unbiased, "two levels: all parts' own pictures, and what the paths of the first N parts say beyond them, which leaves no bias; 0: off",
+    command.option("--unbiased", options.unbiased,
+                   "two levels: all parts' own pictures, and what the paths of the first N parts say beyond them, "
+                   "which leaves no bias; 0: off",
                    app::Range<std::uint64_t>{0, 1u << 20});
-    command.flag("--plan-direct", options.plan_direct, "print how many samples of direct light per pixel are worth their cost in the blend, and stop");
+    command.flag("--plan-direct", options.plan_direct,
+                 "print how many samples of direct light per pixel are worth their cost in the blend, and stop");
     command.example("loom-merge pass-0.exr pass-1.exr -o image.exr");
 }
 
@@ -170,14 +186,15 @@ namespace {
 
 /// What a sample of direct light costs, over a sample of path graphs: fixed figures and counts of rays, for the answer
 /// reaches bytes, and clocks never say the same twice. A ray of a path that is traced, clustered, refined and gathered
-/// costs about five times one of a picture of direct light, of which a sample takes three (camera, light, BSDF): 7 times
-/// in cornell-box, 5 in dining-room and staircase, 4 in sponza.
+/// costs about five times one of a picture of direct light, of which a sample takes three (camera, light, BSDF): 7
+/// times in cornell-box, 5 in dining-room and staircase, 4 in sponza.
 double cost_of_direct(const std::string& part) {
     constexpr double rays_of_direct = 3, graph_over_picture = 5;
     // The rays of a part are those of its graph, which are known by their costs even where the graph is gone.
     std::filesystem::path file = part;
     for (Cost cost = read_cost(file);; cost = read_cost(file)) {
-        if (cost.stage == "loom-trace") return rays_of_direct / (graph_over_picture * double(cost.rays) / double(cost.samples));
+        if (cost.stage == "loom-trace")
+            return rays_of_direct / (graph_over_picture * double(cost.rays) / double(cost.samples));
         if (cost.parents.empty()) throw InputError(fmt::format("{}: has no path graph among its parents", part));
         file = file.parent_path() / cost.parents[0];
     }
@@ -185,15 +202,22 @@ double cost_of_direct(const std::string& part) {
 
 void say_direct(const Options& options, app::Report& report) {
     if (options.parts.size() < min_blend_parts)
-        throw InputError(fmt::format("--plan-direct: only a blend takes direct light: {} or more parts", min_blend_parts));
+        throw InputError(
+            fmt::format("--plan-direct: only a blend takes direct light: {} or more parts", min_blend_parts));
     const double cost = cost_of_direct(options.parts[0]);
-    const DirectPlan plan = plan_direct(options.parts.size(), [&](std::size_t i) {
-        Image image = read_image(options.parts[i]);
-        if (!has_estimates(image)) throw InputError(fmt::format("{}: has no estimates (loom-gather --estimates)", options.parts[i]));
-        return image;
-    }, cost);
-    report.info("plan: {} samples of direct light: error {:.3g} of it becomes {:.3g}, beside {:.3g} of all other light, at {:.3f} of the cost of a path",
-                plan.samples, plan.direct, plan.direct_with, plan.indirect, cost);
+    const DirectPlan plan = plan_direct(
+        options.parts.size(),
+        [&](std::size_t i) {
+            Image image = read_image(options.parts[i]);
+            if (!has_estimates(image))
+                throw InputError(fmt::format("{}: has no estimates (loom-gather --estimates)", options.parts[i]));
+            return image;
+        },
+        cost);
+    report.info(
+        "plan: {} samples of direct light: error {:.3g} of it becomes {:.3g}, beside {:.3g} of all other light, at "
+        "{:.3f} of the cost of a path",
+        plan.samples, plan.direct, plan.direct_with, plan.indirect, cost);
     report.answer(fmt::format("{}\n", plan.samples));
 }
 
@@ -207,7 +231,8 @@ void run(const Options& options, app::Report& report) {
     if (options.output.empty()) throw InputError("--output: missing (an .exr file, or .h5 for cubes)");
     if (options.parts.empty()) throw InputError("no image to merge");
     if (std::filesystem::path(options.parts[0]).extension() == ".h5") {
-        if (options.zip || options.no_blend || !options.direct.empty() || !options.minus.empty() || options.unbiased > 0)
+        if (options.zip || options.no_blend || !options.direct.empty() || !options.minus.empty() ||
+            options.unbiased > 0)
             throw InputError("--zip, --direct, --minus, --unbiased, --no-blend: are for images, not for cubes");
         run_cubes(options, report);
         return;
@@ -226,27 +251,33 @@ void run(const Options& options, app::Report& report) {
         if (!differences) return image;
         const Image before = read_image(options.minus[i]);
         if (image.provenance.seed != before.provenance.seed)
-            throw InputError(fmt::format("{}: was made with seed {}, but {} with {}: only the same random numbers have noise in common", options.minus[i],
-                                         before.provenance.seed, options.parts[i], image.provenance.seed));
+            throw InputError(fmt::format(
+                "{}: was made with seed {}, but {} with {}: only the same random numbers have noise in common",
+                options.minus[i], before.provenance.seed, options.parts[i], image.provenance.seed));
         return difference_of(image, before, options.parts[i], options.minus[i]);
     };
     const Image first = read_part(0);
     const bool estimates = has_estimates(first), two_levels = options.unbiased > 0;
     const bool blend = estimates && !options.no_blend && !two_levels && options.parts.size() >= min_blend_parts;
     if (two_levels) {
-        if (!estimates) throw InputError(fmt::format("--unbiased: {} does not say what its paths alone know (loom-gather --estimates)", options.parts[0]));
+        if (!estimates)
+            throw InputError(fmt::format(
+                "--unbiased: {} does not say what its paths alone know (loom-gather --estimates)", options.parts[0]));
         check_two_levels(options.unbiased, options.parts.size());
     }
     Image merged, direct;
     if (!options.direct.empty()) {
         if (!blend || differences)
-            throw InputError(fmt::format("{}: only a blend takes it: {} or more parts of path graphs with estimates, no differences", options.direct, min_blend_parts));
+            throw InputError(
+                fmt::format("{}: only a blend takes it: {} or more parts of path graphs with estimates, no differences",
+                            options.direct, min_blend_parts));
         direct = read_image(options.direct);
         if (direct.width != first.width || direct.height != first.height)
-            throw InputError(fmt::format("{}: is {} x {}, but {} is {} x {}", options.direct, direct.width, direct.height,
-                                         options.parts[0], first.width, first.height));
+            throw InputError(fmt::format("{}: is {} x {}, but {} is {} x {}", options.direct, direct.width,
+                                         direct.height, options.parts[0], first.width, first.height));
         if (direct.find("VarMean.R").empty() || direct.samples < 2)
-            throw InputError(fmt::format("{}: does not say how noisy it is (VarMean of two samples or more)", options.direct));
+            throw InputError(
+                fmt::format("{}: does not say how noisy it is (VarMean of two samples or more)", options.direct));
         provenance.inputs.push_back(identify(options.direct));
     }
     if ((estimates || differences) && options.parts.size() > 1) {
@@ -255,31 +286,44 @@ void run(const Options& options, app::Report& report) {
             check_fit(first, image, options.parts[0], options.parts[i]);
             return image;
         };
-        merged = two_levels ? two_level_image(options.parts.size(), options.unbiased, part)
-                 : blend    ? blend_images(options.parts.size(), part, options.direct.empty() ? nullptr : &direct, !differences)
-                            : average_images(options.parts.size(), part);
+        merged =
+            two_levels ? two_level_image(options.parts.size(), options.unbiased, part)
+            : blend ? blend_images(options.parts.size(), part, options.direct.empty() ? nullptr : &direct, !differences)
+                    : average_images(options.parts.size(), part);
     } else {
         std::vector<Image> parts{first};
         for (std::size_t i = 1; i < options.parts.size(); ++i) parts.push_back(read_part(i));
         merged = merge_images(parts, options.parts);
-        if (differences) report.warn("{}: one difference does not know its noise, so there is no VarMean; give two or more", options.output);
+        if (differences)
+            report.warn("{}: one difference does not know its noise, so there is no VarMean; give two or more",
+                        options.output);
     }
     if (const auto distrust = merged.find("Blend.Distrust"); !distrust.empty()) {
         const double share = std::accumulate(distrust.begin(), distrust.end(), 0.0) / double(distrust.size());
-        const std::string text = fmt::format("clusters are not trusted in {:.2f} % of the pixels (layer Blend.Distrust): the paths alone are taken there", 100 * share);
-        if (share >= distrust_to_warn) report.warn("{}", text);
-        else report.info("{}", text);
+        const std::string text = fmt::format(
+            "clusters are not trusted in {:.2f} % of the pixels (layer Blend.Distrust): the paths alone are taken "
+            "there",
+            100 * share);
+        if (share >= distrust_to_warn)
+            report.warn("{}", text);
+        else
+            report.info("{}", text);
     }
-    const std::string why = two_levels ? fmt::format("on: {} parts, corrected by what the paths of {} say; off: blend", options.parts.size(), options.unbiased)
-                            : blend ? fmt::format("on: blend with the paths' own estimates; off: {}", options.direct.empty() ? "further direct light (none given)" : "nothing")
-                            : !estimates       ? ""
-                            : options.no_blend ? "off: blend with the paths' own estimates (--no-blend)"
-                                               : fmt::format("off: blend with the paths' own estimates (fewer than {} parts)", min_blend_parts);
+    const std::string why =
+        two_levels   ? fmt::format("on: {} parts, corrected by what the paths of {} say; off: blend",
+                                   options.parts.size(), options.unbiased)
+        : blend      ? fmt::format("on: blend with the paths' own estimates; off: {}",
+                              options.direct.empty() ? "further direct light (none given)" : "nothing")
+        : !estimates ? ""
+        : options.no_blend
+            ? "off: blend with the paths' own estimates (--no-blend)"
+            : fmt::format("off: blend with the paths' own estimates (fewer than {} parts)", min_blend_parts);
     if (!why.empty()) report.info("plan: {}", why);
     provenance.stage = report.name();
     provenance.command = report.command();
     provenance.seed = first.provenance.seed;
-    provenance.plan = (why.empty() ? first.provenance.plan : why) + (differences ? "; differences of pairs, new minus old" : "");
+    provenance.plan =
+        (why.empty() ? first.provenance.plan : why) + (differences ? "; differences of pairs, new minus old" : "");
     merged.provenance = std::move(provenance);
     const InputId scene = common_scene(labels);
     if (!differences) {

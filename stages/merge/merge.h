@@ -54,7 +54,8 @@ Image merge_images(std::span<const Image> parts, std::span<const std::string> na
 /// out:     no VarMean: the noise of one is partly that of the other, and how far no pair knows. The spread over pairs
 ///          with their own random numbers does (average_images).
 /// throws:  InputError (by the names) when the two do not fit
-Image difference_of(const Image& after, const Image& before, const std::string& after_name, const std::string& before_name);
+Image difference_of(const Image& after, const Image& before, const std::string& after_name,
+                    const std::string& before_name);
 
 /// The same of transient cubes, row by row: neither parts nor result are ever held.
 /// throws:  InputError naming the part of another size, window or response

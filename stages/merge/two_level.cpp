@@ -13,8 +13,10 @@ namespace loom::merge {
 
 void check_two_levels(std::size_t n_corrected, std::size_t n_parts) {
     if (n_corrected >= 2 && (n_corrected == n_parts || n_corrected + 2 <= n_parts)) return;
-    throw InputError(fmt::format("--unbiased {}: of {} parts; must be at least 2 of them, and leave none or at least 2, so that both groups know their variance",
-                                 n_corrected, n_parts));
+    throw InputError(
+        fmt::format("--unbiased {}: of {} parts; must be at least 2 of them, and leave none or at least 2, so that "
+                    "both groups know their variance",
+                    n_corrected, n_parts));
 }
 
 Image two_level_image(std::size_t n_parts, std::size_t n_corrected, const std::function<Image(std::size_t)>& part) {
@@ -28,8 +30,10 @@ Image two_level_image(std::size_t n_parts, std::size_t n_corrected, const std::f
             for (std::size_t k = 0; k < own.size(); ++k) others[k].add(own[k]);
             continue;
         }
-        const auto emitted = image.interleaved("Emitted"), direct = image.interleaved("DirectOwn"), indirect = image.interleaved("IndirectPath");
-        for (std::size_t k = 0; k < own.size(); ++k) corrected[k].add(double(emitted[k]) + direct[k] + indirect[k] - left * own[k]);
+        const auto emitted = image.interleaved("Emitted"), direct = image.interleaved("DirectOwn"),
+                   indirect = image.interleaved("IndirectPath");
+        for (std::size_t k = 0; k < own.size(); ++k)
+            corrected[k].add(double(emitted[k]) + direct[k] + indirect[k] - left * own[k]);
     }
     std::vector<float> mean(corrected.size()), var_mean(corrected.size());
     for (std::size_t k = 0; k < mean.size(); ++k) {

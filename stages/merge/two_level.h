@@ -8,7 +8,8 @@
 
 namespace loom::merge {
 
-/// Parts B_i say what clusters know, P_i what the same paths know alone. All n parts and, of the first m, what is between:
+/// Parts B_i say what clusters know, P_i what the same paths know alone. All n parts and, of the first m, what is
+/// between:
 ///   1/n sum_(i < n) B_i + 1/m sum_(i < m) (P_i - B_i)                                       [Giles2008]
 /// The mean of P whatever B is. VarMean from the spread of the two groups of parts, which are independent:
 ///   var(P - (1 - m/n) B) / m + (n - m) / n^2 var(B)

@@ -1,11 +1,11 @@
 #include "stages/refine/flat_cluster.h"
 
-
 namespace loom::refine {
 const FlatKernels& flat_kernels() {
-    static const FlatKernels chosen = __builtin_cpu_supports("x86-64-v4")   ? FlatKernels{v4::gather_area_lights, v4::gather_point_lights}
-                                      : __builtin_cpu_supports("x86-64-v3") ? FlatKernels{v3::gather_area_lights, v3::gather_point_lights}
-                                                                            : FlatKernels{v2::gather_area_lights, v2::gather_point_lights};
+    static const FlatKernels chosen =
+        __builtin_cpu_supports("x86-64-v4")   ? FlatKernels{v4::gather_area_lights, v4::gather_point_lights}
+        : __builtin_cpu_supports("x86-64-v3") ? FlatKernels{v3::gather_area_lights, v3::gather_point_lights}
+                                              : FlatKernels{v2::gather_area_lights, v2::gather_point_lights};
     return chosen;
 }
 
@@ -25,10 +25,13 @@ bool FlatCluster::load(std::span<const VertexRow> rows) {
         const BsdfModel& model = reader_.model(row.material);
         if (!(dot(row.wo, n) * side > 0) || (side < 0 && !model.two_sided)) return false;
         const bool textured = reader_.graph().materials.textured[row.material] & textured_parameter::diffuse;
-        albedo_[l] = textured ? Spectrum{float_from_half(row.diffuse[0]), float_from_half(row.diffuse[1]), float_from_half(row.diffuse[2])} : model.diffuse;
+        albedo_[l] = textured ? Spectrum{float_from_half(row.diffuse[0]), float_from_half(row.diffuse[1]),
+                                         float_from_half(row.diffuse[2])}
+                              : model.diffuse;
         c.px[l] = row.p.x, c.py[l] = row.p.y, c.pz[l] = row.p.z;
         c.survival[l] = (row.bits & vertex_flag::attempted_bsdf) ? row.q : 0.0f;
-        c.nee[l] = (row.bits & vertex_flag::attempted_nee) && albedo_[l].r + albedo_[l].g + albedo_[l].b > 0 ? 1.0f : 0.0f;
+        c.nee[l] =
+            (row.bits & vertex_flag::attempted_nee) && albedo_[l].r + albedo_[l].g + albedo_[l].b > 0 ? 1.0f : 0.0f;
         survival_sum_ += c.survival[l];
         nee_sum_ += c.nee[l];
     }
@@ -83,14 +86,22 @@ void FlatCluster::gather_lights(const ClusterRows& rows, std::size_t place) {
     for (int l = 0; l < c.n; ++l) {
         own_white_[l] = Spectrum(0);
         for (const LightRow& light : rows.lights_of(place + std::size_t(l))) switch (light.kind) {
-                case EmitterKind::area: add_near_light(area_, l, light, kernels_.area); break;
+                case EmitterKind::area:
+                    add_near_light(area_, l, light, kernels_.area);
+                    break;
                 case EmitterKind::point:
                 case EmitterKind::spot:
                 case EmitterKind::projector:
-                case EmitterKind::laser_spot: add_near_light(point_, l, light, kernels_.point); break;
-                case EmitterKind::directional: add_far_light(l, light, true); break;
+                case EmitterKind::laser_spot:
+                    add_near_light(point_, l, light, kernels_.point);
+                    break;
+                case EmitterKind::directional:
+                    add_far_light(l, light, true);
+                    break;
                 case EmitterKind::constant:
-                case EmitterKind::envmap: add_far_light(l, light, false); break;
+                case EmitterKind::envmap:
+                    add_far_light(l, light, false);
+                    break;
             }
     }
     flush(area_, kernels_.area);

@@ -33,8 +33,9 @@ struct FlatLights {
     alignas(64) EdgeColumn y_x, y_y, y_z, from_x, from_y, from_z;
     std::uint32_t normal[capacity];  // of an area light, as on disk: two octahedral int16, u low
     EdgeColumn Li_r, Li_g, Li_b;
-    EdgeColumn pdf_nee;              // sr^-1 at the vertex that found it
-    EdgeColumn pdf, other_pdf, density;  // of the technique that found it, of the other one, and what the sample is divided by
+    EdgeColumn pdf_nee;  // sr^-1 at the vertex that found it
+    EdgeColumn pdf, other_pdf,
+        density;  // of the technique that found it, of the other one, and what the sample is divided by
     // Answered: what that vertex makes of it by itself, were it white, and the light 1.
     EdgeColumn own;
     // In between.
@@ -44,10 +45,10 @@ struct FlatLights {
 
 // Both take the edges of `e`, add to white_* what each lane reflects of them with densities pooled over the cluster,
 // and answer e.own.                                     equations: core/transport/cluster_edges.h
-#define LOOM_FLAT_KERNELS                                         \
+#define LOOM_FLAT_KERNELS                                          \
     /* Measure of the light's area, by all lanes' own distance. */ \
-    void gather_area_lights(FlatColumns& c, FlatLights& e);       \
-    /* Point lights and spots: no density but their own. */       \
+    void gather_area_lights(FlatColumns& c, FlatLights& e);        \
+    /* Point lights and spots: no density but their own. */        \
     void gather_point_lights(FlatColumns& c, FlatLights& e);
 
 namespace v2 {

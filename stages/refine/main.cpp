@@ -1,6 +1,5 @@
-#include "stages/refine/refine.h"
-
 #include "stages/core/app/command.h"
+#include "stages/refine/refine.h"
 
 int main(int argc, char** argv) {
     using namespace loom;

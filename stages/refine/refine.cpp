@@ -34,9 +34,12 @@ struct Schedule {
 Schedule schedule(const PathGraph& graph, const Options& options) {
     const int depth = graph.tracing.max_depth;
     if (options.start == Start::automatic && depth >= 0 && depth <= longest_exact_depth)
-        return {Start::zero, std::max(depth - 2, 0), true, fmt::format("from darkness, {} steps: paths have at most {} edges", std::max(depth - 2, 0), depth)};
-    if (options.start == Start::zero) return {Start::zero, options.iterations, false, fmt::format("from darkness, {} steps", options.iterations)};
-    return {Start::paths, options.iterations, false, fmt::format("from the radiance of the paths, {} steps", options.iterations)};
+        return {Start::zero, std::max(depth - 2, 0), true,
+                fmt::format("from darkness, {} steps: paths have at most {} edges", std::max(depth - 2, 0), depth)};
+    if (options.start == Start::zero)
+        return {Start::zero, options.iterations, false, fmt::format("from darkness, {} steps", options.iterations)};
+    return {Start::paths, options.iterations, false,
+            fmt::format("from the radiance of the paths, {} steps", options.iterations)};
 }
 
 /// value(j): what vertex j reflects, as a Light.
@@ -71,32 +74,37 @@ void declare(app::Command& command, Options& options) {
     command.file("graph", options.graph, "path graph (.h5)").required();
     command.file("clusters", options.clusters, "clusters of that graph (.h5); --method west needs none");
     command.output("-o,--output", options.output, "radiance of all vertices (.h5)");
-    command.choice("--method", options.method, "fixed point of sharing and propagation, or the single filter of West et al.",
+    command.choice("--method", options.method,
+                   "fixed point of sharing and propagation, or the single filter of West et al.",
                    {{"fixed-point", Method::fixed_point}, {"west", Method::west}});
     command.option("--iterations", options.iterations, "Jacobi steps", app::Range<int>{0, 10000});
-    command.choice("--reuse", options.reuse, "what neighbours take over from a continuation: its direction, or its end point",
+    command.choice("--reuse", options.reuse,
+                   "what neighbours take over from a continuation: its direction, or its end point",
                    {{"directions", Reuse::directions}, {"points", Reuse::points}});
     command.choice("--clamp", options.clamp, "what keeps the iteration from growing",
                    {{"column", Clamp::column}, {"cluster", Clamp::cluster}, {"none", Clamp::none}});
     command.option("--epsilon", options.epsilon, "the clamp keeps 1 - epsilon", app::Range<float>{0, 0.5f});
     command.choice("--start", options.start, "first iterate: the paths' own radiance, or darkness",
                    {{"auto", Start::automatic}, {"paths", Start::paths}, {"zero", Start::zero}});
-    command.flag("--as-printed", options.as_printed, "the paper's equations to the letter: densities over successes only, biased");
+    command.flag("--as-printed", options.as_printed,
+                 "the paper's equations to the letter: densities over successes only, biased");
     command.option("--neighbours", options.neighbours, "of --method west", app::Range<std::uint32_t>{1, max_lanes});
-    command.option("--private-roughness", options.private_roughness, "of --method west: narrower vertices share nothing",
-                   app::Range<float>{0, 1});
+    command.option("--private-roughness", options.private_roughness,
+                   "of --method west: narrower vertices share nothing", app::Range<float>{0, 1});
     command.threads(options.threads);
     command.flag("--plan", options.plan, "print what would be done, and stop");
     command.example("loom-refine graph.h5 clusters.h5 -o radiance.h5");
 }
 
-Radiance refine_radiance(const PathGraph& graph, const Clusters& clusters, const Options& options, app::Report& report) {
+Radiance refine_radiance(const PathGraph& graph, const Clusters& clusters, const Options& options,
+                         app::Report& report) {
     const Schedule plan = schedule(graph, options);
-    System system =
-        build_system(graph, clusters, {{options.reuse, options.as_printed}, options.clamp, options.epsilon, options.threads});
+    System system = build_system(
+        graph, clusters, {{options.reuse, options.as_printed}, options.clamp, options.epsilon, options.threads});
     if (system.largest_column_sum > 1)
-        report.info("an edge gives up to {:.3f} of the light that it brings; {} of {} edges clamped, {:.4f} % of the energy",
-                    system.largest_column_sum, system.n_clamped, system.n_columns, 100 * system.clamped_share);
+        report.info(
+            "an edge gives up to {:.3f} of the light that it brings; {} of {} edges clamped, {:.4f} % of the energy",
+            system.largest_column_sum, system.n_clamped, system.n_columns, 100 * system.clamped_share);
 
     std::vector<std::uint32_t> first_hits;
     first_hits.reserve(graph.n_paths());
@@ -111,31 +119,37 @@ Radiance refine_radiance(const PathGraph& graph, const Clusters& clusters, const
     if (plan.start == Start::zero)
         for (std::size_t k = 0; k < system.n_unknowns; ++k) system.at[k].X = system.at[k].B;
     indirect = {};
-    const auto log = solve(system, first_hits, {plan.iterations, options.clamp, options.epsilon, options.threads, plan.counts_bounces}, radiance_of(system), [&](const Iteration& i) {
-        residual.push_back(i.residual);
-        image_change.push_back(std::isfinite(i.image_change) ? i.image_change : 1);  // infinite when the image turns black: all of it changes
-        result.clamped_share = i.clamped_share;
-        report.info("step {}: residual {:.3g}, image changes by {:.3g}{}", residual.size(), i.residual, i.image_change,
-                    i.clamped_share > 0 ? fmt::format(", {:.4f} % of the energy clamped", 100 * i.clamped_share) : "");
-    });
+    const auto log = solve(
+        system, first_hits, {plan.iterations, options.clamp, options.epsilon, options.threads, plan.counts_bounces},
+        radiance_of(system), [&](const Iteration& i) {
+            residual.push_back(i.residual);
+            image_change.push_back(std::isfinite(i.image_change)
+                                       ? i.image_change
+                                       : 1);  // infinite when the image turns black: all of it changes
+            result.clamped_share = i.clamped_share;
+            report.info(
+                "step {}: residual {:.3g}, image changes by {:.3g}{}", residual.size(), i.residual, i.image_change,
+                i.clamped_share > 0 ? fmt::format(", {:.4f} % of the energy clamped", 100 * i.clamped_share) : "");
+        });
     if (int(log.size()) < plan.iterations)
         report.warn("the iteration diverges at step {} of {}: use --clamp column", log.size() + 1, plan.iterations);
     if (options.clamp == Clamp::column) result.clamped_share = system.clamped_share;
 
     if (result.clamped_share >= clamped_share_to_warn)
-        report.warn("the clamp took {:.1f} % of the energy: the image is darker by up to that; --clamp none shows by how much", 100 * result.clamped_share);
+        report.warn(
+            "the clamp took {:.1f} % of the energy: the image is darker by up to that; --clamp none shows by how much",
+            100 * result.clamped_share);
 
     result.graph_vertices = system.n_unknowns;
-    result.L = interleaved(system.n_unknowns, options.threads, [&](std::size_t j) { return system.at[system.unknown[j]].X; });
-    result.direct = of_first_vertices(graph, options.threads, [&](std::size_t j) { return system.at[system.unknown[j]].B; });
+    result.L =
+        interleaved(system.n_unknowns, options.threads, [&](std::size_t j) { return system.at[system.unknown[j]].X; });
+    result.direct =
+        of_first_vertices(graph, options.threads, [&](std::size_t j) { return system.at[system.unknown[j]].B; });
     result.residual = std::move(residual);
     result.image_change = std::move(image_change);
-    result.settings = {"fixed-point",
-                       options.reuse == Reuse::points ? "points" : "directions",
-                       name(options.clamp),
-                       plan.start == Start::paths ? "paths" : "zero",
-                       plan.iterations,
-                       options.epsilon,
+    result.settings = {"fixed-point",       options.reuse == Reuse::points ? "points" : "directions",
+                       name(options.clamp), plan.start == Start::paths ? "paths" : "zero",
+                       plan.iterations,     options.epsilon,
                        options.as_printed};
     return result;
 }
@@ -145,7 +159,8 @@ Radiance west_radiance(const PathGraph& graph, const Options& options) {
     std::vector<std::uint32_t> members;
     for (std::size_t j = 0; j < graph.n_vertices(); ++j)
         if (shares(j)) members.push_back(std::uint32_t(j));
-    const Filtered filtered = west_filter(graph, members, options.neighbours, {options.reuse, options.as_printed}, options.threads);
+    const Filtered filtered =
+        west_filter(graph, members, options.neighbours, {options.reuse, options.as_printed}, options.threads);
     Radiance result;
     result.graph_vertices = graph.n_vertices();
     result.L = interleaved(graph.n_vertices(), options.threads, [&](std::size_t j) { return filtered.L[j]; });
@@ -164,13 +179,18 @@ void run(const Options& options, app::Report& report) {
     }
     const PathGraph graph = read_path_graph(options.graph);
     // Their directions are not those of BSDF sampling, by whose densities neighbours are weighted.
-    if (!graph.nlos.capture.empty()) throw InputError(fmt::format("{}: vertices of a capture around a corner cannot be shared; loom-transient reads it", options.graph));
+    if (!graph.nlos.capture.empty())
+        throw InputError(fmt::format(
+            "{}: vertices of a capture around a corner cannot be shared; loom-transient reads it", options.graph));
     const bool west = options.method == Method::west;
-    const std::string plan = fmt::format(
-        "on: {}{}; off: {}", west ? fmt::format("one aggregation over {} nearest neighbours", options.neighbours)
-                                  : fmt::format("{}; clamp {}", schedule(graph, options).why, name(options.clamp)),
-        options.as_printed ? ", equations as printed" : "",
-        west ? "propagation (asked for --method west)" : graph.vertices.eta.empty() ? "private dielectric lobes (no dielectric)" : "nothing");
+    const std::string plan =
+        fmt::format("on: {}{}; off: {}",
+                    west ? fmt::format("one aggregation over {} nearest neighbours", options.neighbours)
+                         : fmt::format("{}; clamp {}", schedule(graph, options).why, name(options.clamp)),
+                    options.as_printed ? ", equations as printed" : "",
+                    west                         ? "propagation (asked for --method west)"
+                    : graph.vertices.eta.empty() ? "private dielectric lobes (no dielectric)"
+                                                 : "nothing");
     if (options.plan) {
         report.answer(plan + "\n");
         return;
@@ -179,7 +199,8 @@ void run(const Options& options, app::Report& report) {
     const InputId graph_id = identify(options.graph);
     Radiance radiance;
     if (west) {
-        if (!options.clusters.empty()) throw InputError(options.clusters + ": --method west finds its neighbours itself, give no clusters");
+        if (!options.clusters.empty())
+            throw InputError(options.clusters + ": --method west finds its neighbours itself, give no clusters");
         radiance = west_radiance(graph, options);
         radiance.provenance.inputs = {graph_id};
     } else {
@@ -187,8 +208,8 @@ void run(const Options& options, app::Report& report) {
         const Clusters clusters = read_clusters(options.clusters);
         require_clusters_of(graph, graph_id, clusters, options.clusters);
         if (clusters.settings.max_size > max_lanes)
-            throw InputError(fmt::format("{}: clusters of up to {} vertices; at most {} can be refined", options.clusters,
-                                         clusters.settings.max_size, max_lanes));
+            throw InputError(fmt::format("{}: clusters of up to {} vertices; at most {} can be refined",
+                                         options.clusters, clusters.settings.max_size, max_lanes));
         report.info("clusters: kept apart, of {} vertices: {}", clusters.n_members(), text_of(clusters.separation));
         radiance = refine_radiance(graph, clusters, options, report);
         radiance.provenance.inputs = {graph_id, identify(options.clusters)};

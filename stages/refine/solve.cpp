@@ -16,8 +16,12 @@ constexpr double rounding = 1e-6;
 
 /// All four numbers of a Light at once.
 using Quad = float __attribute__((vector_size(sizeof(Light))));
-Quad quad(const Light& L) { return std::bit_cast<Quad>(L); }
-Light light(const Quad& q) { return std::bit_cast<Light>(q); }
+Quad quad(const Light& L) {
+    return std::bit_cast<Quad>(L);
+}
+Light light(const Quad& q) {
+    return std::bit_cast<Light>(q);
+}
 
 float magnitude(const Quad& q) {
     return std::fabs(q[0]) + std::fabs(q[1]) + std::fabs(q[2]);
@@ -50,8 +54,8 @@ float cluster_factor(const float* given, const float* taken_in, float epsilon) {
     return factor;
 }
 
-/// What is left of the system when flat clusters are solved for the light S that each passes on, X_k = B_k + albedo_k S:
-/// far fewer unknowns Y, all flat clusters' S and then the X of all other vertices.
+/// What is left of the system when flat clusters are solved for the light S that each passes on, X_k = B_k + albedo_k
+/// S: far fewer unknowns Y, all flat clusters' S and then the X of all other vertices.
 ///
 ///   S_c = sum_e weight_e X_end = sum_e weight_e B_end + sum_e (weight_e albedo_end) S_end
 ///
@@ -88,7 +92,9 @@ class Reduced {
     int size(std::size_t c) const { return int(s_.first[c + 1] - s_.first[c]); }
     /// Row of Y of the first vertex of a cluster that is not flat.
     std::size_t rows(std::size_t c) const { return s_.n_clusters + general_[c]; }
-    std::size_t member_row(std::size_t c, std::size_t k) const { return s_.shape[c].flat ? c : rows(c) + (k - s_.first[c]); }
+    std::size_t member_row(std::size_t c, std::size_t k) const {
+        return s_.shape[c].flat ? c : rows(c) + (k - s_.first[c]);
+    }
     std::size_t solitary_row(std::size_t k) const { return rows(s_.n_clusters) + (k - s_.first.back()); }
 
     /// What cluster c, which is not flat, makes of light L[edge][rgb].
@@ -100,15 +106,15 @@ class Reduced {
     const System& s_;
     const SolveOptions& options_;
     const ClusterKernels& kernels_;
-    std::vector<std::uint32_t> general_;  // by cluster: vertices of clusters before it that are not flat
+    std::vector<std::uint32_t> general_;   // by cluster: vertices of clusters before it that are not flat
     std::vector<std::uint8_t> first_hit_;  // by unknown
-    HugeArray<std::uint32_t> home_;       // by unknown: row of Y; for the first step
+    HugeArray<std::uint32_t> home_;        // by unknown: row of Y; for the first step
     struct alignas(16) Gain {
         float r, g, b;
         std::uint32_t from;  // row of Y that the light comes from
     };
     static Quad quad_of(const Gain& g) { return Quad{g.r, g.g, g.b, 0}; }
-    HugeArray<Gain> gain_;                // by slot
+    HugeArray<Gain> gain_;  // by slot
     std::vector<std::uint32_t> private_from_, private_to_;
     std::vector<Light> private_gain_;
     HugeArray<Light> Y_, next_, base_;
@@ -119,14 +125,19 @@ class Reduced {
 };
 
 Reduced::Reduced(const System& s, std::span<const std::uint32_t> first_hits, const SolveOptions& options)
-    : s_(s), options_(options), kernels_(cluster_kernels()), general_(s.n_clusters + 1), first_hit_(s.n_unknowns), home_(s.n_unknowns) {
-    for (std::size_t c = 0; c < s.n_clusters; ++c) general_[c + 1] = general_[c] + (s.shape[c].flat ? 0u : s.first[c + 1] - s.first[c]);
+    : s_(s),
+      options_(options),
+      kernels_(cluster_kernels()),
+      general_(s.n_clusters + 1),
+      first_hit_(s.n_unknowns),
+      home_(s.n_unknowns) {
+    for (std::size_t c = 0; c < s.n_clusters; ++c)
+        general_[c + 1] = general_[c] + (s.shape[c].flat ? 0u : s.first[c + 1] - s.first[c]);
     const std::size_t n_members = s.first.back(), n_solitary = s.n_unknowns - n_members;
     const std::size_t n_rows = s.n_clusters + general_.back() + n_solitary;
     for_clusters([&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
         for (std::uint64_t c = begin; c < end; ++c)
-            for (std::uint32_t k = s.first[c]; k < s.first[c + 1]; ++k)
-                home_[k] = std::uint32_t(member_row(c, k));
+            for (std::uint32_t k = s.first[c]; k < s.first[c + 1]; ++k) home_[k] = std::uint32_t(member_row(c, k));
     });
     for (std::size_t k = n_members; k < s.n_unknowns; ++k) home_[k] = std::uint32_t(solitary_row(k));
     for (const std::uint32_t k : first_hits) first_hit_[k] = 1;
@@ -138,7 +149,8 @@ Reduced::Reduced(const System& s, std::span<const std::uint32_t> first_hits, con
 void Reduced::give(std::size_t c, const float* L, Given& out) const {
     const System::Shape& shape = s_.shape[c];
     const auto block = s_.block_of(c);
-    const int n_edges = s_.n_edges[c], lanes = s_.lanes(c), stride = shape.n_planes() * lanes, n_scales = shape.n_scales();
+    const int n_edges = s_.n_edges[c], lanes = s_.lanes(c), stride = shape.n_planes() * lanes,
+              n_scales = shape.n_scales();
     alignas(64) float scaled[3 * max_lanes];
     if (shape.channels()) {
         for (int i = 0; i < 3 * n_edges; ++i) scaled[i] = block.scale[i] * L[i];
@@ -147,7 +159,8 @@ void Reduced::give(std::size_t c, const float* L, Given& out) const {
     }
     const auto scale_by = [&](int lobe) {
         for (int e = 0; e < n_edges; ++e)
-            for (int channel = 0; channel < 3; ++channel) scaled[3 * e + channel] = block.scale[e * n_scales + lobe] * L[3 * e + channel];
+            for (int channel = 0; channel < 3; ++channel)
+                scaled[3 * e + channel] = block.scale[e * n_scales + lobe] * L[3 * e + channel];
     };
     if (shape.coat) {
         scale_by(shape.base);
@@ -175,7 +188,8 @@ float Reduced::clamp(std::size_t c, const float* taken_in, const float* out, Sum
     float given[3] = {};
     const int lanes = padded_lanes(size(c));
     for (int l = 0; l < size(c); ++l)
-        for (int channel = 0; channel < 3; ++channel) given[channel] += out[channel * lanes + l] * s_.inv_eta2[s_.first[c] + std::size_t(l)];
+        for (int channel = 0; channel < 3; ++channel)
+            given[channel] += out[channel * lanes + l] * s_.inv_eta2[s_.first[c] + std::size_t(l)];
     const float factor = cluster_factor(given, taken_in, options_.epsilon);
     const double all = double(given[0]) + given[1] + given[2];
     sums.given += all;
@@ -220,9 +234,11 @@ AllSums Reduced::first_step(LightColumn X) {
                 if (flat) {
                     S += in, S_base += base;
                 } else {
-                    for (int channel = 0; channel < 3; ++channel) edges.L[3 * e + channel] = in[channel], edges.base[3 * e + channel] = base[channel];
+                    for (int channel = 0; channel < 3; ++channel)
+                        edges.L[3 * e + channel] = in[channel], edges.base[3 * e + channel] = base[channel];
                     if (options_.clamp == Clamp::cluster)
-                        for (int channel = 0; channel < 3; ++channel) edges.taken_in[channel] += quad(X[k])[channel] / s.edge_survival[slot];
+                        for (int channel = 0; channel < 3; ++channel)
+                            edges.taken_in[channel] += quad(X[k])[channel] / s.edge_survival[slot];
                 }
             }
             if (flat) {
@@ -231,11 +247,13 @@ AllSums Reduced::first_step(LightColumn X) {
             }
             give(c, edges.L, edges.out);
             give(c, edges.base, edges.base_out);
-            const float factor = options_.clamp == Clamp::cluster ? clamp(c, edges.taken_in, edges.out, clamped[chunk].all) : 1.0f;
+            const float factor =
+                options_.clamp == Clamp::cluster ? clamp(c, edges.taken_in, edges.out, clamped[chunk].all) : 1.0f;
             for (int l = 0; l < n; ++l) {
                 const Light& B = s.at[first + std::size_t(l)].B;
                 const float *out = edges.out + l, *base = edges.base_out + l;
-                Y_[rows(c) + std::size_t(l)] = {B.r + out[0] * factor, B.g + out[lanes] * factor, B.b + out[2 * lanes] * factor};
+                Y_[rows(c) + std::size_t(l)] = {B.r + out[0] * factor, B.g + out[lanes] * factor,
+                                                B.b + out[2 * lanes] * factor};
                 base_[rows(c) + std::size_t(l)] = {B.r + base[0], B.g + base[lanes], B.b + base[2 * lanes]};
             }
         }
@@ -243,18 +261,19 @@ AllSums Reduced::first_step(LightColumn X) {
     for (std::size_t k = n_members; k < s.n_unknowns; ++k) Y_[home_[k]] = base_[home_[k]] = s.at[k].B;
     private_from_.resize(s.privates.size()), private_to_.resize(s.privates.size());
     private_gain_.resize(s.privates.size());
-    parallel_chunks(s.privates.size(), 65536, options_.threads, [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
-        for (std::uint64_t i = begin; i < end; ++i) {
-            const System::Private& p = s.privates[i];
-            const std::uint32_t from = home_[p.end], to = home_[p.unknown];
-            const Quad weight{p.weight.r, p.weight.g, p.weight.b, 0};
-            const bool end_is_flat = from < s.n_clusters;
-            private_from_[i] = from, private_to_[i] = to;
-            private_gain_[i] = light(end_is_flat ? weight * quad(s.at[p.end].albedo) : weight);
-            if (end_is_flat) base_[to] = light(quad(base_[to]) + weight * quad(s.at[p.end].B));
-            Y_[to] = light(quad(Y_[to]) + weight * quad(X[p.end]));
-        }
-    });
+    parallel_chunks(s.privates.size(), 65536, options_.threads,
+                    [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
+                        for (std::uint64_t i = begin; i < end; ++i) {
+                            const System::Private& p = s.privates[i];
+                            const std::uint32_t from = home_[p.end], to = home_[p.unknown];
+                            const Quad weight{p.weight.r, p.weight.g, p.weight.b, 0};
+                            const bool end_is_flat = from < s.n_clusters;
+                            private_from_[i] = from, private_to_[i] = to;
+                            private_gain_[i] = light(end_is_flat ? weight * quad(s.at[p.end].albedo) : weight);
+                            if (end_is_flat) base_[to] = light(quad(base_[to]) + weight * quad(s.at[p.end].B));
+                            Y_[to] = light(quad(Y_[to]) + weight * quad(X[p.end]));
+                        }
+                    });
 
     // Against X vertex by vertex, as it has no S; and what later steps need for the same sums from S alone.
     std::vector<AllSums> parts(n_chunks() + 1), bases(n_chunks());
@@ -298,7 +317,8 @@ AllSums Reduced::step() {
             const std::uint32_t first = s.first[c];
             const int n = size(c), lanes = padded_lanes(n), n_edges = s.n_edges[c];
             if (c + 2 < end)
-                for (std::uint32_t slot = s.first[c + 2], i = 0; i < s.n_edges[c + 2]; ++i) __builtin_prefetch(&Y_[gain_[slot + i].from]);
+                for (std::uint32_t slot = s.first[c + 2], i = 0; i < s.n_edges[c + 2]; ++i)
+                    __builtin_prefetch(&Y_[gain_[slot + i].from]);
             if (s.shape[c].flat) {
                 Quad S = quad(base_[c]);
                 for (int e = 0; e < n_edges; ++e) {
@@ -314,30 +334,35 @@ AllSums Reduced::step() {
                 const Quad Y = quad(Y_[gain_[slot].from]), in = quad_of(gain_[slot]) * Y;
                 for (int channel = 0; channel < 3; ++channel) edges.L[3 * e + channel] = in[channel];
                 if (options_.clamp == Clamp::cluster)
-                    for (int channel = 0; channel < 3; ++channel) edges.taken_in[channel] += Y[channel] / s.edge_survival[slot];
+                    for (int channel = 0; channel < 3; ++channel)
+                        edges.taken_in[channel] += Y[channel] / s.edge_survival[slot];
             }
             give(c, edges.L, edges.out);
-            const float factor = options_.clamp == Clamp::cluster ? clamp(c, edges.taken_in, edges.out, clamped[chunk].all) : 1.0f;
+            const float factor =
+                options_.clamp == Clamp::cluster ? clamp(c, edges.taken_in, edges.out, clamped[chunk].all) : 1.0f;
             for (int l = 0; l < n; ++l) {
                 const Light& base = base_[rows(c) + std::size_t(l)];
                 const float* out = edges.out + l;
-                next_[rows(c) + std::size_t(l)] = {base.r + out[0] * factor, base.g + out[lanes] * factor, base.b + out[2 * lanes] * factor};
+                next_[rows(c) + std::size_t(l)] = {base.r + out[0] * factor, base.g + out[lanes] * factor,
+                                                   base.b + out[2 * lanes] * factor};
             }
         }
     });
     for (std::size_t k = s.first.back(); k < s.n_unknowns; ++k) next_[solitary_row(k)] = base_[solitary_row(k)];
-    parallel_chunks(s.privates.size(), 65536, options_.threads, [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
-        for (std::uint64_t i = begin; i < end; ++i) {
-            const std::uint32_t to = private_to_[i];
-            next_[to] = light(quad(next_[to]) + quad(private_gain_[i]) * quad(Y_[private_from_[i]]));
-        }
-    });
+    parallel_chunks(s.privates.size(), 65536, options_.threads,
+                    [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
+                        for (std::uint64_t i = begin; i < end; ++i) {
+                            const std::uint32_t to = private_to_[i];
+                            next_[to] = light(quad(next_[to]) + quad(private_gain_[i]) * quad(Y_[private_from_[i]]));
+                        }
+                    });
     AllSums sums = sums_of_step();
     sums.all += added(clamped).all;
     return sums;
 }
 
-/// Sums over all vertices, of which those of flat clusters need not be looked at: all that they are made of is positive.
+/// Sums over all vertices, of which those of flat clusters need not be looked at: all that they are made of is
+/// positive.
 AllSums Reduced::sums_of_step() const {
     const System& s = s_;
     std::vector<AllSums> parts(n_chunks() + 1);
@@ -351,8 +376,10 @@ AllSums Reduced::sums_of_step() const {
         for (std::uint64_t c = begin; c < end; ++c) {
             if (s.shape[c].flat) {
                 const Quad S = quad(next_[c]), change = S - quad(Y_[c]);
-                sums.all.change += magnitude(change * quad(albedo_sum_[c])), sums.all.total += magnitude(S * quad(albedo_sum_[c]));
-                sums.image.change += magnitude(change * quad(image_albedo_sum_[c])), sums.image.total += magnitude(S * quad(image_albedo_sum_[c]));
+                sums.all.change += magnitude(change * quad(albedo_sum_[c])),
+                    sums.all.total += magnitude(S * quad(albedo_sum_[c]));
+                sums.image.change += magnitude(change * quad(image_albedo_sum_[c])),
+                    sums.image.total += magnitude(S * quad(image_albedo_sum_[c]));
                 continue;
             }
             for (std::uint32_t k = s.first[c]; k < s.first[c + 1]; ++k) compare(sums, k, rows(c) + (k - s.first[c]));
@@ -379,7 +406,8 @@ void Reduced::expand(LightColumn X, bool none_but_first_hits) const {
                     return s_.shape[c].flat ? light(quad(s_.at[k].B) + quad(s_.at[k].albedo) * quad(y)) : y;
                 });
     });
-    for (std::size_t k = s_.first.back(); k < s_.n_unknowns; ++k) set(k, [&](const HugeArray<Light>& Y) { return Y[solitary_row(k)]; });
+    for (std::size_t k = s_.first.back(); k < s_.n_unknowns; ++k)
+        set(k, [&](const HugeArray<Light>& Y) { return Y[solitary_row(k)]; });
 }
 
 }  // namespace

@@ -40,7 +40,8 @@ inline LightColumn radiance_of(System& system) {
 /// out:  one entry per iteration; fewer when the iteration diverged: sum |X' - X| grew threefold over its least (the
 ///       residual, relative to what grows as fast, need not grow), or a value stopped being finite, in which case X
 ///       is the last iterate before that
-std::vector<Iteration> solve(const System& system, std::span<const std::uint32_t> first_hits, const SolveOptions& options,
-                             LightColumn X, const std::function<void(const Iteration&)>& step = {});
+std::vector<Iteration> solve(const System& system, std::span<const std::uint32_t> first_hits,
+                             const SolveOptions& options, LightColumn X,
+                             const std::function<void(const Iteration&)>& step = {});
 
 }  // namespace loom::refine

@@ -15,8 +15,10 @@ constexpr std::uint64_t clusters_per_chunk = 1024;
 struct Lanes {
     alignas(64) float r[max_lanes + lane_block], g[max_lanes + lane_block], b[max_lanes + lane_block];
     float inv_eta2[max_lanes + lane_block];
-    float clamp_weight[max_lanes + lane_block];  // inv_eta2 times survival of roulette; 0 where no BSDF sample was drawn
-    float clamp_weight_alone[max_lanes + lane_block];  // the same for ends without a cluster: 0 where they are no technique, either
+    float
+        clamp_weight[max_lanes + lane_block];  // inv_eta2 times survival of roulette; 0 where no BSDF sample was drawn
+    float clamp_weight_alone[max_lanes +
+                             lane_block];  // the same for ends without a cluster: 0 where they are no technique, either
 };
 
 /// Sums that a chunk hands back; chunks are added in order.
@@ -34,7 +36,7 @@ struct Builder {
     const SystemOptions& options;
     std::span<const std::uint32_t> offsets;  // of light edges
     System& system;
-    bool split = false;  // coefficients, where they do
+    bool split = false;                      // coefficients, where they do
     std::atomic<std::uint64_t> n_bytes = 0;  // of blocks taken
 
     std::span<const std::uint32_t> members(std::size_t c) const {
@@ -47,8 +49,8 @@ struct Builder {
 
     /// One column of a block: f_j cos_j / rho at all vertices of the cluster, in 16 bits of its largest value.
     /// in:  clamp_weight  of each lane;  edge_eta2  of the medium that the light comes through
-    void add_column(const ClusterShading& shading, const float* clamp_weight, float edge_eta2, float* scale, std::uint16_t* out,
-                    float inv_rho, ChunkResult& result) const {
+    void add_column(const ClusterShading& shading, const float* clamp_weight, float edge_eta2, float* scale,
+                    std::uint16_t* out, float inv_rho, ChunkResult& result) const {
         float sum[3];
         shading.fix_row(clamp_weight, out, scale, sum);
         for (int channel = 0; channel < 3; ++channel) {
@@ -60,13 +62,14 @@ struct Builder {
     }
 
     /// The same as base and coat.
-    void add_split_column(const ClusterShading& shading, const System::Shape& shape, const float* clamp_weight, float edge_eta2, float* scale,
-                          std::uint16_t* out, float inv_rho, ChunkResult& result) const {
+    void add_split_column(const ClusterShading& shading, const System::Shape& shape, const float* clamp_weight,
+                          float edge_eta2, float* scale, std::uint16_t* out, float inv_rho, ChunkResult& result) const {
         float largest[2], sum[3];
         shading.fix_lobes(shape.base_plane, shape.coat, clamp_weight, out, largest, sum);
         for (float& s : sum) s *= edge_eta2 * inv_rho;
         const float unit = inv_rho * clamped({sum[0], sum[1], sum[2]}, result);
-        if (shape.base) *scale++ = unit * (shape.base_plane ? largest[0] * (1.0f / 65535.0f) : shading.columns().base[0]);
+        if (shape.base)
+            *scale++ = unit * (shape.base_plane ? largest[0] * (1.0f / 65535.0f) : shading.columns().base[0]);
         if (shape.coat) *scale = unit * (largest[1] * (1.0f / 65535.0f));
     }
 
@@ -76,9 +79,9 @@ struct Builder {
         return {.base = lobes.base, .base_plane = lobes.base && !lobes.one_base, .coat = lobes.coat};
     }
 
-    /// Factor of a column with these sums of basic radiance, each vertex weighted with its survival of roulette, as in the
-    /// density that the column is divided by: where no BSDF gives more than it takes no sum is above 1. Vertices at the
-    /// depth limit drew no sample and do not count: what they receive goes no further.
+    /// Factor of a column with these sums of basic radiance, each vertex weighted with its survival of roulette, as in
+    /// the density that the column is divided by: where no BSDF gives more than it takes no sum is above 1. Vertices at
+    /// the depth limit drew no sample and do not count: what they receive goes no further.
     float clamped(const Spectrum& sum, ChunkResult& result) const {
         const float most = std::max({sum.r, sum.g, sum.b}), total = sum.r + sum.g + sum.b;
         const float bound = 1 - options.epsilon;
@@ -96,7 +99,8 @@ struct Builder {
 
     /// What vertex j alone makes of samples that no neighbour can use.
     /// in/out:  direct  light; weight  of the continuation
-    void add_private(std::size_t j, std::uint32_t unknown, bool all, Spectrum& direct, Spectrum& weight, ChunkResult& result) const {
+    void add_private(std::size_t j, std::uint32_t unknown, bool all, Spectrum& direct, Spectrum& weight,
+                     ChunkResult& result) const {
         const bool delta = is_delta(Lobe(graph.vertices.lobe[j]));
         const bool continues = (graph.vertices.flags[j] & vertex_flag::continued) && (all || delta);
         const std::uint32_t begin = offsets[j], end = offsets[j + 1];
@@ -115,8 +119,8 @@ struct Builder {
         system.shape[c] = {.flat = true};
         flat.gather_lights(rows, begin);
         const auto vertex = members(c);
-        // What a continuation passes, as basic radiance but for its own eta^2: of all techniques, and of those that can bring
-        // the light of an end without a cluster (continuation_density()).
+        // What a continuation passes, as basic radiance but for its own eta^2: of all techniques, and of those that can
+        // bring the light of an end without a cluster (continuation_density()).
         struct {
             float per_attempt;
             Spectrum passed{0};
@@ -147,15 +151,20 @@ struct Builder {
                 if (above) own_weight = albedo * (cos * inv_pi<float> / row.pdf_w);
                 const auto& of = row.bits & vertex_bit::ends_alone ? alone : all;
                 const bool brings = above && !row.dead_end();
-                system.edges[slot] = {clamped(of.passed * (brings ? eta2_of_next(row, j) : 0.0f), result) * (brings ? of.per_attempt : 0.0f), j + 1};
+                system.edges[slot] = {clamped(of.passed * (brings ? eta2_of_next(row, j) : 0.0f), result) *
+                                          (brings ? of.per_attempt : 0.0f),
+                                      j + 1};
             }
-            new (&system.at[k]) System::Row{{direct.r, direct.g, direct.b}, {albedo.r, albedo.g, albedo.b}, {own.r, own.g, own.b}, {own_weight.r, own_weight.g, own_weight.b}};
+            new (&system.at[k]) System::Row{{direct.r, direct.g, direct.b},
+                                            {albedo.r, albedo.g, albedo.b},
+                                            {own.r, own.g, own.b},
+                                            {own_weight.r, own_weight.g, own_weight.b}};
         }
         system.n_edges[c] = std::uint16_t(n_edges);
     }
 
-    void add_cluster(std::size_t c, ClusterShading& shading, Lanes& direct, const ClusterRows& rows, std::span<const VertexRow> vertex_rows,
-                     ChunkResult& result) {
+    void add_cluster(std::size_t c, ClusterShading& shading, Lanes& direct, const ClusterRows& rows,
+                     std::span<const VertexRow> vertex_rows, ChunkResult& result) {
         const std::uint32_t begin = system.first[c];
         shading.load(members(c), vertex_rows);
         const int lanes = shading.padded();
@@ -164,13 +173,15 @@ struct Builder {
             const bool there = l < shading.size();
             direct.inv_eta2[l] = there ? 1 / sqr(shading.row(l).eta) : 1.0f;
             direct.clamp_weight[l] = shading.columns().survival[l] * direct.inv_eta2[l];
-            direct.clamp_weight_alone[l] = there && (shading.row(l).bits & vertex_bit::last_step) ? 0 : direct.clamp_weight[l];
+            direct.clamp_weight_alone[l] =
+                there && (shading.row(l).bits & vertex_bit::last_step) ? 0 : direct.clamp_weight[l];
         }
         Spectrum own_light_of[max_lanes], own_weight[max_lanes];
         for (int l = 0; l < shading.size(); ++l) {
             system.unknown[shading.vertex(l)] = begin + l;
             Spectrum own(0), weight(0);
-            if (shading.row(l).bits & vertex_bit::delta) add_private(shading.vertex(l), begin + l, false, own, weight, result);
+            if (shading.row(l).bits & vertex_bit::delta)
+                add_private(shading.vertex(l), begin + l, false, own, weight, result);
             direct.r[l] = own.r, direct.g[l] = own.g, direct.b[l] = own.b;
             own_light_of[l] = own, own_weight[l] = weight;
         }
@@ -187,10 +198,12 @@ struct Builder {
             const std::size_t j = shading.vertex(lane);
             const VertexRow& row = shading.row(lane);
             const float end_eta2 = eta2_of_next(row, j);
-            const float* clamp_weight = row.bits & vertex_bit::ends_alone ? direct.clamp_weight_alone : direct.clamp_weight;
+            const float* clamp_weight =
+                row.bits & vertex_bit::ends_alone ? direct.clamp_weight_alone : direct.clamp_weight;
             if (shape.channels()) {
                 const float back = shading.to_solid_angle(lane);
-                own_weight[lane] = back > 0 ? shading.f(lane, back / row.pdf_w) : own_continuation(reader, reader.vertex(j), j, row.next);
+                own_weight[lane] = back > 0 ? shading.f(lane, back / row.pdf_w)
+                                            : own_continuation(reader, reader.vertex(j), j, row.next);
                 add_column(shading, clamp_weight, end_eta2, at.scale, at.fraction, inv_rho, result);
             } else {
                 own_weight[lane] = shading.f_of_lobes(lane, 1 / row.pdf_w);
@@ -201,26 +214,33 @@ struct Builder {
             at.fraction += shape.n_planes() * lanes;
             system.edges[slot++] = {1, end};
         };
-        if (shape.channels()) for_each_indirect_edge(shading, graph, options.sharing, sink);
-        else for_each_direction(shading, sink);
-        const auto lights = [&](const ClusterShading&, int lane) { return rows.lights_of(begin + shading.place(lane)); };
-        for_each_light_edge(shading, options.sharing, lights, [&](int lane, const LightRow& edge, const Spectrum& light, float inv_rho) {
-            const std::size_t j = shading.vertex(lane);
-            const float back = shading.to_solid_angle(lane);
-            own_light_of[lane] += back > 0 ? own_light(edge, shading.f(lane, back), shading.row(lane).pdf_w)
-                                           : own_light(reader, reader.vertex(j), j, edge.edge);
-            const Spectrum w = light * inv_rho;
-            const float *r = shading.f(0), *g = shading.f(1), *b = shading.f(2);
-            for (int l = 0; l < lanes; ++l) {
-                direct.r[l] += r[l] * w.r;
-                direct.g[l] += g[l] * w.g;
-                direct.b[l] += b[l] * w.b;
-            }
-        });
+        if (shape.channels())
+            for_each_indirect_edge(shading, graph, options.sharing, sink);
+        else
+            for_each_direction(shading, sink);
+        const auto lights = [&](const ClusterShading&, int lane) {
+            return rows.lights_of(begin + shading.place(lane));
+        };
+        for_each_light_edge(shading, options.sharing, lights,
+                            [&](int lane, const LightRow& edge, const Spectrum& light, float inv_rho) {
+                                const std::size_t j = shading.vertex(lane);
+                                const float back = shading.to_solid_angle(lane);
+                                own_light_of[lane] +=
+                                    back > 0 ? own_light(edge, shading.f(lane, back), shading.row(lane).pdf_w)
+                                             : own_light(reader, reader.vertex(j), j, edge.edge);
+                                const Spectrum w = light * inv_rho;
+                                const float *r = shading.f(0), *g = shading.f(1), *b = shading.f(2);
+                                for (int l = 0; l < lanes; ++l) {
+                                    direct.r[l] += r[l] * w.r;
+                                    direct.g[l] += g[l] * w.g;
+                                    direct.b[l] += b[l] * w.b;
+                                }
+                            });
         if (!system.inv_eta2.empty()) std::copy_n(direct.inv_eta2, shading.size(), system.inv_eta2.data() + begin);
         for (int l = 0; l < shading.size(); ++l) {
             const Spectrum &own = own_light_of[l], &weight = own_weight[l];
-            new (&system.at[begin + l]) System::Row{{direct.r[l], direct.g[l], direct.b[l]}, {}, {own.r, own.g, own.b}, {weight.r, weight.g, weight.b}};
+            new (&system.at[begin + l]) System::Row{
+                {direct.r[l], direct.g[l], direct.b[l]}, {}, {own.r, own.g, own.b}, {weight.r, weight.g, weight.b}};
         }
     }
 };
@@ -255,7 +275,8 @@ System build_system(const PathGraph& graph, const Clusters& clusters, const Syst
     Builder builder{graph, reader, clusters, options, offsets, s};
     // What is of rank one for a direction is not for a point, nor where successes are counted; the clamp by cluster
     // wants the light of each edge by itself.
-    const bool rank_one = builder.split = options.sharing.reuse == Reuse::directions && !options.sharing.as_printed && options.clamp != Clamp::cluster;
+    const bool rank_one = builder.split =
+        options.sharing.reuse == Reuse::directions && !options.sharing.as_printed && options.clamp != Clamp::cluster;
     // Places by cluster; a cluster that is not flat sorts its own once more.
     if (n_members < s.n_unknowns) std::fill_n(s.unknown.data(), s.n_unknowns, System::nothing);
     parallel_chunks(n_members, 1 << 16, options.threads, [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
@@ -264,23 +285,30 @@ System build_system(const PathGraph& graph, const Clusters& clusters, const Syst
     ClusterRows rows(reader, s.unknown, n_members, offsets, options.threads);
     const VertexRow* vertex_rows = rows.vertices.data();
     s.at = std::move(rows.vertices).reused<System::Row>();
-    const auto rows_of = [&](std::uint64_t c) { return std::span(vertex_rows + s.first[c], s.first[c + 1] - s.first[c]); };
+    const auto rows_of = [&](std::uint64_t c) {
+        return std::span(vertex_rows + s.first[c], s.first[c + 1] - s.first[c]);
+    };
     const std::uint64_t n_chunks = (s.n_clusters + clusters_per_chunk - 1) / clusters_per_chunk;
     std::vector<ChunkResult> results(n_chunks);
     // Half of the light rows at a time: what is held at once costs more than reading the graph's light edges again.
-    for (const auto& [first_chunk, past_chunks] : {std::pair{std::uint64_t(0), n_chunks / 2}, std::pair{n_chunks / 2, n_chunks}}) {
+    for (const auto& [first_chunk, past_chunks] :
+         {std::pair{std::uint64_t(0), n_chunks / 2}, std::pair{n_chunks / 2, n_chunks}}) {
         const std::size_t past_end = std::min(past_chunks * clusters_per_chunk, s.n_clusters);
-        rows.load_lights(reader, s.unknown, s.first[first_chunk * clusters_per_chunk], s.first[past_end], offsets, options.threads);
-        parallel_chunks(past_chunks - first_chunk, 1, options.threads, [&](std::uint64_t i, std::uint64_t, std::uint64_t) {
-            const std::uint64_t chunk = first_chunk + i, begin = chunk * clusters_per_chunk;
-            const auto shading = std::make_unique<ClusterShading>(reader);
-            const auto flat = std::make_unique<FlatCluster>(reader);
-            const auto direct = std::make_unique<Lanes>();
-            for (std::uint64_t c = begin; c < std::min(begin + clusters_per_chunk, past_end); ++c) {
-                if (rank_one && flat->load(rows_of(c))) builder.add_flat_cluster(c, *flat, rows, results[chunk]);
-                else builder.add_cluster(c, *shading, *direct, rows, rows_of(c), results[chunk]);
-            }
-        });
+        rows.load_lights(reader, s.unknown, s.first[first_chunk * clusters_per_chunk], s.first[past_end], offsets,
+                         options.threads);
+        parallel_chunks(past_chunks - first_chunk, 1, options.threads,
+                        [&](std::uint64_t i, std::uint64_t, std::uint64_t) {
+                            const std::uint64_t chunk = first_chunk + i, begin = chunk * clusters_per_chunk;
+                            const auto shading = std::make_unique<ClusterShading>(reader);
+                            const auto flat = std::make_unique<FlatCluster>(reader);
+                            const auto direct = std::make_unique<Lanes>();
+                            for (std::uint64_t c = begin; c < std::min(begin + clusters_per_chunk, past_end); ++c) {
+                                if (rank_one && flat->load(rows_of(c)))
+                                    builder.add_flat_cluster(c, *flat, rows, results[chunk]);
+                                else
+                                    builder.add_cluster(c, *shading, *direct, rows, rows_of(c), results[chunk]);
+                            }
+                        });
     }
 
     // Solitary vertices: those that no cluster has.
@@ -293,15 +321,18 @@ System build_system(const PathGraph& graph, const Clusters& clusters, const Syst
                 s.unknown[j] = next++;
             }
         std::vector<ChunkResult> solitary((next - n_members) / 4096 + 1);
-        parallel_chunks(next - n_members, 4096, options.threads, [&](std::uint64_t chunk, std::uint64_t begin, std::uint64_t end) {
-            for (std::uint64_t i = begin; i < end; ++i) {
-                Spectrum direct(0), weight(0);
-                builder.add_private(solitary_vertices[i], std::uint32_t(n_members + i), true, direct, weight, solitary[chunk]);
-                const Light light{direct.r, direct.g, direct.b};
-                new (&s.at[n_members + i]) System::Row{light, {}, light, {weight.r, weight.g, weight.b}};
-            }
-        });
-        results.insert(results.end(), std::make_move_iterator(solitary.begin()), std::make_move_iterator(solitary.end()));
+        parallel_chunks(
+            next - n_members, 4096, options.threads, [&](std::uint64_t chunk, std::uint64_t begin, std::uint64_t end) {
+                for (std::uint64_t i = begin; i < end; ++i) {
+                    Spectrum direct(0), weight(0);
+                    builder.add_private(solitary_vertices[i], std::uint32_t(n_members + i), true, direct, weight,
+                                        solitary[chunk]);
+                    const Light light{direct.r, direct.g, direct.b};
+                    new (&s.at[n_members + i]) System::Row{light, {}, light, {weight.r, weight.g, weight.b}};
+                }
+            });
+        results.insert(results.end(), std::make_move_iterator(solitary.begin()),
+                       std::make_move_iterator(solitary.end()));
     }
 
     double sum = 0, taken = 0;
@@ -318,7 +349,8 @@ System build_system(const PathGraph& graph, const Clusters& clusters, const Syst
     for (System::Private& p : s.privates) p.end = s.unknown[p.end];
     parallel_chunks(s.n_clusters, 4096, options.threads, [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
         for (std::uint64_t c = begin; c < end; ++c)
-            for (std::uint32_t slot = s.first[c]; slot < s.first[c] + s.n_edges[c]; ++slot) s.edges[slot].end = s.unknown[s.edges[slot].end];
+            for (std::uint32_t slot = s.first[c]; slot < s.first[c] + s.n_edges[c]; ++slot)
+                s.edges[slot].end = s.unknown[s.edges[slot].end];
     });
     return s;
 }
@@ -335,7 +367,9 @@ Spectrum System::coefficient(std::size_t c, int i, int lane) const {
     const std::uint16_t* fraction = b.fraction + i * of.n_planes() * n + lane;
     if (of.channels()) return {fraction[0] * scale[0], fraction[n] * scale[1], fraction[2 * n] * scale[2]};
     Spectrum sum(0);
-    if (of.base) sum = Spectrum{b.tint[lane], b.tint[n + lane], b.tint[2 * n + lane]} * (*scale++ * (of.base_plane ? *fraction : 1));
+    if (of.base)
+        sum = Spectrum{b.tint[lane], b.tint[n + lane], b.tint[2 * n + lane]} *
+              (*scale++ * (of.base_plane ? *fraction : 1));
     return of.coat ? sum + Spectrum(fraction[of.base_plane ? n : 0] * *scale) : sum;
 }
 
@@ -345,7 +379,8 @@ HugeArray<Light> path_radiance(System& system, const PathGraph& g, int threads) 
     parallel_chunks(g.n_paths(), 4096, threads, [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
         std::uint64_t asked = g.paths.first_vertex[begin];
         for (std::uint64_t i = begin; i < end; ++i) {
-            for (const std::uint64_t to = std::min(g.paths.first_vertex[i + 1] + ahead, g.paths.first_vertex[end]); asked < to; ++asked)
+            for (const std::uint64_t to = std::min(g.paths.first_vertex[i + 1] + ahead, g.paths.first_vertex[end]);
+                 asked < to; ++asked)
                 __builtin_prefetch(&system.at[system.unknown[asked]], 1);
             Light L, along;
             for (std::uint64_t j = g.paths.first_vertex[i + 1]; j-- > g.paths.first_vertex[i];) {

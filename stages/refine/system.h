@@ -5,9 +5,9 @@
 //
 // Clusters pool their samples: M is never built, but as one block of coefficients per cluster (a row for each vertex,
 // a column for each continuation), followed by the step along each continuation. The block of a flat matte cluster is
-// of rank one (flat_columns.h): an albedo for each vertex times a weight for each continuation. Where all coats are grey
-// a coefficient is tint * base + coat, with a tint for each vertex, and base and coat have no colour; seen from one side
-// of one normal the base is of rank one too.
+// of rank one (flat_columns.h): an albedo for each vertex times a weight for each continuation. Where all coats are
+// grey a coefficient is tint * base + coat, with a tint for each vertex, and base and coat have no colour; seen from
+// one side of one normal the base is of rank one too.
 
 #include "formats/clusters.h"
 #include "stages/core/transport/cluster_edges.h"
@@ -40,7 +40,7 @@ struct System {
     static constexpr std::uint32_t nothing = 0xffffffffu;
 
     std::size_t n_unknowns = 0, n_clusters = 0;
-    HugeArray<std::uint32_t> unknown;   // of a vertex
+    HugeArray<std::uint32_t> unknown;  // of a vertex
     /// Of an unknown, in one line of the cache.
     struct alignas(64) Row {
         Light B;
@@ -62,7 +62,8 @@ struct System {
         int n_scales() const { return flat ? 0 : channels() ? 3 : base + coat; }
         int n_planes() const { return flat ? 0 : channels() ? 3 : base_plane + coat; }
         std::size_t bytes(int n_edges, int lanes) const {
-            return sizeof(float) * std::size_t(n_edges * n_scales() + (base ? 3 * lanes : 0)) + sizeof(std::uint16_t) * std::size_t(n_edges * n_planes()) * std::size_t(lanes);
+            return sizeof(float) * std::size_t(n_edges * n_scales() + (base ? 3 * lanes : 0)) +
+                   sizeof(std::uint16_t) * std::size_t(n_edges * n_planes()) * std::size_t(lanes);
         }
     };
     std::vector<Shape> shape;
@@ -70,11 +71,11 @@ struct System {
         float weight;       // flat: times the albedo of each unknown
         std::uint32_t end;  // unknown that the light comes from
     };
-    HugeArray<Edge> edges;                    // by slot
-    std::vector<std::uint64_t> block;         // where it starts, in bytes; differs from run to run
+    HugeArray<Edge> edges;             // by slot
+    std::vector<std::uint64_t> block;  // where it starts, in bytes; differs from run to run
     HugeArray<std::byte> blocks;
-    HugeArray<float> edge_survival;           // by slot, times eta^2 of the edge; empty unless the clamp asks for it
-    HugeArray<float> inv_eta2;                // by unknown, on the side of wo; empty unless the clamp asks for it
+    HugeArray<float> edge_survival;  // by slot, times eta^2 of the edge; empty unless the clamp asks for it
+    HugeArray<float> inv_eta2;       // by unknown, on the side of wo; empty unless the clamp asks for it
     /// Numbers and 16-bit fractions of them.
     template <class Byte>
     struct BlockAt {
@@ -88,7 +89,9 @@ struct System {
               tint(scale + n_edges * shape.n_scales()),
               fraction(reinterpret_cast<As<std::uint16_t>*>(tint + (shape.base ? 3 * lanes : 0))) {}
     };
-    BlockAt<const std::byte> block_of(std::size_t c) const { return {blocks.data() + block[c], shape[c], n_edges[c], lanes(c)}; }
+    BlockAt<const std::byte> block_of(std::size_t c) const {
+        return {blocks.data() + block[c], shape[c], n_edges[c], lanes(c)};
+    }
     int lanes(std::size_t c) const { return padded_lanes(int(first[c + 1] - first[c])); }
 
     /// Continuations that only their own vertex uses: delta lobes, solitary vertices.

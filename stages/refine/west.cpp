@@ -33,7 +33,8 @@ Filtered west_filter(const PathGraph& graph, std::span<const std::uint32_t> memb
         std::vector<float> distances(n * k);
         flann::Matrix<std::size_t> row_matrix(rows.data(), n, k);
         flann::Matrix<float> distance_matrix(distances.data(), n, k);
-        index.knnSearch(flann::Matrix<float>(positions.data() + 3 * begin, n, 3), row_matrix, distance_matrix, k, exact);
+        index.knnSearch(flann::Matrix<float>(positions.data() + 3 * begin, n, 3), row_matrix, distance_matrix, k,
+                        exact);
         const auto shading = std::make_unique<ClusterShading>(reader);
         std::vector<std::uint32_t> near(k);
         for (std::size_t i = 0; i < n; ++i) {
@@ -48,9 +49,10 @@ Filtered west_filter(const PathGraph& graph, std::span<const std::uint32_t> memb
                 return Spectrum{shading->f(0)[lane], shading->f(1)[lane], shading->f(2)[lane]} * inv_rho;
             };
             Spectrum direct(0), indirect(0);
-            for_each_light_edge(*shading, graph, offsets, sharing, [&](int, std::uint32_t, const Spectrum& light, float inv_rho) {
-                direct += reflected(inv_rho) * light;
-            });
+            for_each_light_edge(*shading, graph, offsets, sharing,
+                                [&](int, std::uint32_t, const Spectrum& light, float inv_rho) {
+                                    direct += reflected(inv_rho) * light;
+                                });
             for_each_indirect_edge(*shading, graph, sharing, [&](int, std::uint32_t from, float inv_rho) {
                 indirect += reflected(inv_rho) * Spectrum{own[from].r, own[from].g, own[from].b};
             });
@@ -58,7 +60,8 @@ Filtered west_filter(const PathGraph& graph, std::span<const std::uint32_t> memb
                 const ShadingPoint at = reader.vertex(j);
                 if (graph.vertices.flags[j] & vertex_flag::continued) {
                     const Light& from = own[j + 1];
-                    indirect += own_continuation(reader, at, j, continuation_direction(graph, j)) * Spectrum{from.r, from.g, from.b};
+                    indirect += own_continuation(reader, at, j, continuation_direction(graph, j)) *
+                                Spectrum{from.r, from.g, from.b};
                 }
                 for (std::uint32_t e = offsets[j]; e < offsets[j + 1]; ++e)
                     if (LightTechnique(graph.light_edges.technique[e]) == LightTechnique::bsdf_hit)

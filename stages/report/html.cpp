@@ -80,8 +80,7 @@ std::string number(double value, double se) {
     // Two digits, in the notation of the value.
     const bool plain = std::abs(value) >= 1e-3 && std::abs(value) < 1e5 && se > 1e-8;
     const std::string error =
-        plain ? fmt::format("{:.{}f}", se, std::max(0, 1 - int(std::floor(std::log10(se) + 1e-12))))
-              : number(se);
+        plain ? fmt::format("{:.{}f}", se, std::max(0, 1 - int(std::floor(std::log10(se) + 1e-12)))) : number(se);
     return fmt::format("{}\u202f<small>±\u202f{}</small>", number(value), error);
 }
 
@@ -112,8 +111,7 @@ std::string table(const Cells& head, const std::vector<Cells>& rows) {
     for (const Cells& row : rows) {
         out += "<tr>";
         for (std::size_t k = 0; k < row.size(); ++k)
-            out += k == 0 ? fmt::format("<th scope=\"row\">{}</th>", row[k])
-                          : fmt::format("<td>{}</td>", row[k]);
+            out += k == 0 ? fmt::format("<th scope=\"row\">{}</th>", row[k]) : fmt::format("<td>{}</td>", row[k]);
         out += "</tr>\n";
     }
     return out + "</tbody></table></div>\n";

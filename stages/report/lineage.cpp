@@ -14,9 +14,7 @@ namespace fs = std::filesystem;
 std::string pattern_of(const fs::path& name) {
     std::string file = name.filename().native(), out;
     for (std::size_t i = 0; i < file.size(); ++i) {
-        const auto digit = [&](std::size_t k) {
-            return std::isdigit(static_cast<unsigned char>(file[k])) != 0;
-        };
+        const auto digit = [&](std::size_t k) { return std::isdigit(static_cast<unsigned char>(file[k])) != 0; };
         // A name that merely ends in a number of its format (.h5) keeps it.
         if (!digit(i) || file.find('.') < i) {
             out += file[i];

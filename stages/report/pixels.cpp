@@ -22,13 +22,11 @@ Pixels pixels_of(const Image& image, std::size_t longest_side) {
     for (std::size_t y = 0; y < pixels.height; ++y) {
         for (std::size_t x = 0; x < pixels.width; ++x) {
             // Cells at the right and lower edge may be smaller.
-            const std::size_t x1 = std::min(w, (x + 1) * pixels.factor),
-                              y1 = std::min(h, (y + 1) * pixels.factor);
+            const std::size_t x1 = std::min(w, (x + 1) * pixels.factor), y1 = std::min(h, (y + 1) * pixels.factor);
             for (std::size_t c = 0; c < 3; ++c) {
                 double sum = 0, n = 0;
                 for (std::size_t v = y * pixels.factor; v < y1; ++v)
-                    for (std::size_t u = x * pixels.factor; u < x1; ++u)
-                        sum += double(rgb[3 * (v * w + u) + c]), ++n;
+                    for (std::size_t u = x * pixels.factor; u < x1; ++u) sum += double(rgb[3 * (v * w + u) + c]), ++n;
                 const double mean = sum / n;
                 if (std::abs(mean) > largest) ++pixels.n_clipped;
                 const double held = std::isnan(mean) ? mean : std::clamp(mean, -largest, largest);

@@ -107,13 +107,11 @@ std::string parts_table(const Table& errors) {
     std::vector<Cells> rows;
     for (const Group& group : groups_of(errors)) {
         const auto mean = [&](const char* column) { return estimate(errors, group, column).mean; };
-        rows.push_back({escaped(group.method), samples_text(group), number(mean("bias2")),
-                        number(mean("variance")), number(mean("reference_noise")), number(mean("corr_right")),
-                        number(mean("corr_near")), p_value(mean("p_image")), p_value(mean("p_tiles"))});
+        rows.push_back({escaped(group.method), samples_text(group), number(mean("bias2")), number(mean("variance")),
+                        number(mean("reference_noise")), number(mean("corr_right")), number(mean("corr_near")),
+                        p_value(mean("p_image")), p_value(mean("p_tiles"))});
     }
-    return table(
-        {"method", "spp", "bias²", "variance", "reference", "right", "2 to 8 px", "p image", "p tiles"},
-        rows);
+    return table({"method", "spp", "bias²", "variance", "reference", "right", "2 to 8 px", "p image", "p tiles"}, rows);
 }
 
 /// Other renderers do not count rays or bytes.
@@ -149,9 +147,7 @@ struct Matches {
     Table rows;
     std::string equal, compared;
     double value(std::size_t row, const char* column) const { return rows.number(row, rows.column(column)); }
-    const std::string& text(std::size_t row, const char* column) const {
-        return rows.rows[row][rows.column(column)];
-    }
+    const std::string& text(std::size_t row, const char* column) const { return rows.rows[row][rows.column(column)]; }
     std::string unit(const std::string& column) const { return column.ends_with("_s") ? " s" : ""; }
 };
 
@@ -212,21 +208,18 @@ std::string headline(const std::optional<Matches>& matches) {
         const double ratio = matches->value(row, "times_better"), low = matches->value(row, "low"),
                      high = matches->value(row, "high");
         const bool better = ratio >= 1, is_noise = low < 1 && high > 1;
-        const std::string range = std::isnan(low)
-                                      ? ""
-                                      : fmt::format(" ({} to {})", number(better ? low : 1 / high),
-                                                    number(better ? high : 1 / low));
+        const std::string range = std::isnan(low) ? ""
+                                                  : fmt::format(" ({} to {})", number(better ? low : 1 / high),
+                                                                number(better ? high : 1 / low));
         const std::string where =
             fmt::format("{}{}", number(matches->value(row, equal.c_str())), matches->unit(matches->equal));
-        out +=
-            fmt::format("{} <em>{}</em> has ",
-                        out.empty() ? fmt::format("At an equal {} of {},", words_for(matches->equal), where)
-                                    : fmt::format(" At {},", where),
-                        escaped(method));
-        out += fmt::format("<strong>{} times {}</strong> {} than <em>{}</em>{}{}.",
-                           number(better ? ratio : 1 / ratio), better ? "less" : "more",
-                           words_for(matches->compared), escaped(matches->text(row, "first")), range,
-                           is_noise ? ", which may be noise" : "");
+        out += fmt::format("{} <em>{}</em> has ",
+                           out.empty() ? fmt::format("At an equal {} of {},", words_for(matches->equal), where)
+                                       : fmt::format(" At {},", where),
+                           escaped(method));
+        out += fmt::format("<strong>{} times {}</strong> {} than <em>{}</em>{}{}.", number(better ? ratio : 1 / ratio),
+                           better ? "less" : "more", words_for(matches->compared), escaped(matches->text(row, "first")),
+                           range, is_noise ? ", which may be noise" : "");
     }
     return out;
 }
@@ -284,10 +277,10 @@ std::string chart_figures(const Options& options, int next_figure) {
     for (std::size_t k = 0; k < options.charts.size(); ++k) {
         const std::string& file = options.charts[k];
         const Figure figure = figure_of(fs::path(file).stem());
-        out += fmt::format(
-            "<figure class=\"chart\">\n{}\n<figcaption><b>Figure {}. {}.</b> {}</figcaption>\n</figure>\n",
-            inline_svg(text_of_file(file), fmt::format("chart{}", k), file), next_figure + int(k),
-            escaped(figure.title), escaped(figure.text));
+        out +=
+            fmt::format("<figure class=\"chart\">\n{}\n<figcaption><b>Figure {}. {}.</b> {}</figcaption>\n</figure>\n",
+                        inline_svg(text_of_file(file), fmt::format("chart{}", k), file), next_figure + int(k),
+                        escaped(figure.title), escaped(figure.text));
     }
     return out;
 }
@@ -322,12 +315,11 @@ std::string lineage_section(const Picture& picture, bool is_reference) {
     for (const Made& made : picture.lineage) {
         std::string stage = made.cost.stage;
         if (stage.starts_with("loom-")) stage = stage.substr(5);
-        rows.push_back(
-            {fmt::format("<code>{}</code>", escaped(made.name)), escaped(stage),
-             std::to_string(made.names.size()),
-             fmt::format("<code>{}</code>", escaped(fmt::format("{}", fmt::join(made.from, ", ")))),
-             number(made.cost.cpu_s), number(made.cost.wall_s), counted(double(made.cost.rays)),
-             bytes(double(made.cost.peak_memory_bytes)), bytes(double(made.cost.bytes_written))});
+        rows.push_back({fmt::format("<code>{}</code>", escaped(made.name)), escaped(stage),
+                        std::to_string(made.names.size()),
+                        fmt::format("<code>{}</code>", escaped(fmt::format("{}", fmt::join(made.from, ", ")))),
+                        number(made.cost.cpu_s), number(made.cost.wall_s), counted(double(made.cost.rays)),
+                        bytes(double(made.cost.peak_memory_bytes)), bytes(double(made.cost.bytes_written))});
         if (made.cost.command.empty() && made.cost.plan.empty()) continue;
         plans += fmt::format("<dt><code>{}</code></dt><dd>", escaped(made.name));
         if (!made.cost.command.empty()) plans += fmt::format("<code>{}</code>", escaped(made.cost.command));
@@ -364,36 +356,30 @@ std::string data_of(const std::vector<const Picture*>& pictures) {
     json.end_object();
     std::string text = json.str();
     // Whatever a label holds, it must not end the element that the data stand in.
-    for (std::size_t at = 0; (at = text.find('<', at)) != std::string::npos; at += 6)
-        text.replace(at, 1, "\\u003c");
+    for (std::size_t at = 0; (at = text.find('<', at)) != std::string::npos; at += 6) text.replace(at, 1, "\\u003c");
     return text;
 }
 
 std::string figure_for(std::size_t index, const Picture& picture, bool is_reference) {
     const std::string caption =
         is_reference
-            ? fmt::format("<b>Reference</b>{}",
-                          picture.samples == 0 ? "" : fmt::format(" {} spp", picture.samples))
+            ? fmt::format("<b>Reference</b>{}", picture.samples == 0 ? "" : fmt::format(" {} spp", picture.samples))
             : fmt::format(
                   "<b>{}</b> {}{}{}", escaped(picture.label),
                   picture.samples == 0 ? "" : fmt::format("{} spp", picture.samples),
                   std::isnan(picture.relmse) ? "" : fmt::format("<br>relMSE {}", number(picture.relmse)),
-                  std::isnan(picture.cpu_s())
-                      ? ""
-                      : fmt::format("<br>{}\u202fs of CPU time", number(picture.cpu_s())));
-    return fmt::format(
-        "<div class=\"cell\"><canvas data-picture=\"{}\"></canvas>{}<p>{}</p></div>\n", index,
-        is_reference
-            ? "<div class=\"legend\"><canvas id=\"legend\"></canvas><p><span data-reach=\"-1\"></span>"
-              "<span>0</span><span data-reach=\"1\"></span></p><p class=\"hint\">too dark · right · too "
-              "bright</p></div>"
-            : fmt::format("<canvas data-picture=\"{}\" data-error></canvas>", index),
-        caption);
+                  std::isnan(picture.cpu_s()) ? "" : fmt::format("<br>{}\u202fs of CPU time", number(picture.cpu_s())));
+    return fmt::format("<div class=\"cell\"><canvas data-picture=\"{}\"></canvas>{}<p>{}</p></div>\n", index,
+                       is_reference
+                           ? "<div class=\"legend\"><canvas id=\"legend\"></canvas><p><span data-reach=\"-1\"></span>"
+                             "<span>0</span><span data-reach=\"1\"></span></p><p class=\"hint\">too dark · right · too "
+                             "bright</p></div>"
+                           : fmt::format("<canvas data-picture=\"{}\" data-error></canvas>", index),
+                       caption);
 }
 
 std::string section(const std::string& id, const std::string& title, const std::string& body) {
-    return body.empty() ? ""
-                        : fmt::format("<section id=\"{}\">\n<h2>{}</h2>\n{}</section>\n", id, title, body);
+    return body.empty() ? "" : fmt::format("<section id=\"{}\">\n<h2>{}</h2>\n{}</section>\n", id, title, body);
 }
 
 std::string subsection(const std::string& title, const std::string& text, const std::string& body) {
@@ -410,9 +396,8 @@ std::string page_of(const Options& options) {
         pictures.push_back(read_picture(label.empty() ? app::base_name(file) : label, file, options));
         const Picture& picture = pictures.back();
         if (picture.width != reference.width || picture.height != reference.height) {
-            throw InputError(fmt::format("{}: is {} x {}, but {} is {} x {}", file, picture.width,
-                                         picture.height, options.reference, reference.width,
-                                         reference.height));
+            throw InputError(fmt::format("{}: is {} x {}, but {} is {} x {}", file, picture.width, picture.height,
+                                         options.reference, reference.width, reference.height));
         }
         pictures.back().lineage = lineage_of(file);
     }
@@ -451,22 +436,20 @@ std::string page_of(const Options& options) {
     }
     const auto equal_cost = read_matches(options.equal_cost), equal_error = read_matches(options.equal_error);
     if (equal_cost) {
-        tables +=
-            subsection("At equal " + escaped(words_for(equal_cost->equal)),
-                       "What each method's error is where it has cost as much as the other, between measured "
-                       "points along a straight line in the logarithms, never beyond their ends.",
-                       match_table(*equal_cost));
+        tables += subsection("At equal " + escaped(words_for(equal_cost->equal)),
+                             "What each method's error is where it has cost as much as the other, between measured "
+                             "points along a straight line in the logarithms, never beyond their ends.",
+                             match_table(*equal_cost));
     }
     if (equal_error) {
         tables += subsection("At equal " + escaped(words_for(equal_error->equal)),
                              "What it costs to get as far as the other.", match_table(*equal_error));
     }
     if (!options.peers.empty()) {
-        tables += subsection(
-            "Beside other renderers",
-            "The same scene file with the same depth, roulette and threads, timed in turn; paths per "
-            "second without loading and compiling. Equal paths are not equal errors.",
-            plain_table(read_tables({options.peers})));
+        tables += subsection("Beside other renderers",
+                             "The same scene file with the same depth, roulette and threads, timed in turn; paths per "
+                             "second without loading and compiling. Equal paths are not equal errors.",
+                             plain_table(read_tables({options.peers})));
     }
 
     std::vector<const Picture*> shown;
@@ -505,11 +488,10 @@ std::string page_of(const Options& options) {
          {"columns", std::to_string(shown.size())},
          {"charts", section("charts", "Speed against accuracy", chart_figures(options, 3))},
          {"tables", section("tables", "Tables", tables)},
-         {"lineage",
-          section("lineage", "Plan and lineage",
-                  "<p>Each file was made by one stage from the files named beside it. A row stands for all "
-                  "files of a kind; <i>plan</i> is what the stage found that the scene calls for.</p>\n" +
-                      lineage)},
+         {"lineage", section("lineage", "Plan and lineage",
+                             "<p>Each file was made by one stage from the files named beside it. A row stands for all "
+                             "files of a kind; <i>plan</i> is what the stage found that the scene calls for.</p>\n" +
+                                 lineage)},
          {"made_by", options.made_by.empty()
                          ? ""
                          : fmt::format("<p>This page again: <code>{}</code></p>", escaped(options.made_by))},
@@ -518,22 +500,19 @@ std::string page_of(const Options& options) {
 }
 
 void declare(app::Command& command, Options& options) {
-    command
-        .labelled_files("pictures", options.pictures,
-                        "images (EXR) with their .cost.json, one of each method")
+    command.labelled_files("pictures", options.pictures, "images (EXR) with their .cost.json, one of each method")
         .required();
     command.file("-r,--reference", options.reference, "image (EXR) that they should be").required();
     command.output("-o,--output", options.output, "page.html").required();
     command.file("--errors", options.errors, "table of loom-compare --reference R --cost --tsv");
-    command.file("--equal-cost", options.equal_cost,
-                 "table of loom-chart, its first line of names alone included");
+    command.file("--equal-cost", options.equal_cost, "table of loom-chart, its first line of names alone included");
     command.file("--equal-error", options.equal_error, "the same at equal errors");
     command.files("--chart", options.charts, "charts (SVG) of loom-chart, in the order of the page");
     command.file("--peers", options.peers, "table of make peers");
     command.option("--title", options.title, "above the page: the scene");
     command.option("--made-by", options.made_by, "command that makes the page again, shown at its end");
-    command.option("--longest-side", options.longest_side,
-                   "of the pictures in the page; larger ones are reduced", app::Range<int>{16, 4096, "px"});
+    command.option("--longest-side", options.longest_side, "of the pictures in the page; larger ones are reduced",
+                   app::Range<int>{16, 4096, "px"});
     command.example(
         "loom-report pt=a.exr pathgraph=b.exr -r r.exr --errors errors.tsv --chart error-cost.svg -o "
         "report.html");

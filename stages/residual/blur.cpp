@@ -25,13 +25,16 @@ std::vector<double> blurred(const Sensor& sensor, const std::vector<double>& val
         return all;
     };
     const std::vector<double> norm_x = norms(width), norm_y = norms(height);
-    const auto along = [&](const std::vector<double>& in, std::size_t n, std::size_t step, std::size_t n_lines, std::size_t line_step, const std::vector<double>& norm) {
+    const auto along = [&](const std::vector<double>& in, std::size_t n, std::size_t step, std::size_t n_lines,
+                           std::size_t line_step, const std::vector<double>& norm) {
         std::vector<double> out(in.size());
         for (std::size_t line = 0; line < n_lines; ++line)
             for (std::size_t i = 0; i < n; ++i) {
                 double sum = 0;
-                const int first = -int(std::min<std::size_t>(i, reach)), last = int(std::min<std::size_t>(n - 1 - i, reach));
-                for (int d = first; d <= last; ++d) sum += weights[d + reach] * in[line * line_step + std::size_t(std::int64_t(i) + d) * step];
+                const int first = -int(std::min<std::size_t>(i, reach)),
+                          last = int(std::min<std::size_t>(n - 1 - i, reach));
+                for (int d = first; d <= last; ++d)
+                    sum += weights[d + reach] * in[line * line_step + std::size_t(std::int64_t(i) + d) * step];
                 out[line * line_step + i * step] = sum / norm[i];
             }
         return out;

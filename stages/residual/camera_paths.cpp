@@ -3,8 +3,10 @@
 namespace loom::residual {
 
 CameraPaths::CameraPaths(const DynamicScenes& scenes, const PathOptions& path)
-    : watch_(std::make_unique<Watch>(scenes.watch(scenes.new_scene))), all_touched_(!scenes.same_choice_of_lights),
-      new_batch_(scenes.new_scene.scene, path, watch_.get()), old_batch_(scenes.old_scene.scene, path) {}
+    : watch_(std::make_unique<Watch>(scenes.watch(scenes.new_scene))),
+      all_touched_(!scenes.same_choice_of_lights),
+      new_batch_(scenes.new_scene.scene, path, watch_.get()),
+      old_batch_(scenes.old_scene.scene, path) {}
 
 void CameraPaths::watch(std::span<const PathId> ids) {
     new_.resize(ids.size());

@@ -10,7 +10,8 @@ CandidatePaths::CandidatePaths(const Scene& old_scene, const EditReach& reach, c
     : reach_(reach), graph_(graph), camera_(old_scene.sensor.origin) {
     const bool asks = reach.any_emitter || !reach.old_places.empty() || !reach.new_places.empty();
     tells_ = reach.everything.empty() && !(asks && graph.misses.vertex.empty());
-    any_shape_ = std::any_of(reach.shapes.begin(), reach.shapes.end(), [](std::uint8_t changed) { return changed != 0; });
+    any_shape_ =
+        std::any_of(reach.shapes.begin(), reach.shapes.end(), [](std::uint8_t changed) { return changed != 0; });
 }
 
 void CandidatePaths::room(std::size_t n) {
@@ -78,9 +79,11 @@ void CandidatePaths::arrivals(std::size_t begin, std::size_t end) {
 
 void CandidatePaths::light_edges(std::size_t last_vertex) {
     const auto& e = graph_.light_edges;
-    const std::size_t begin = first_row(e.vertex, first_), end = first_row(e.vertex, last_vertex, begin), n = end - begin;
+    const std::size_t begin = first_row(e.vertex, first_), end = first_row(e.vertex, last_vertex, begin),
+                      n = end - begin;
     if (reach_.any_emitter || reach_.any_relit)
-        for (std::size_t k = begin; k < end; ++k) met_[e.vertex[k] - first_] |= reach_.emitters[e.emitter[k]] | reach_.relit[e.emitter[k]];
+        for (std::size_t k = begin; k < end; ++k)
+            met_[e.vertex[k] - first_] |= reach_.emitters[e.emitter[k]] | reach_.relit[e.emitter[k]];
     if (reach_.new_places.empty()) return;
     fill(n, e.vertex.data() + begin, e.y.data() + 4 * begin);
     answer(n, reach_.new_places);
@@ -90,7 +93,8 @@ void CandidatePaths::light_edges(std::size_t last_vertex) {
 void CandidatePaths::misses(std::size_t last_vertex) {
     if (!reach_.any_emitter && reach_.old_places.empty() && reach_.new_places.empty()) return;
     const auto& m = graph_.misses;
-    const std::size_t begin = first_row(m.vertex, first_), end = first_row(m.vertex, last_vertex, begin), n = end - begin;
+    const std::size_t begin = first_row(m.vertex, first_), end = first_row(m.vertex, last_vertex, begin),
+                      n = end - begin;
     const std::uint8_t* const technique = m.technique.data() + begin;
     constexpr auto by_bsdf = std::uint8_t(LightTechnique::bsdf_hit);
     miss_of_.resize(last_vertex - first_);
@@ -102,7 +106,8 @@ void CandidatePaths::misses(std::size_t last_vertex) {
     const auto ask = [&](const Obstacles& obstacles, bool through) {
         if (obstacles.empty()) return;
         fill(n, m.vertex.data() + begin, m.y.data() + 4 * begin);
-        for (std::size_t i = 0; i < n; ++i) segments_.t_max[i] = (technique[i] == by_bsdf) == through ? segments_.t_max[i] : -1.0f;
+        for (std::size_t i = 0; i < n; ++i)
+            segments_.t_max[i] = (technique[i] == by_bsdf) == through ? segments_.t_max[i] : -1.0f;
         answer(n, obstacles);
         mark(n);
     };
@@ -114,10 +119,12 @@ void CandidatePaths::find(std::size_t begin, std::size_t end, std::uint8_t* may)
     const auto& first = graph_.paths.first_vertex;
     // A camera ray that escaped is in no row.
     const bool escaped = reach_.sky || !reach_.new_places.empty();
-    for (std::size_t path = begin; path < end; ++path) may[path - begin] = std::uint8_t(!tells_ || (escaped && first[path] == first[path + 1]));
+    for (std::size_t path = begin; path < end; ++path)
+        may[path - begin] = std::uint8_t(!tells_ || (escaped && first[path] == first[path + 1]));
     if (!tells_) return;
     if (reach_.any_relit)
-        for (std::size_t path = begin; path < end; ++path) may[path - begin] |= std::uint8_t(!is_black(rgb(graph_.paths.Le, path)));
+        for (std::size_t path = begin; path < end; ++path)
+            may[path - begin] |= std::uint8_t(!is_black(rgb(graph_.paths.Le, path)));
     const auto& v = graph_.vertices;
     const std::size_t last = first[end];
     first_ = first[begin];
@@ -128,7 +135,8 @@ void CandidatePaths::find(std::size_t begin, std::size_t end, std::uint8_t* may)
     if (reach_.sky || reach_.dark_light)
         for (std::size_t j = first_; j < last; ++j) {
             const Ending ending = ending_of(v.flags[j]);
-            met_[j - first_] |= (reach_.sky && ending == Ending::escaped) | (reach_.dark_light && ending == Ending::hit_emitter);
+            met_[j - first_] |=
+                (reach_.sky && ending == Ending::escaped) | (reach_.dark_light && ending == Ending::hit_emitter);
         }
     if (!reach_.new_places.empty()) arrivals(begin, end);
     light_edges(last);

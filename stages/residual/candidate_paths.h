@@ -14,12 +14,16 @@ namespace loom::residual {
 
 /// First of the rows [begin, end) that belongs to vertex j or a later one; `end` if there is none.
 inline std::size_t first_row(std::span<const std::uint32_t> vertex, std::size_t j, std::size_t begin, std::size_t end) {
-    return std::size_t(std::lower_bound(vertex.begin() + std::ptrdiff_t(begin), vertex.begin() + std::ptrdiff_t(end), j) - vertex.begin());
+    return std::size_t(
+        std::lower_bound(vertex.begin() + std::ptrdiff_t(begin), vertex.begin() + std::ptrdiff_t(end), j) -
+        vertex.begin());
 }
-inline std::size_t first_row(std::span<const std::uint32_t> vertex, std::size_t j, std::size_t begin = 0) { return first_row(vertex, j, begin, vertex.size()); }
+inline std::size_t first_row(std::span<const std::uint32_t> vertex, std::size_t j, std::size_t begin = 0) {
+    return first_row(vertex, j, begin, vertex.size());
+}
 
-/// Reads the rows of a graph one after the other and nothing of scene or random numbers, so that a path costs as little as
-/// its bytes. One belongs to one thread.
+/// Reads the rows of a graph one after the other and nothing of scene or random numbers, so that a path costs as little
+/// as its bytes. One belongs to one thread.
 class CandidatePaths {
   public:
     CandidatePaths(const Scene& old_scene, const EditReach& reach, const PathGraph& graph);
@@ -29,7 +33,8 @@ class CandidatePaths {
     /// in:      begin, end  paths of the graph
     /// out:     may         by path, 0: TouchedPaths would find that the edit does not touch it
     void find(std::size_t begin, std::size_t end, std::uint8_t* may);
-    /// After find(), for a row of its vertices: 0 if neither the vertex nor what leaves it or leads to it need be looked at.
+    /// After find(), for a row of its vertices: 0 if neither the vertex nor what leaves it or leads to it need be
+    /// looked at.
     bool may_touch(std::size_t vertex) const { return !tells_ || met_[vertex - first_] != 0; }
     /// Row of misses of a vertex whose light sample was not seen, if the graph has them and may_touch().
     std::size_t miss_of(std::size_t vertex) const { return miss_of_[vertex - first_]; }

@@ -20,7 +20,9 @@ Ledger ledger_of(const Image& picture) {
     return {first};
 }
 
-std::uint64_t seed_of_edit(std::uint64_t seed, std::size_t k) { return seed ^ mix64(k - 1); }
+std::uint64_t seed_of_edit(std::uint64_t seed, std::size_t k) {
+    return seed ^ mix64(k - 1);
+}
 
 LedgerLink link_of_residual(const Image& residual) {
     if (residual.ledger.size() == 1) return residual.ledger[0];
@@ -38,8 +40,11 @@ void check_numbers(const Ledger& before, const std::string& method, std::uint64_
     edit.seed = seed;
     for (std::size_t i = 0; i < before.size(); ++i)
         if (share_numbers(before[i], edit))
-            throw InputError(fmt::format("--old: {} has the random numbers of this residual ({}, seed {}), so that their variances would not add up; make it with another --seed",
-                                         i == 0 ? "the picture before all edits" : fmt::format("its edit {} ({})", i, before[i].method), method, seed));
+            throw InputError(fmt::format(
+                "--old: {} has the random numbers of this residual ({}, seed {}), so that their variances would not "
+                "add up; make it with another --seed",
+                i == 0 ? "the picture before all edits" : fmt::format("its edit {} ({})", i, before[i].method), method,
+                seed));
 }
 
 Standing standing_of(const Ledger& ledger) {
@@ -56,18 +61,24 @@ Standing standing_of(const Ledger& ledger) {
 void say_standing(const Ledger& ledger, const Options& options, app::Report& report) {
     const Standing s = standing_of(ledger);
     if (s.worth == 0 || s.var_mean == 0) return;
-    report.info("ledger: {} ({} paths per pixel) since a picture of {} samples per pixel; {:.3g} % of the variance is theirs; as noisy as a fresh picture of {:.3g} samples per pixel",
-                ledger.size() == 2 ? "one edit" : fmt::format("{} edits", ledger.size() - 1), s.all_edit_paths, s.base_samples, 100 * s.var_mean_of_edits / s.var_mean, s.worth);
+    report.info(
+        "ledger: {} ({} paths per pixel) since a picture of {} samples per pixel; {:.3g} % of the variance is theirs; "
+        "as noisy as a fresh picture of {:.3g} samples per pixel",
+        ledger.size() == 2 ? "one edit" : fmt::format("{} edits", ledger.size() - 1), s.all_edit_paths, s.base_samples,
+        100 * s.var_mean_of_edits / s.var_mean, s.worth);
     if (!s.rebase()) return;
     std::string fresh = "loom-trace " + (options.new_scene.empty() ? options.old_scene : options.new_scene);
     for (const auto* defines : {&options.defines, &options.new_defines})
         for (const std::string& d : *defines) fresh += fmt::format(" -D '{}'", d);
     if (!options.sensor.empty()) fresh += fmt::format(" --sensor '{}'", options.sensor);
     if (options.max_depth) fresh += fmt::format(" --max-depth {}", *options.max_depth);
-    const std::string than = 2 * s.worth < double(s.base_samples) ? fmt::format("less than half of the {} that the chain began with", s.base_samples)
-                                                                  : fmt::format("fewer than the {} paths of this edit", s.edit_paths);
-    report.warn("{}: as noisy as a fresh picture of {:.3g} samples per pixel, {} (variance {:.3g}, {:.3g} of it by edits); re-base: {} --spp {} -o FRESH.exr",
-                options.new_picture, s.worth, than, s.var_mean, s.var_mean_of_edits, fresh, s.base_samples);
+    const std::string than = 2 * s.worth < double(s.base_samples)
+                                 ? fmt::format("less than half of the {} that the chain began with", s.base_samples)
+                                 : fmt::format("fewer than the {} paths of this edit", s.edit_paths);
+    report.warn(
+        "{}: as noisy as a fresh picture of {:.3g} samples per pixel, {} (variance {:.3g}, {:.3g} of it by edits); "
+        "re-base: {} --spp {} -o FRESH.exr",
+        options.new_picture, s.worth, than, s.var_mean, s.var_mean_of_edits, fresh, s.base_samples);
 }
 
 }  // namespace loom::residual

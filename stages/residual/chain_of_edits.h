@@ -16,8 +16,8 @@ Ledger ledger_of(const Image& picture);
 /// For one seed all are different, so that edits have no random numbers in common and their variances add up. With the
 /// same numbers the residuals of an edit after an edit would telescope:
 ///   [L_2(u) - L_1(u)] + [L_1(u) - L_0(u)] = L_2(u) - L_0(u),
-/// of a lamp that twice grows brighter by as much, twice the variance that the ledger says; of one that goes back, none.
-/// Passes of one edit have one seed.
+/// of a lamp that twice grows brighter by as much, twice the variance that the ledger says; of one that goes back,
+/// none. Passes of one edit have one seed.
 std::uint64_t seed_of_edit(std::uint64_t seed, std::size_t k);
 
 /// The link of a residual, which says it itself; else what its provenance says.
@@ -34,10 +34,10 @@ struct Standing {
     std::uint64_t edit_paths = 0;                // per pixel, that the last edit traced: two a pair
     std::uint64_t all_edit_paths = 0;            // and all edits
     /// A fresh picture of half of the first picture's samples would do as well, or one of the last edit's paths.
-    ///   Never of all its samples: every edit adds variance, so that the first would call for a re-base already. With edits
-    ///   that each cost c of the first picture and add d of its variance, K edits a re-base cost (1 + c K) / (K + 1) a
-    ///   picture, of a mean variance of 1 + d K / 2. Their product is smallest where d K is about sqrt(2 d / c), which is
-    ///   1 to 2 for a residual as good as half to two fresh pictures of its cost (d / c from 1/2 to 2).
+    ///   Never of all its samples: every edit adds variance, so that the first would call for a re-base already. With
+    ///   edits that each cost c of the first picture and add d of its variance, K edits a re-base cost (1 + c K) / (K +
+    ///   1) a picture, of a mean variance of 1 + d K / 2. Their product is smallest where d K is about sqrt(2 d / c),
+    ///   which is 1 to 2 for a residual as good as half to two fresh pictures of its cost (d / c from 1/2 to 2).
     bool rebase() const { return worth > 0 && (2 * worth < double(base_samples) || worth < double(edit_paths)); }
 };
 /// needs:   a ledger of two links or more

@@ -54,8 +54,8 @@ struct ControlSums {
 
 class Estimator {
   public:
-    Estimator(const DynamicScenes& scenes, const std::vector<Family>& families, const Effort& effort, const DynamicOptions& options, const PathOptions& path,
-              int threads)
+    Estimator(const DynamicScenes& scenes, const std::vector<Family>& families, const Effort& effort,
+              const DynamicOptions& options, const PathOptions& path, int threads)
         : scenes_(scenes), families_(families), effort_(effort), options_(options), path_(path), threads_(threads) {
         pairs_ = options.pairs;
         pairs_.mapping = options.pairs.mapping && options.only_family < 0;
@@ -65,12 +65,14 @@ class Estimator {
     bool wanted(std::size_t family) const { return options_.only_family < 0 || options_.only_family == int(family); }
     Radiance weighted(const Part& part) const {
         const double n = effort_.per_pixel[part.pixel];
-        if (options_.weighted || options_.only_family < 0) return part.value * (1 / (part.density.site_density + n * part.h * part.density.camera_density));
+        if (options_.weighted || options_.only_family < 0)
+            return part.value * (1 / (part.density.site_density + n * part.h * part.density.camera_density));
         return part.value * (1 / (part.by_camera ? n * part.h * part.density.camera_density : part.own));
     }
 
     /// in: first  number of the first sample of a family over its samples
-    void add_from_sites(double first, SitePicture& picture, Counts& counts, std::uint64_t& unrelocated, app::Progress& progress) const {
+    void add_from_sites(double first, SitePicture& picture, Counts& counts, std::uint64_t& unrelocated,
+                        app::Progress& progress) const {
         const std::uint64_t n_pixels = picture.sum.size();
         struct Worker {
             PathPairs pairs;
@@ -83,18 +85,21 @@ class Estimator {
             const auto n_samples = std::uint64_t(effort_.samples[f]);
             if (!wanted(f) || n_samples == 0) continue;
             std::fill(family_sum.begin(), family_sum.end(), Radiance());
-            const std::uint64_t first_sample = std::uint64_t(first * double(n_samples)), seed = mix64(path_.seed ^ (f + 1) * 0x9e3779b97f4a7c15ull);
+            const std::uint64_t first_sample = std::uint64_t(first * double(n_samples)),
+                                seed = mix64(path_.seed ^ (f + 1) * 0x9e3779b97f4a7c15ull);
             for (std::uint64_t round = 0; round < n_samples; round += samples_per_chunk * chunks_per_round) {
                 const std::uint64_t n = std::min(samples_per_chunk * chunks_per_round, n_samples - round);
                 std::vector<std::vector<Splat>> found(chunks_per_round);
-                parallel_chunks(n, samples_per_chunk, threads_, [&](std::uint64_t chunk, std::uint64_t begin, std::uint64_t end) {
-                    Worker& w = workers.local();
-                    for (std::uint64_t i = begin; i < end; ++i) {
-                        w.pairs.from_site(f, w.numbers.of(path_.sampler, seed, first_sample + round + i), [&](const Part& part) { w.splats.add(part.pixel, weighted(part)); });
-                        w.splats.end_sample(found[chunk]);
-                    }
-                    progress.add(end - begin);
-                });
+                parallel_chunks(
+                    n, samples_per_chunk, threads_, [&](std::uint64_t chunk, std::uint64_t begin, std::uint64_t end) {
+                        Worker& w = workers.local();
+                        for (std::uint64_t i = begin; i < end; ++i) {
+                            w.pairs.from_site(f, w.numbers.of(path_.sampler, seed, first_sample + round + i),
+                                              [&](const Part& part) { w.splats.add(part.pixel, weighted(part)); });
+                            w.splats.end_sample(found[chunk]);
+                        }
+                        progress.add(end - begin);
+                    });
                 // In the order of the samples, so that sums do not depend on threads.
                 for (const std::vector<Splat>& splats : found)
                     for (const Splat& s : splats) {
@@ -115,7 +120,8 @@ class Estimator {
 
     /// Camera paths; alone they are plain pairs, else weighted against the other families.
     /// in: control  null, or with weights; only of camera paths alone
-    Film from_camera(std::uint64_t first_sample, ControlSums* control, DynamicCounts& counts, app::Report& report, app::Progress& progress) const;
+    Film from_camera(std::uint64_t first_sample, ControlSums* control, DynamicCounts& counts, app::Report& report,
+                     app::Progress& progress) const;
 
   private:
     const DynamicScenes& scenes_;
@@ -156,7 +162,8 @@ struct CameraWorker {
         for (std::size_t k = 0; k < ids.size(); ++k) {
             if (!cameras.touched(k)) continue;
             Radiance sum;
-            pairs.from_camera(ids[k], Sampler(path.sampler, path.seed, ids[k].pixel, ids[k].sample), [&](const Part& part) { sum += estimator.weighted(part); });
+            pairs.from_camera(ids[k], Sampler(path.sampler, path.seed, ids[k].pixel, ids[k].sample),
+                              [&](const Part& part) { sum += estimator.weighted(part); });
             values[k] = Spectrum(sum * double(effort.per_pixel[ids[k].pixel]));
         }
     }
@@ -182,7 +189,8 @@ struct CameraWorker {
     }
 };
 
-Film Estimator::from_camera(std::uint64_t first_sample, ControlSums* control, DynamicCounts& counts, app::Report& report, app::Progress& progress) const {
+Film Estimator::from_camera(std::uint64_t first_sample, ControlSums* control, DynamicCounts& counts,
+                            app::Report& report, app::Progress& progress) const {
     const Sensor& sensor = scenes_.new_scene.scene.sensor;
     std::uint64_t n = 0;
     for (const std::uint32_t of_pixel : effort_.per_pixel) n += of_pixel;
@@ -191,17 +199,36 @@ Film Estimator::from_camera(std::uint64_t first_sample, ControlSums* control, Dy
     std::vector<double> new_var(sensor.n_pixels());
     const bool alone = effort_.cameras_alone() && options_.only_family < 0;
     tbb::enumerable_thread_specific<CameraWorker> workers([&] {
-        return CameraWorker{*this, effort_, path_, alone, wanted(families_.size() - 1), CameraPaths(scenes_, path_), pairs(), {}, log, film, new_var, control, {}, {}, {}};
+        return CameraWorker{*this,
+                            effort_,
+                            path_,
+                            alone,
+                            wanted(families_.size() - 1),
+                            CameraPaths(scenes_, path_),
+                            pairs(),
+                            {},
+                            log,
+                            film,
+                            new_var,
+                            control,
+                            {},
+                            {},
+                            {}};
     });
-    trace_pixels(workers, sensor.n_pixels(), double(n) / double(sensor.n_pixels()), threads_,
-                 [&](std::uint64_t pixel) { return SampleRange{first_sample, effort_.per_pixel[pixel]}; }, progress);
+    trace_pixels(
+        workers, sensor.n_pixels(), double(n) / double(sensor.n_pixels()), threads_,
+        [&](std::uint64_t pixel) {
+            return SampleRange{first_sample, effort_.per_pixel[pixel]};
+        },
+        progress);
     for (const CameraWorker& w : workers) {
         counts.counts.add(w.cameras.counts_new);
         counts.counts.add(w.cameras.counts_old);
         counts.counts.add({w.pairs.rays(), w.pairs.vertices(), w.pairs.nonfinite});
     }
     counts.counts.nonfinite += log.count();
-    counts.var_sample = std::accumulate(new_var.begin(), new_var.end(), 0.0) / (3.0 * double(new_var.size()));  // in the order of pixels: for any threads
+    counts.var_sample = std::accumulate(new_var.begin(), new_var.end(), 0.0) /
+                        (3.0 * double(new_var.size()));  // in the order of pixels: for any threads
     return film;
 }
 
@@ -214,7 +241,8 @@ ControlledPicture controlled_picture(const Image& old_picture, const Image& resi
         const std::string var_mean = std::string("VarMean.") + rgb[c];
         const auto L_old = old_picture.find(rgb[c]), V = old_picture.find(var_mean);
         const auto L = out.image.add(rgb[c]);
-        for (std::size_t p = 0; p < L.size(); ++p) L[p] = float(double(control.alpha[p][c]) * L_old[p] + control.mean[p][c]);
+        for (std::size_t p = 0; p < L.size(); ++p)
+            L[p] = float(double(control.alpha[p][c]) * L_old[p] + control.mean[p][c]);
         const auto var = out.image.add(var_mean);
         for (std::size_t p = 0; p < var.size(); ++p) {
             const double alpha = control.alpha[p][c];
@@ -232,8 +260,8 @@ ControlledPicture controlled_picture(const Image& old_picture, const Image& resi
 
 }  // namespace
 
-Image render_dynamic(const ScenePair& pair, const Edit& edit, const DynamicOptions& options, const PathOptions& path_options, const Work& work, app::Report& report,
-                     DynamicCounts& counts) {
+Image render_dynamic(const ScenePair& pair, const Edit& edit, const DynamicOptions& options,
+                     const PathOptions& path_options, const Work& work, app::Report& report, DynamicCounts& counts) {
     const DynamicScenes scenes(pair.old_scene, pair.new_scene, edit);
     const std::vector<Family> families = families_of(scenes);
     const Sensor& sensor = pair.new_scene.sensor;
@@ -247,14 +275,17 @@ Image render_dynamic(const ScenePair& pair, const Edit& edit, const DynamicOptio
         effort = equal_effort(families, sensor, work.spp);
     } else if (work.spp < least_spp) {
         effort = camera_effort(families, sensor, work.spp);
-        effort.why = fmt::format("camera paths alone, evenly: --spp {} is too little for a pilot, which takes {}", work.spp, least_spp);
+        effort.why = fmt::format("camera paths alone, evenly: --spp {} is too little for a pilot, which takes {}",
+                                 work.spp, least_spp);
     } else {
-        // How many samples there will be is not known beforehand, so that passes have seeds of their own, as the pilot has.
+        // How many samples there will be is not known beforehand, so that passes have seeds of their own, as the pilot
+        // has.
         path.seed = mix64(path.seed ^ (work.first_sample + 1) * 0x9e3779b97f4a7c15ull);
         first_sample = 0;
         PathOptions pilot = path;
         pilot.seed = mix64(path.seed ^ 0x70696c6f74ull);
-        effort = effort_by_pilot(scenes, families, {options.pairs, options.adaptive_map, options.must_gain}, pilot, work, counts.counts);
+        effort = effort_by_pilot(scenes, families, {options.pairs, options.adaptive_map, options.must_gain}, pilot,
+                                 work, counts.counts);
     }
     counts.effort = effort.why;
     if (!effort.why.empty()) report.info("{}", effort.why);
@@ -265,7 +296,8 @@ Image render_dynamic(const ScenePair& pair, const Edit& edit, const DynamicOptio
     app::Progress progress(report, "sampling", std::uint64_t(n_all));
     const Estimator estimator(scenes, families, effort, options, path, work.threads);
     SitePicture sites{std::vector<Radiance>(n_pixels), std::vector<Radiance>(n_pixels)};
-    estimator.add_from_sites(double(first_sample) / double(work.spp), sites, counts.counts, counts.n_unrelocated, progress);
+    estimator.add_from_sites(double(first_sample) / double(work.spp), sites, counts.counts, counts.n_unrelocated,
+                             progress);
     ControlSums control;
     const bool controlled = options.old_picture && effort.cameras_alone() && !effort.covariance[0].empty();
     if (controlled) {
@@ -273,7 +305,8 @@ Image render_dynamic(const ScenePair& pair, const Edit& edit, const DynamicOptio
         control.mean.resize(n_pixels);
         control.var_mean.resize(n_pixels);
     }
-    Image image = estimator.from_camera(first_sample, controlled ? &control : nullptr, counts, report, progress).finish({});
+    Image image =
+        estimator.from_camera(first_sample, controlled ? &control : nullptr, counts, report, progress).finish({});
     image.samples = work.spp;
     if (controlled) counts.controlled = controlled_picture(*options.old_picture, image, control);
     for (int c = 0; c < 3; ++c) {

@@ -3,16 +3,21 @@
 namespace loom::residual {
 namespace {
 
-double cosine(const Normal3f& n, const Vector3f& d) { return std::abs(double(dot(n, d))); }
+double cosine(const Normal3f& n, const Vector3f& d) {
+    return std::abs(double(dot(n, d)));
+}
 
 }  // namespace
 
 bool FullPath::dynamic() const {
-    return light.changed || std::any_of(vertices.begin(), vertices.end(), [](const Interaction& x) { return x.site != no_site; }) ||
+    return light.changed ||
+           std::any_of(vertices.begin(), vertices.end(), [](const Interaction& x) { return x.site != no_site; }) ||
            std::any_of(segments.begin(), segments.end(), [](const Segment& s) { return s.n > 0; });
 }
 
-Vector3f direction_to(const LightEnd& light, const Point3f& from) { return light.at_infinity ? Vector3f(light.y) : normalize(light.y - from); }
+Vector3f direction_to(const LightEnd& light, const Point3f& from) {
+    return light.at_infinity ? Vector3f(light.y) : normalize(light.y - from);
+}
 
 Ray shadow_ray(const Vertex& v, const LightEnd& light) {
     return light.at_infinity ? spawn_ray(v.at.end(), Vector3f(light.y)) : spawn_segment(v.at.end(), light.end());
@@ -21,7 +26,8 @@ Ray shadow_ray(const Vertex& v, const LightEnd& light) {
 Segment segment_between(const DynamicScene& side, const Vertex& s, const Vertex& l, Crossings& crossings) {
     const Vector3f d = normalize(l.at.p - s.at.p);
     const auto first = std::uint32_t(crossings.all.size());
-    return {std::abs(dot(s.at.ng, d)), std::abs(dot(l.at.ng, d)), first, side.cross(spawn_segment(s.at.end(), l.at.end()), crossings)};
+    return {std::abs(dot(s.at.ng, d)), std::abs(dot(l.at.ng, d)), first,
+            side.cross(spawn_segment(s.at.end(), l.at.end()), crossings)};
 }
 
 Segment segment_to_light(const DynamicScene& side, const Vertex& v, const LightEnd& light, Crossings& crossings) {
@@ -29,15 +35,19 @@ Segment segment_to_light(const DynamicScene& side, const Vertex& v, const LightE
     return {std::abs(dot(v.at.ng, direction_to(light, v.at.p))), 1, first, side.cross(shadow_ray(v, light), crossings)};
 }
 
-double survival(const ShadingPoint& here) { return std::min(max_channel(albedo(here.bsdf, here.wo_local)), max_survival); }
+double survival(const ShadingPoint& here) {
+    return std::min(max_channel(albedo(here.bsdf, here.wo_local)), max_survival);
+}
 
 bool scatters_on_both_sides(const Scene& scene, const ShadingPoint& here, const Vertex& vertex) {
     const BsdfModel& model = *here.bsdf.model;
-    return model.two_sided || scene.materials[scene.shapes[vertex.hit.shape].material].back >= 0 || here.bsdf.opacity < 1 || model.kind == BsdfKind::dielectric ||
-           model.kind == BsdfKind::thin_dielectric || model.kind == BsdfKind::rough_dielectric || model.kind == BsdfKind::null;
+    return model.two_sided || scene.materials[scene.shapes[vertex.hit.shape].material].back >= 0 ||
+           here.bsdf.opacity < 1 || model.kind == BsdfKind::dielectric || model.kind == BsdfKind::thin_dielectric ||
+           model.kind == BsdfKind::rough_dielectric || model.kind == BsdfKind::null;
 }
 
-Interaction interact(const DynamicScene& side, const Vertex& vertex, const Vector3f& to_sensor, const Vector3f& to_light, Lobe lobe) {
+Interaction interact(const DynamicScene& side, const Vertex& vertex, const Vector3f& to_sensor,
+                     const Vector3f& to_light, Lobe lobe) {
     Interaction x;
     x.site = vertex.site;
     ShadingPoint here = side.aimed(vertex, to_sensor);
@@ -48,10 +58,12 @@ Interaction interact(const DynamicScene& side, const Vertex& vertex, const Vecto
         x.specular = true;
         const DeltaLobe<float> forward = delta_lobe(here.bsdf, here.wo_local, lobe);
         x.f_cos = Radiance(forward.value);
-        if (here.perturbed && lobe != Lobe::null) x.f_cos *= bump_shadowing(here, to_light, here.frame.to_local(to_light).z);
+        if (here.perturbed && lobe != Lobe::null)
+            x.f_cos *= bump_shadowing(here, to_light, here.frame.to_local(to_light).z);
         x.pdf_light = forward.pmf;
         if (lobe == Lobe::delta_transmission && forward.eta != 1)
-            projected = std::abs(double(here.wo_local.z)) / (sqr(double(forward.eta)) * std::abs(double(here.frame.to_local(to_light).z)));
+            projected = std::abs(double(here.wo_local.z)) /
+                        (sqr(double(forward.eta)) * std::abs(double(here.frame.to_local(to_light).z)));
     } else {
         const BsdfValue<float> value = f_cos_pdf(here, to_light);
         x.f_cos = Radiance(value.f_cos);
@@ -59,11 +71,13 @@ Interaction interact(const DynamicScene& side, const Vertex& vertex, const Vecto
     }
     if (x.site != no_site) {
         const double cos_light = here.frame.to_local(to_light).z;
-        x.pdf_cosine = scatters_on_both_sides(side.scene, here, vertex) ? 0.5 * std::abs(cos_light) / pi_double : std::max(cos_light, 0.0) / pi_double;
+        x.pdf_cosine = scatters_on_both_sides(side.scene, here, vertex) ? 0.5 * std::abs(cos_light) / pi_double
+                                                                        : std::max(cos_light, 0.0) / pi_double;
     }
     side.aim(vertex, to_light, here);
     x.q_sensor = survival(here);
-    x.pdf_sensor = is_delta(lobe) ? delta_pmf(here.bsdf, here.wo_local, lobe) * projected : f_cos_pdf(here, to_sensor).pdf_w;
+    x.pdf_sensor =
+        is_delta(lobe) ? delta_pmf(here.bsdf, here.wo_local, lobe) * projected : f_cos_pdf(here, to_sensor).pdf_w;
     return x;
 }
 
@@ -78,8 +92,8 @@ double light_pdf(const Scene& scene, const LightEnd& light, const Point3f& from)
     return pdf_light_w(scene, from, at);
 }
 
-Evaluation evaluate(const DynamicScenes& scenes, const DynamicScene& side, const SampleCounts& counts, const PathOptions& options, const FullPath& path,
-                    std::vector<Term>* terms) {
+Evaluation evaluate(const DynamicScenes& scenes, const DynamicScene& side, const SampleCounts& counts,
+                    const PathOptions& options, const FullPath& path, std::vector<Term>* terms) {
     const std::size_t m = path.m();
     Evaluation e;
     if (!path.dynamic()) return e;
@@ -128,9 +142,12 @@ Evaluation evaluate(const DynamicScenes& scenes, const DynamicScene& side, const
         const Interaction& x = path.vertices[i];
         if (x.site == no_site) continue;
         const Site site = Site(x.site);
-        if (i + 1 == m) add(Technique::dynamic_from_emitter, site, i + 1, S[i] * E[i]);
-        else if (i == 0) add(Technique::dynamic_from_sensor, site, i + 1, from_sensor * E[0]);
-        else add(Technique::dynamic_two_ends, site, i + 1, S[i] * x.pdf_cosine * E[i + 1]);
+        if (i + 1 == m)
+            add(Technique::dynamic_from_emitter, site, i + 1, S[i] * E[i]);
+        else if (i == 0)
+            add(Technique::dynamic_from_sensor, site, i + 1, from_sensor * E[0]);
+        else
+            add(Technique::dynamic_two_ends, site, i + 1, S[i] * x.pdf_cosine * E[i + 1]);
     }
     const Site ghosts = side.ghost_site();
     for (std::size_t i = 0; i <= m; ++i) {
@@ -142,7 +159,8 @@ Evaluation evaluate(const DynamicScenes& scenes, const DynamicScene& side, const
                 const Point3f& v = path.places[m - 1]->at.p;
                 const Vector3f to_light = direction_to(path.light, v);
                 double nearer = 1;  // the light of a point falls off from the ghost to the vertex
-                if (path.light.delta && !path.light.at_infinity) nearer = double(length2(path.light.y - g.p)) / length2(path.light.y - v);
+                if (path.light.delta && !path.light.at_infinity)
+                    nearer = double(length2(path.light.y - g.p)) / length2(path.light.y - v);
                 add(Technique::ghost_from_emitter, ghosts, c,
                     light_pdf(side.scene, path.light, g.p) * nearer * s.cos_sensor / cosine(g.n, to_light) * S[m - 1]);
             } else if (i == 0) {

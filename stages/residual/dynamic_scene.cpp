@@ -26,13 +26,17 @@ std::vector<Box3f> boxes_around(const std::vector<Shape>& shapes, float grown_by
     for (const Shape& shape : shapes) {
         Box3f box = shape.bounds();
         box.grow(grown_by);
-        if (boxes.size() < most) boxes.push_back(box);
-        else boxes.back().add(box);
+        if (boxes.size() < most)
+            boxes.push_back(box);
+        else
+            boxes.back().add(box);
     }
     return boxes;
 }
 
-bool black(const Scene& scene, std::uint32_t shape) { return scene.materials[scene.shapes[shape].material].black(); }
+bool black(const Scene& scene, std::uint32_t shape) {
+    return scene.materials[scene.shapes[shape].material].black();
+}
 
 bool sided(const Scene& scene, const Shape& shape) {
     const Material& material = scene.materials[shape.material];
@@ -46,14 +50,16 @@ void SiteShapes::add(const Scene& scene, std::uint32_t index, Member member, boo
     std::vector<double> areas;
     double area = 0;
     if (shape.kind == ShapeKind::mesh) {
-        for (const TriangleRecord& t : shape.triangles) areas.push_back(0.5 * length(cross(Vector3<double>(t.e1), Vector3<double>(t.e2))));
+        for (const TriangleRecord& t : shape.triangles)
+            areas.push_back(0.5 * length(cross(Vector3<double>(t.e1), Vector3<double>(t.e2))));
         if (std::none_of(areas.begin(), areas.end(), [](double a) { return a > 0; })) return;
         triangles_.emplace_back(areas);
         area = triangles_.back().sum();
     } else {
         triangles_.emplace_back();
-        area = shape.kind == ShapeKind::sphere ? 4 * pi_double * sqr(double(shape.radius))
-                                               : pi_double * length(cross(Vector3<double>(shape.u_axis), Vector3<double>(shape.v_axis)));
+        area = shape.kind == ShapeKind::sphere
+                   ? 4 * pi_double * sqr(double(shape.radius))
+                   : pi_double * length(cross(Vector3<double>(shape.u_axis), Vector3<double>(shape.v_axis)));
     }
     members_.push_back(member);
     shapes_.push_back(&shape);
@@ -64,7 +70,8 @@ void SiteShapes::add(const Scene& scene, std::uint32_t index, Member member, boo
 void SiteShapes::finish() {
     if (areas_.empty()) return;
     by_area_ = Distribution1(areas_);
-    if (std::any_of(scattering_areas_.begin(), scattering_areas_.end(), [](double a) { return a > 0; })) by_scattering_area_ = Distribution1(scattering_areas_);
+    if (std::any_of(scattering_areas_.begin(), scattering_areas_.end(), [](double a) { return a > 0; }))
+        by_scattering_area_ = Distribution1(scattering_areas_);
 }
 
 SitePoint SiteShapes::sample(Start start, float u_choice, Point2f u) const {
@@ -122,7 +129,9 @@ Vertex DynamicScene::vertex(const SitePoint& point, std::uint32_t shape, const V
 std::uint32_t DynamicScene::cross(const Ray& ray, Crossings& crossings) const {
     if (!ghost_rays) return 0;
     const Vector3f inv_d{1 / ray.d.x, 1 / ray.d.y, 1 / ray.d.z};
-    if (std::none_of(ghost_boxes.begin(), ghost_boxes.end(), [&](const Box3f& box) { return box.met_by(ray.o, inv_d, ray.t_min, ray.t_max); })) return 0;
+    if (std::none_of(ghost_boxes.begin(), ghost_boxes.end(),
+                     [&](const Box3f& box) { return box.met_by(ray.o, inv_d, ray.t_min, ray.t_max); }))
+        return 0;
     ghost_rays->crossings(ray, crossings.scratch);
     for (const Hit& hit : crossings.scratch) {
         const Point3f p = ray.o + ray.d * hit.t;
@@ -131,7 +140,8 @@ std::uint32_t DynamicScene::cross(const Ray& ray, Crossings& crossings) const {
     return std::uint32_t(crossings.scratch.size());
 }
 
-DynamicScenes::DynamicScenes(const Scene& old_, const Scene& new_, const Edit& edit) : new_scene(new_, true), old_scene(old_, false) {
+DynamicScenes::DynamicScenes(const Scene& old_, const Scene& new_, const Edit& edit)
+    : new_scene(new_, true), old_scene(old_, false) {
     for (DynamicScene* side : {&old_scene, &new_scene}) {
         const auto& shapes = side->is_new ? edit.new_shapes : edit.old_shapes;
         const auto& emitters = side->is_new ? edit.new_emitters : edit.old_emitters;
@@ -149,7 +159,9 @@ DynamicScenes::DynamicScenes(const Scene& old_, const Scene& new_, const Edit& e
             if (moves) movers.push_back(geometry_of(side->scene.shapes[i]));
             if (!moves && !side->is_new) continue;
             const bool scatters = !black(side->scene, i) || (!moves && !black(old_, shape.partner));
-            sites[std::size_t(site)].add(side->scene, i, side->is_new ? SiteShapes::Member{i, shape.partner} : SiteShapes::Member{shape.partner, i}, scatters);
+            sites[std::size_t(site)].add(
+                side->scene, i,
+                side->is_new ? SiteShapes::Member{i, shape.partner} : SiteShapes::Member{shape.partner, i}, scatters);
         }
         for (const EmitterEdit& emitter : emitters) {
             side->changed_emitter.push_back(emitter.changed);
@@ -158,12 +170,15 @@ DynamicScenes::DynamicScenes(const Scene& old_, const Scene& new_, const Edit& e
     }
     same_choice_of_lights = old_.emitters.size() == new_.emitters.size();
     for (std::size_t i = 0; same_choice_of_lights && i < new_.emitters.size(); ++i)
-        same_choice_of_lights = edit.new_emitters[i].partner == i && old_.emitters[i].sampling_weight == new_.emitters[i].sampling_weight;
+        same_choice_of_lights =
+            edit.new_emitters[i].partner == i && old_.emitters[i].sampling_weight == new_.emitters[i].sampling_weight;
     for (SiteShapes& site : sites) site.finish();
     for (DynamicScene* side : {&old_scene, &new_scene}) {
         const Scene& other = side->is_new ? old_ : new_;
-        for (const SiteShapes::Member& m : at(side->ghost_site()).members()) side->ghosts.push_back(geometry_of(other.shapes[side->is_new ? m.old_shape : m.new_shape]));
-        if (!side->ghosts.empty()) side->ghost_rays = std::make_unique<RayEngine>(side->ghosts, RayEngine::Use::crossings);
+        for (const SiteShapes::Member& m : at(side->ghost_site()).members())
+            side->ghosts.push_back(geometry_of(other.shapes[side->is_new ? m.old_shape : m.new_shape]));
+        if (!side->ghosts.empty())
+            side->ghost_rays = std::make_unique<RayEngine>(side->ghosts, RayEngine::Use::crossings);
         side->ghost_boxes = boxes_around(side->ghosts, 1e-4f * side->scene.radius);
     }
     if (!movers.empty()) mover_rays = std::make_unique<RayEngine>(movers);

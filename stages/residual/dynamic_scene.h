@@ -16,9 +16,9 @@
 
 namespace loom::residual {
 
-/// Where the edit is: surfaces that stand there in the new scene only, in the old one only, or in both with another BSDF.
-/// The first are dynamic in the new scene and ghosts in the old one, the second the other way round, the third dynamic
-/// in both.
+/// Where the edit is: surfaces that stand there in the new scene only, in the old one only, or in both with another
+/// BSDF. The first are dynamic in the new scene and ghosts in the old one, the second the other way round, the third
+/// dynamic in both.
 enum class Site : std::uint8_t { new_place, old_place, repainted };
 inline constexpr int n_sites = 3;
 inline constexpr std::uint8_t no_site = 255;
@@ -31,8 +31,8 @@ struct SitePoint {
     Normal3f ng;
 };
 
-/// What a path starts from: where it scatters, or where it only passes through. Nothing scatters at black shapes, such as
-/// most lamps; they are ghosts, for they hide what lies behind them.
+/// What a path starts from: where it scatters, or where it only passes through. Nothing scatters at black shapes, such
+/// as most lamps; they are ghosts, for they hide what lies behind them.
 enum class Start : std::uint8_t { scattering, passing };
 
 /// The shapes of a site, in the order of the scene that they are in (for repainted ones, the new scene).
@@ -45,7 +45,7 @@ class SiteShapes {
     void finish();
 
     bool empty() const { return members_.empty(); }
-    bool scatters() const { return area(Start::scattering) > 0; }  // somewhere
+    bool scatters() const { return area(Start::scattering) > 0; }    // somewhere
     double area(Start start) const { return by_area(start).sum(); }  // m^2
     const std::vector<Member>& members() const { return members_; }
     /// The same point for both starts where no shape is black.
@@ -53,7 +53,9 @@ class SiteShapes {
     SitePoint sample(Start start, float u_choice, Point2f u) const;
 
   private:
-    const Distribution1& by_area(Start start) const { return start == Start::scattering ? by_scattering_area_ : by_area_; }
+    const Distribution1& by_area(Start start) const {
+        return start == Start::scattering ? by_scattering_area_ : by_area_;
+    }
 
     std::vector<Member> members_;
     std::vector<const Shape*> shapes_;
@@ -130,10 +132,10 @@ struct DynamicScenes {
 
     std::array<SiteShapes, n_sites> sites;
     DynamicScene new_scene, old_scene;
-    std::vector<Shape> movers;             // at both places
+    std::vector<Shape> movers;              // at both places
     std::unique_ptr<RayEngine> mover_rays;  // null: none
     bool lights_changed = false;
-    bool same_choice_of_lights = true;      // the same random number chooses the same light in both
+    bool same_choice_of_lights = true;  // the same random number chooses the same light in both
 
     /// What a path of one of the scenes meets when it may be another one in the other. needs: same_choice_of_lights
     Watch watch(const DynamicScene& side) const;

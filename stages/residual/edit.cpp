@@ -51,7 +51,8 @@ class Canon {
 
     std::string value(const Object& object, const Property& property) {
         const Parameter* parameter = parameter_of(object, property.name);
-        return std::visit([&](const auto& v) { return this->text_of(v, object, property.name, parameter); }, property.value);
+        return std::visit([&](const auto& v) { return this->text_of(v, object, property.name, parameter); },
+                          property.value);
     }
     bool counts(const Object& object, const Property& property) const {
         const Parameter* parameter = parameter_of(object, property.name);
@@ -65,7 +66,8 @@ class Canon {
     }
     /// With the dialect where it decides the meaning: what number a checkerboard gives.
     static std::string plugin(const Object& object) {
-        return fmt::format("{} {}{}", name(object.category), object.plugin, object.legacy && object.plugin == "checkerboard" ? " 0.x" : "");
+        return fmt::format("{} {}{}", name(object.category), object.plugin,
+                           object.legacy && object.plugin == "checkerboard" ? " 0.x" : "");
     }
 
     /// Nine digits: the same place spelled as a matrix or as rotations counts as the same.
@@ -79,7 +81,9 @@ class Canon {
     std::string text_of(double x, const Object&, std::string_view, const Parameter* p) {
         return is_colour(p) ? grey(float(x)) : number(p && p->kind == ValueKind::ior ? double(float(x)) : x);
     }
-    std::string text_of(std::int64_t x, const Object& o, std::string_view n, const Parameter* p) { return text_of(double(x), o, n, p); }
+    std::string text_of(std::int64_t x, const Object& o, std::string_view n, const Parameter* p) {
+        return text_of(double(x), o, n, p);
+    }
     std::string text_of(const Spectrum& x, const Object&, std::string_view, const Parameter*) {
         return number(double(x.r)) + "," + number(double(x.g)) + "," + number(double(x.b));
     }
@@ -97,7 +101,9 @@ class Canon {
         if (p && p->kind == ValueKind::ior) return number(double(object.get_ior(name, x)));
         return x;
     }
-    std::string text_of(const ObjectPtr& x, const Object&, std::string_view, const Parameter*) { return "(" + text(*x) + ")"; }
+    std::string text_of(const ObjectPtr& x, const Object&, std::string_view, const Parameter*) {
+        return "(" + text(*x) + ")";
+    }
 
     const std::string& file(const std::string& path) {
         const auto known = files_.find(path);
@@ -115,9 +121,15 @@ std::string shown(const Property* property) {
         std::string operator()(std::int64_t x) const { return fmt::format("{}", x); }
         std::string operator()(double x) const { return fmt::format("{:.6g}", x); }
         std::string operator()(const std::string& x) const { return std::filesystem::path(x).filename().string(); }
-        std::string operator()(const Spectrum& x) const { return fmt::format("({:.6g}, {:.6g}, {:.6g})", x.r, x.g, x.b); }
-        std::string operator()(const Point3<double>& x) const { return fmt::format("({:.6g}, {:.6g}, {:.6g})", x.x, x.y, x.z); }
-        std::string operator()(const Vector3<double>& x) const { return fmt::format("({:.6g}, {:.6g}, {:.6g})", x.x, x.y, x.z); }
+        std::string operator()(const Spectrum& x) const {
+            return fmt::format("({:.6g}, {:.6g}, {:.6g})", x.r, x.g, x.b);
+        }
+        std::string operator()(const Point3<double>& x) const {
+            return fmt::format("({:.6g}, {:.6g}, {:.6g})", x.x, x.y, x.z);
+        }
+        std::string operator()(const Vector3<double>& x) const {
+            return fmt::format("({:.6g}, {:.6g}, {:.6g})", x.x, x.y, x.z);
+        }
         std::string operator()(const Matrix4d&) const { return "a transform"; }
         std::string operator()(const ObjectPtr& x) const { return fmt::format("a {}", x->plugin); }
     };
@@ -196,11 +208,13 @@ bool centred(const Object& shape) {
 std::string motion_of(const Object& from, const Object& to) {
     const Matrix4d a = placement(from);
     const std::optional<Matrix4d> motion = rigid_motion(a, placement(to));
-    return motion ? motion_words(*motion, a.point({0, 0, 0}), from.category != Category::shape || centred(from)) : "elsewhere";
+    return motion ? motion_words(*motion, a.point({0, 0, 0}), from.category != Category::shape || centred(from))
+                  : "elsewhere";
 }
 
 /// Differences of two objects of one kind in words: "reflectance (1, 0, 0) -> (0, 0, 1)".
-void tell(const Object& a, const Object& b, Canon& canon, std::vector<std::string>& words, const std::string& what = "") {
+void tell(const Object& a, const Object& b, Canon& canon, std::vector<std::string>& words,
+          const std::string& what = "") {
     if (canon.text(a) == canon.text(b)) return;
     if (a.plugin != b.plugin) {
         words.push_back(fmt::format("{}{} -> {}", what, a.plugin, b.plugin));
@@ -209,7 +223,8 @@ void tell(const Object& a, const Object& b, Canon& canon, std::vector<std::strin
     std::vector<std::string> names;
     for (const Object* o : {&a, &b})
         for (const Property& p : o->properties)
-            if (canon.counts(*o, p) && std::find(names.begin(), names.end(), p.name) == names.end()) names.push_back(p.name);
+            if (canon.counts(*o, p) && std::find(names.begin(), names.end(), p.name) == names.end())
+                names.push_back(p.name);
     for (const std::string& name : names) {
         const Property *p = a.find(name), *q = b.find(name);
         if (p && q && canon.value(a, *p) == canon.value(b, *q)) continue;
@@ -240,7 +255,9 @@ std::string differences(const ObjectPtr& a, const ObjectPtr& b, Canon& canon) {
 
 /// Without folders: it reaches the plan of an output.
 std::string title(const Object& o) {
-    return o.has_own_id ? o.id : fmt::format("the {} at {}", o.plugin, std::filesystem::path(o.at.where()).filename().string());
+    return o.has_own_id
+               ? o.id
+               : fmt::format("the {} at {}", o.plugin, std::filesystem::path(o.at.where()).filename().string());
 }
 
 struct Pairing {
@@ -260,7 +277,8 @@ void pair_up(Pairing& pairing, const Key& old_key, const Key& new_key,
         if (pairing.new_of_old[i] != none) continue;
         const auto found = waiting.find(old_key(i));
         if (found == waiting.end()) continue;
-        const auto match = std::find_if(found->second.begin(), found->second.end(), [&](std::size_t j) { return eligible(i, j); });
+        const auto match =
+            std::find_if(found->second.begin(), found->second.end(), [&](std::size_t j) { return eligible(i, j); });
         if (match == found->second.end()) continue;
         pairing.new_of_old[i] = std::uint32_t(*match);
         pairing.old_of_new[*match] = std::uint32_t(i);
@@ -277,9 +295,13 @@ using Objects = std::vector<ObjectPtr>;
 Pairing pair_shapes(const Objects& old_shapes, const Objects& new_shapes, Canon& canon) {
     Pairing pairing = no_pairs(old_shapes.size(), new_shapes.size());
     const auto always = [](std::size_t, std::size_t) { return true; };
-    const auto unnamed = [&](std::size_t i, std::size_t j) { return !old_shapes[i]->has_own_id || !new_shapes[j]->has_own_id; };
+    const auto unnamed = [&](std::size_t i, std::size_t j) {
+        return !old_shapes[i]->has_own_id || !new_shapes[j]->has_own_id;
+    };
     const auto pass = [&](const auto& key, const auto& eligible) {
-        pair_up(pairing, [&](std::size_t i) { return key(*old_shapes[i]); }, [&](std::size_t j) { return key(*new_shapes[j]); }, eligible);
+        pair_up(
+            pairing, [&](std::size_t i) { return key(*old_shapes[i]); },
+            [&](std::size_t j) { return key(*new_shapes[j]); }, eligible);
     };
     const auto bsdf = [&](const Object& o) { return canon.text(o.child(Category::bsdf)); };
     pass([](const Object& o) { return o.has_own_id ? o.id : std::string(); }, always);
@@ -300,9 +322,13 @@ Pairing pair_shapes(const Objects& old_shapes, const Objects& new_shapes, Canon&
 /// Of emitters that stand by themselves.
 Pairing pair_emitters(const Objects& old_emitters, const Objects& new_emitters, Canon& canon) {
     Pairing pairing = no_pairs(old_emitters.size(), new_emitters.size());
-    const auto sky = [](const Object& o) { return o.plugin == "constant" || o.plugin == "envmap" || o.plugin == "sunsky"; };
+    const auto sky = [](const Object& o) {
+        return o.plugin == "constant" || o.plugin == "envmap" || o.plugin == "sunsky";
+    };
     const auto pass = [&](const auto& key, const auto& eligible) {
-        pair_up(pairing, [&](std::size_t i) { return key(*old_emitters[i]); }, [&](std::size_t j) { return key(*new_emitters[j]); }, eligible);
+        pair_up(
+            pairing, [&](std::size_t i) { return key(*old_emitters[i]); },
+            [&](std::size_t j) { return key(*new_emitters[j]); }, eligible);
     };
     const auto always = [](std::size_t, std::size_t) { return true; };
     pass([&](const Object& o) { return sky(o) ? std::string("sky") : std::string(); }, always);
@@ -331,36 +357,45 @@ Location place(const Object& root, std::initializer_list<Category> way, std::ini
 void check_views(const Object& old_root, const Object& new_root, Edit& edit) {
     const View a = read_view(old_root), b = read_view(new_root);
     for (const auto& [root, view] : {std::pair{&old_root, &a}, std::pair{&new_root, &b}})
-        if (view->sensor.kind == SensorKind::nlos_capture_meter) root->fail("", "a capture around a corner is no picture: it has no residual");
-    const auto refuse = [&](bool differs, std::initializer_list<Category> way, std::initializer_list<std::string_view> names,
-                            const std::string& what) {
+        if (view->sensor.kind == SensorKind::nlos_capture_meter)
+            root->fail("", "a capture around a corner is no picture: it has no residual");
+    const auto refuse = [&](bool differs, std::initializer_list<Category> way,
+                            std::initializer_list<std::string_view> names, const std::string& what) {
         if (differs)
-            fail(place(new_root, way, names), fmt::format("{} as in the old scene, at {}: no residual leads from one picture to the other; render the new scene afresh",
+            fail(place(new_root, way, names), fmt::format("{} as in the old scene, at {}: no residual leads from one "
+                                                          "picture to the other; render the new scene afresh",
                                                           what, place(old_root, way, names).where()));
     };
     using enum Category;
     const Sensor &s = a.sensor, &t = b.sensor;
-    refuse(s.width != t.width, {sensor, film}, {"width"}, fmt::format("the film's width is {}, not {}", t.width, s.width));
-    refuse(s.height != t.height, {sensor, film}, {"height"}, fmt::format("the film's height is {}, not {}", t.height, s.height));
-    refuse(s.filter != t.filter || (s.filter == Filter::gaussian ? s.gaussian_stddev != t.gaussian_stddev : s.filter_radius != t.filter_radius),
+    refuse(s.width != t.width, {sensor, film}, {"width"},
+           fmt::format("the film's width is {}, not {}", t.width, s.width));
+    refuse(s.height != t.height, {sensor, film}, {"height"},
+           fmt::format("the film's height is {}, not {}", t.height, s.height));
+    refuse(s.filter != t.filter || (s.filter == Filter::gaussian ? s.gaussian_stddev != t.gaussian_stddev
+                                                                 : s.filter_radius != t.filter_radius),
            {sensor, film, rfilter}, {"radius", "stddev"}, "the pixel filter is not the same");
     refuse(s.kind != t.kind, {sensor}, {}, "the camera is not of the same kind");
     Matrix4d camera_a, camera_b;
     camera_a.m = s.world_from_camera;
     camera_b.m = t.world_from_camera;
     refuse(!same_place(camera_a, camera_b), {sensor}, {"to_world"}, "the camera does not stand and look");
-    refuse(s.kind == SensorKind::perspective && s.tan_half_fov_x != t.tan_half_fov_x, {sensor}, {"fov", "focal_length", "fov_axis"},
-           "the camera has not the same field of view");
+    refuse(s.kind == SensorKind::perspective && s.tan_half_fov_x != t.tan_half_fov_x, {sensor},
+           {"fov", "focal_length", "fov_axis"}, "the camera has not the same field of view");
     refuse(s.near_clip != t.near_clip, {sensor}, {"near_clip"}, "the camera has not the same near_clip");
     refuse(s.far_clip != t.far_clip, {sensor}, {"far_clip"}, "the camera has not the same far_clip");
-    refuse(s.principal_x != t.principal_x, {sensor}, {"principal_point_offset_x"}, "the camera has not the same principal point");
-    refuse(s.principal_y != t.principal_y, {sensor}, {"principal_point_offset_y"}, "the camera has not the same principal point");
+    refuse(s.principal_x != t.principal_x, {sensor}, {"principal_point_offset_x"},
+           "the camera has not the same principal point");
+    refuse(s.principal_y != t.principal_y, {sensor}, {"principal_point_offset_y"},
+           "the camera has not the same principal point");
     refuse(a.max_depth != b.max_depth, {integrator}, {"max_depth"},
            fmt::format("max_depth is {}, not {}", b.max_depth, a.max_depth));
     refuse(a.hides_emitters != b.hides_emitters, {integrator}, {"hide_emitters"},
            fmt::format("hide_emitters is {}, not {}", b.hides_emitters, a.hides_emitters));
     if (a.rr_depth != b.rr_depth)
-        edit.notes.push_back(fmt::format("rr_depth {} -> {}: without effect on the mean; both scenes are traced with the new one", a.rr_depth, b.rr_depth));
+        edit.notes.push_back(
+            fmt::format("rr_depth {} -> {}: without effect on the mean; both scenes are traced with the new one",
+                        a.rr_depth, b.rr_depth));
 }
 
 /// Lines that say the same of several shapes become one.
@@ -378,7 +413,8 @@ class Lines {
         std::vector<std::string> texts;
         for (const auto& [verb, names, what] : lines_) {
             constexpr std::size_t named = 8;
-            std::string who = fmt::format("{}", fmt::join(names.begin(), names.begin() + std::ptrdiff_t(std::min(named, names.size())), ", "));
+            std::string who = fmt::format(
+                "{}", fmt::join(names.begin(), names.begin() + std::ptrdiff_t(std::min(named, names.size())), ", "));
             if (names.size() > named) who += fmt::format(" and {} more", names.size() - named);
             texts.push_back(fmt::format("{}: {}{}{}", verb, who, what.empty() ? "" : ": ", what));
         }
@@ -404,7 +440,8 @@ std::string motion_words(const Matrix4d& motion, const Point3<double>& centre, b
     };
     // Twice the sine of the angle times the axis; near half a turn the axis is in R + 1 instead.
     Vector3<double> axis{motion(2, 1) - motion(1, 2), motion(0, 2) - motion(2, 0), motion(1, 0) - motion(0, 1)};
-    const double cosine = std::clamp((motion(0, 0) + motion(1, 1) + motion(2, 2) - 1) / 2, -1.0, 1.0), sine = length(axis) / 2;
+    const double cosine = std::clamp((motion(0, 0) + motion(1, 1) + motion(2, 2) - 1) / 2, -1.0, 1.0),
+                 sine = length(axis) / 2;
     const double angle = std::atan2(sine, cosine);
     constexpr double least_angle = 1e-6;
     const Point3<double> to = motion.point(centre);
@@ -417,9 +454,12 @@ std::string motion_words(const Matrix4d& motion, const Point3<double>& centre, b
         axis = {motion(0, k) + (k == 0), motion(1, k) + (k == 1), motion(2, k) + (k == 2)};
     }
     axis = axis * (1 / length(axis));
-    const std::string turn = fmt::format("turned by {:.4g} degrees about {}", angle * 180 / pi_double, triple(axis.x, axis.y, axis.z));
+    const std::string turn =
+        fmt::format("turned by {:.4g} degrees about {}", angle * 180 / pi_double, triple(axis.x, axis.y, axis.z));
     const Vector3<double> moved{to.x - centre.x, to.y - centre.y, to.z - centre.z};
-    if (has_centre) return turn + " through its centre" + (length(moved) > 1e-6 * (1 + length(Vector3<double>(centre))) ? ", and by " + shift : "");
+    if (has_centre)
+        return turn + " through its centre" +
+               (length(moved) > 1e-6 * (1 + length(Vector3<double>(centre))) ? ", and by " + shift : "");
     // A screw: the points of its axis move along it.
     const Vector3<double> t{motion(0, 3), motion(1, 3), motion(2, 3)};
     const double along = dot(t, axis);
@@ -430,15 +470,27 @@ std::string motion_words(const Matrix4d& motion, const Point3<double>& centre, b
     return turn + through + (std::abs(along) > 1e-6 ? ", and by " + triple(d.x, d.y, d.z) : "");
 }
 
-std::size_t Edit::n_dynamic() const { return std::size_t(std::count_if(new_shapes.begin(), new_shapes.end(), [](const ShapeEdit& s) { return s.dynamic(); })); }
-std::size_t Edit::n_ghosts() const { return std::size_t(std::count_if(old_shapes.begin(), old_shapes.end(), [](const ShapeEdit& s) { return s.dynamic(); })); }
-std::size_t Edit::n_repainted() const {
-    return std::size_t(std::count_if(new_shapes.begin(), new_shapes.end(), [](const ShapeEdit& s) { return (s.changes & change::repainted) && !s.dynamic(); }));
+std::size_t Edit::n_dynamic() const {
+    return std::size_t(
+        std::count_if(new_shapes.begin(), new_shapes.end(), [](const ShapeEdit& s) { return s.dynamic(); }));
 }
-std::size_t Edit::n_dyed() const { return std::size_t(std::count_if(new_shapes.begin(), new_shapes.end(), [](const ShapeEdit& s) { return s.dyed(); })); }
+std::size_t Edit::n_ghosts() const {
+    return std::size_t(
+        std::count_if(old_shapes.begin(), old_shapes.end(), [](const ShapeEdit& s) { return s.dynamic(); }));
+}
+std::size_t Edit::n_repainted() const {
+    return std::size_t(std::count_if(new_shapes.begin(), new_shapes.end(), [](const ShapeEdit& s) {
+        return (s.changes & change::repainted) && !s.dynamic();
+    }));
+}
+std::size_t Edit::n_dyed() const {
+    return std::size_t(
+        std::count_if(new_shapes.begin(), new_shapes.end(), [](const ShapeEdit& s) { return s.dyed(); }));
+}
 std::size_t Edit::n_emitters() const {
     const auto changed = [](const EmitterEdit& e) { return e.changed; };
-    return std::size_t(std::max(std::count_if(old_emitters.begin(), old_emitters.end(), changed), std::count_if(new_emitters.begin(), new_emitters.end(), changed)));
+    return std::size_t(std::max(std::count_if(old_emitters.begin(), old_emitters.end(), changed),
+                                std::count_if(new_emitters.begin(), new_emitters.end(), changed)));
 }
 
 Edit find_edit(const SceneDescription& old_scene, const SceneDescription& new_scene) {
@@ -460,7 +512,8 @@ Edit find_edit(const SceneDescription& old_scene, const SceneDescription& new_sc
         if (old_shapes[i]->child(Category::emitter)) old_light[i] = n_old++;
     for (std::size_t j = 0; j < new_shapes.size(); ++j)
         if (new_shapes[j]->child(Category::emitter)) new_light[j] = n_new++;
-    const Objects old_emitters = old_root.children(Category::emitter), new_emitters = new_root.children(Category::emitter);
+    const Objects old_emitters = old_root.children(Category::emitter),
+                  new_emitters = new_root.children(Category::emitter);
     edit.old_emitters.assign(n_old + old_emitters.size(), {true, none});
     edit.new_emitters.assign(n_new + new_emitters.size(), {true, none});
 
@@ -469,7 +522,8 @@ Edit find_edit(const SceneDescription& old_scene, const SceneDescription& new_sc
         const Object& a = *old_shapes[i];
         const std::uint32_t j = pairs.new_of_old[i];
         std::optional<Matrix4d> motion;
-        if (j != none && canon.form(a) == canon.form(*new_shapes[j])) motion = rigid_motion(placement(a), placement(*new_shapes[j]));
+        if (j != none && canon.form(a) == canon.form(*new_shapes[j]))
+            motion = rigid_motion(placement(a), placement(*new_shapes[j]));
         if (!motion) {
             // Of another form or size under the same id, or gone.
             edit.old_shapes[i].changes = change::removed;
@@ -477,7 +531,9 @@ Edit find_edit(const SceneDescription& old_scene, const SceneDescription& new_sc
                 pairs.old_of_new[j] = none;
                 const Object& b = *new_shapes[j];
                 const std::string why = a.plugin != b.plugin ? fmt::format("{} -> {}", a.plugin, b.plugin)
-                                        : canon.form(a) != canon.form(b) ? std::string("it has another form") : std::string("it is not only turned and shifted");
+                                        : canon.form(a) != canon.form(b)
+                                            ? std::string("it has another form")
+                                            : std::string("it is not only turned and shifted");
                 lines.add("removed and added anew", title(a) + is_light(a), why);
                 edit.new_shapes[j].changes = change::added;
             } else {
@@ -489,7 +545,8 @@ Edit find_edit(const SceneDescription& old_scene, const SceneDescription& new_sc
         unsigned changes = 0;
         if (!same_place(placement(a), placement(b))) {
             changes |= change::moved;
-            lines.add("moved", title(b) + is_light(b), motion_words(*motion, placement(a).point({0, 0, 0}), centred(a)));
+            lines.add("moved", title(b) + is_light(b),
+                      motion_words(*motion, placement(a).point({0, 0, 0}), centred(a)));
         }
         const ObjectPtr bsdf_a = a.child(Category::bsdf), bsdf_b = b.child(Category::bsdf);
         if (canon.text(bsdf_a) != canon.text(bsdf_b)) {
@@ -500,8 +557,10 @@ Edit find_edit(const SceneDescription& old_scene, const SceneDescription& new_sc
         const bool same_light = canon.text(light_a) == canon.text(light_b);
         if (!same_light) {
             changes |= change::relit;
-            if (!light_a || !light_b) lines.add(light_b ? "light added" : "light removed", title(b), "");
-            else lines.add("light changed", title(b), differences(light_a, light_b, canon));
+            if (!light_a || !light_b)
+                lines.add(light_b ? "light added" : "light removed", title(b), "");
+            else
+                lines.add("light changed", title(b), differences(light_a, light_b, canon));
         }
         if (light_a && light_b) {
             const bool changed = !same_light || (changes & change::moved);
@@ -522,10 +581,13 @@ Edit find_edit(const SceneDescription& old_scene, const SceneDescription& new_sc
         }
 
     if (read_view(new_root).hides_emitters)
-        for (const auto& [shapes, edits] : {std::pair{&old_shapes, &edit.old_shapes}, std::pair{&new_shapes, &edit.new_shapes}})
+        for (const auto& [shapes, edits] :
+             {std::pair{&old_shapes, &edit.old_shapes}, std::pair{&new_shapes, &edit.new_shapes}})
             for (std::size_t i = 0; i < shapes->size(); ++i)
                 if ((*edits)[i].changes != 0 && (*shapes)[i]->has_child(Category::emitter))
-                    fail((*shapes)[i]->at, "an edit of a light with an area is not supported yet where hide_emitters hides it from the camera; render the new scene afresh");
+                    fail((*shapes)[i]->at,
+                         "an edit of a light with an area is not supported yet where hide_emitters hides it from the "
+                         "camera; render the new scene afresh");
 
     const Pairing lights = pair_emitters(old_emitters, new_emitters, canon);
     for (std::size_t i = 0; i < old_emitters.size(); ++i) {
@@ -540,7 +602,9 @@ Edit find_edit(const SceneDescription& old_scene, const SceneDescription& new_sc
         edit.old_emitters[n_old + i] = {changed, std::uint32_t(n_new + j)};
         edit.new_emitters[n_new + j] = {changed, std::uint32_t(n_old + i)};
         const bool sky = a.plugin == "constant" || a.plugin == "envmap" || a.plugin == "sunsky";
-        if (changed) lines.add(sky ? "sky changed" : "light changed", title(b), differences(old_emitters[i], new_emitters[j], canon));
+        if (changed)
+            lines.add(sky ? "sky changed" : "light changed", title(b),
+                      differences(old_emitters[i], new_emitters[j], canon));
     }
     for (std::size_t j = 0; j < new_emitters.size(); ++j)
         if (lights.old_of_new[j] == none) lines.add("light added", title(*new_emitters[j]), "");

@@ -52,9 +52,9 @@ struct Edit {
     /// Shapes that are dynamic in the new scene, and those that are in the old one: the ghosts of the new.
     std::size_t n_dynamic() const;
     std::size_t n_ghosts() const;
-    std::size_t n_dyed() const;      // shapes of the new scene that look or shine otherwise, where they were
-    std::size_t n_repainted() const; // those of them that scatter otherwise
-    std::size_t n_emitters() const;  // changed ones, of the scene that has more of them
+    std::size_t n_dyed() const;       // shapes of the new scene that look or shine otherwise, where they were
+    std::size_t n_repainted() const;  // those of them that scatter otherwise
+    std::size_t n_emitters() const;   // changed ones, of the scene that has more of them
 };
 
 /// Finds what an edit has done.

@@ -1,6 +1,6 @@
 #pragma once
-// What an edit can change of paths that were traced in the old scene: where it stands, what it does to lights, and whether
-// there is anything that it leaves alone.
+// What an edit can change of paths that were traced in the old scene: where it stands, what it does to lights, and
+// whether there is anything that it leaves alone.
 
 #include <algorithm>
 #include <cstdint>
@@ -14,8 +14,8 @@
 
 namespace loom::residual {
 
-/// Shapes that a segment may meet, a little larger than they are, so that a ray that is known to its last bits but a few
-/// meets all that it met.
+/// Shapes that a segment may meet, a little larger than they are, so that a ray that is known to its last bits but a
+/// few meets all that it met.
 class Obstacles {
   public:
     void add(const Shape& shape);
@@ -38,7 +38,8 @@ class Obstacles {
     /// A point and a box lie on one side of all obstacles.
     bool apart(const Point3f& a, const Box3f& to) const {
         bool is = false;
-        for (int k = 0; k < 3; ++k) is |= (std::max(a[k], to.hi[k]) < box_.lo[k]) | (std::min(a[k], to.lo[k]) > box_.hi[k]);
+        for (int k = 0; k < 3; ++k)
+            is |= (std::max(a[k], to.hi[k]) < box_.lo[k]) | (std::min(a[k], to.lo[k]) > box_.hi[k]);
         return is;
     }
     bool crosses(const Point3f& a, const Point3f& b) const {
@@ -52,21 +53,26 @@ class Obstacles {
     std::vector<Box3f> boxes_;
 };
 
-/// Which places, shapes and lights of the old scene are not to the last bit what they are in the new one. What find_edit()
-/// takes for the same may differ in bits (numbers of more than nine digits, places that are the same to 1e-7): it is changed.
+/// Which places, shapes and lights of the old scene are not to the last bit what they are in the new one. What
+/// find_edit() takes for the same may differ in bits (numbers of more than nine digits, places that are the same to
+/// 1e-7): it is changed.
 struct EditReach {
     EditReach(const Scene& old_scene, const Scene& new_scene, const Edit& edit);
 
     std::string everything;  // why no path is known to be the same; empty: some may be
-    std::vector<std::uint8_t> shapes;    // of the old scene, by shape: stands or scatters otherwise now, shines otherwise and not just relit, or is gone
-    std::vector<int> repainted;          // of those, by shape: its material in the new scene, if that is all that has changed and a vertex
-                                         // without texture coordinates is enough to know either BSDF; -1: else
-    std::vector<std::uint8_t> emitters;  // of the old scene, by emitter: where it shines, or its density, is not the same, or what arrives
-                                         // from it depends on where
-    std::vector<std::uint8_t> relit;     // of the others, by emitter: it sends one radiance everywhere, not black, and now another one
-    bool sky = false;            // the emitter at infinity all around is changed so
+    // of the old scene, by shape: stands or scatters otherwise now, shines otherwise and not just relit, or is gone
+    std::vector<std::uint8_t> shapes;
+    // of those, by shape: its material in the new scene, if that is all that has changed and a vertex without texture
+    // coordinates is enough to know either BSDF; -1: else
+    std::vector<int> repainted;
+    // of the old scene, by emitter: where it shines, or its density, is not the same, or what arrives from it depends
+    // on where
+    std::vector<std::uint8_t> emitters;
+    // of the others, by emitter: it sends one radiance everywhere, not black, and now another one
+    std::vector<std::uint8_t> relit;
+    bool sky = false;  // the emitter at infinity all around is changed so
     bool any_emitter = false, any_relit = false;
-    bool dark_light = false;     // a shape that shines, reflects nothing and is changed: a path may end there untold
+    bool dark_light = false;  // a shape that shines, reflects nothing and is changed: a path may end there untold
     Obstacles old_places, new_places;  // of what moved, came or went
 
     /// Bounds of all points that light is sampled on; unbounded where a light is at infinity.

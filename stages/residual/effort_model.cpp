@@ -13,7 +13,8 @@ struct GroupValue {
     double r[3]{}, dr[3][max_families]{};
 };
 
-GroupValue value_of(const Pilot& pilot, std::size_t family, const PilotSamples::Group& group, bool first_to_camera, const Factors& x) {
+GroupValue value_of(const Pilot& pilot, std::size_t family, const PilotSamples::Group& group, bool first_to_camera,
+                    const Factors& x) {
     const std::size_t K = pilot.n(), camera = K - 1;
     GroupValue out;
     for (std::uint32_t p = group.begin; p < group.end; ++p) {
@@ -37,7 +38,8 @@ GroupValue value_of(const Pilot& pilot, std::size_t family, const PilotSamples::
 void PilotSamples::end_sample(std::vector<PilotPart>& found, std::vector<std::uint32_t>& pixels) {
     order_.resize(found.size());
     std::iota(order_.begin(), order_.end(), 0u);
-    std::stable_sort(order_.begin(), order_.end(), [&](std::uint32_t a, std::uint32_t b) { return pixels[a] < pixels[b]; });
+    std::stable_sort(order_.begin(), order_.end(),
+                     [&](std::uint32_t a, std::uint32_t b) { return pixels[a] < pixels[b]; });
     for (const std::uint32_t k : order_) {
         const auto at = std::uint32_t(parts_.size());
         if (k == order_.front() || groups_.back().pixel != pixels[k]) groups_.push_back({pixels[k], at, at});
@@ -87,7 +89,8 @@ Objective variance_of(const Pilot& pilot, bool first_to_camera, const Factors& x
             o.of_cameras += x[K - 1] * scale * sum;
             o.slope[K - 1] += scale * sum;
             for (const GroupValue& v : values)
-                for (std::size_t k = 0; k < K; ++k) o.slope[k] += x[K - 1] * scale * 2 * (v.r[c] - mean[c]) * v.dr[c][k];
+                for (std::size_t k = 0; k < K; ++k)
+                    o.slope[k] += x[K - 1] * scale * 2 * (v.r[c] - mean[c]) * v.dr[c][k];
         }
         begin += values.size();
     }
@@ -102,7 +105,8 @@ double camera_variance_by_all(const Pilot& pilot, double x_camera) {
         for (const PilotSamples::Group& group : family.groups())
             for (std::uint32_t p = group.begin; p < group.end; ++p) {
                 const PilotPart& part = family.part(p);
-                const double share = std::max(part.w[pilot.n() - 1], least_share_of_camera), scale = &family == &pilot.families.back() ? pilot.camera_scale : 1;
+                const double share = std::max(part.w[pilot.n() - 1], least_share_of_camera),
+                             scale = &family == &pilot.families.back() ? pilot.camera_scale : 1;
                 for (const float v : part.v) sum += scale * double(v) * v / (3 * x_camera * share);
             }
     return sum;
@@ -121,7 +125,8 @@ Spending best_spending(const Pilot& pilot, bool first_to_camera, double budget, 
         // VarMean takes two camera paths in every pixel.
         const double least = std::max(2.0 / double(pilot.per_pixel), least_cameras * budget / pilot.cost[K - 1]);
         if (x[K - 1] >= least) return;
-        const double others = std::max(budget - x[K - 1] * pilot.cost[K - 1], 1e-30), left = std::max(budget - least * pilot.cost[K - 1], 0.05 * budget);
+        const double others = std::max(budget - x[K - 1] * pilot.cost[K - 1], 1e-30),
+                     left = std::max(budget - least * pilot.cost[K - 1], 0.05 * budget);
         for (std::size_t k = 0; k + 1 < K; ++k) x[k] *= left / others;
         x[K - 1] = least;
     };

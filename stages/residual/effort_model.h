@@ -54,8 +54,8 @@ struct Objective {
 
 /// Sum over pixels of the variance with x_k n0_k samples, mean over channels:
 ///     M(x) = sum_k x_k sum_{i in k} sum_pixels | sum_parts v / sum_l x_l w_l |^2
-/// of camera paths about the mean of the pixel's samples. So pairs whose two paths cancel in one pixel are seen as such, which
-/// densities alone do not say. M is homogeneous of degree -1.
+/// of camera paths about the mean of the pixel's samples. So pairs whose two paths cancel in one pixel are seen as
+/// such, which densities alone do not say. M is homogeneous of degree -1.
 /// in: first_to_camera  as SampleCounts
 Objective variance_of(const Pilot& pilot, bool first_to_camera, const Factors& x);
 
@@ -77,6 +77,7 @@ struct Spending {
 /// in: budget    B
 ///     map_gain  how many times less variance camera paths have when they are spread by a map
 ///     least_cameras  share of the budget that camera paths keep, against what no sample of the pilot has seen
-Spending best_spending(const Pilot& pilot, bool first_to_camera, double budget, double map_gain, double least_cameras = 0);
+Spending best_spending(const Pilot& pilot, bool first_to_camera, double budget, double map_gain,
+                       double least_cameras = 0);
 
 }  // namespace loom::residual

@@ -27,10 +27,14 @@ struct Worker {
     PathVariance new_L;
     std::span<double> new_var;  // by pixel: of one path of the new scene, sum over R, G, B
     Counts counts;
-    Worker(const ScenePair& scenes, const PathOptions& path, const Seeds& seeds, NonfiniteLog& old_log, NonfiniteLog& new_log, Film& onto,
-           std::span<double> variances)
-        : old_batch(scenes.old_scene, with_seed(path, seeds.old_scene)), new_batch(scenes.new_scene, with_seed(path, seeds.new_scene)),
-          old_nonfinite(old_log), new_nonfinite(new_log), film(onto), new_var(variances) {}
+    Worker(const ScenePair& scenes, const PathOptions& path, const Seeds& seeds, NonfiniteLog& old_log,
+           NonfiniteLog& new_log, Film& onto, std::span<double> variances)
+        : old_batch(scenes.old_scene, with_seed(path, seeds.old_scene)),
+          new_batch(scenes.new_scene, with_seed(path, seeds.new_scene)),
+          old_nonfinite(old_log),
+          new_nonfinite(new_log),
+          film(onto),
+          new_var(variances) {}
 
     void trace(std::span<const PathId> ids) {
         old_results.resize(ids.size());
@@ -58,10 +62,14 @@ struct Worker {
 
 const char* method_name(Method method) {
     switch (method) {
-        case Method::automatic: return "auto";
-        case Method::correlated: return "correlated";
-        case Method::independent: return "independent";
-        case Method::dynamic: return "dynamic";
+        case Method::automatic:
+            return "auto";
+        case Method::correlated:
+            return "correlated";
+        case Method::independent:
+            return "independent";
+        case Method::dynamic:
+            return "dynamic";
     }
     return "";
 }
@@ -71,17 +79,23 @@ Seeds seeds_of(Method method, std::uint64_t seed) {
     return {mine, method == Method::independent ? mix64(mine) : mine};
 }
 
-Image render_residual(const ScenePair& scenes, Method method, const PathOptions& path, const Work& work, app::Report& report,
-                      Counts& counts) {
+Image render_residual(const ScenePair& scenes, Method method, const PathOptions& path, const Work& work,
+                      app::Report& report, Counts& counts) {
     const Sensor& sensor = scenes.new_scene.sensor;
     const Seeds seeds = seeds_of(method, path.seed);
     Film film(sensor.width, sensor.height, work.spp);
-    NonfiniteLog old_log(report, sensor.width, seeds.old_scene, " of the old scene"), new_log(report, sensor.width, seeds.new_scene, " of the new scene");
+    NonfiniteLog old_log(report, sensor.width, seeds.old_scene, " of the old scene"),
+        new_log(report, sensor.width, seeds.new_scene, " of the new scene");
     app::Progress progress(report, "tracing", sensor.n_pixels() * work.spp);
     std::vector<double> new_var(sensor.n_pixels());
-    tbb::enumerable_thread_specific<Worker> workers([&] { return Worker(scenes, path, seeds, old_log, new_log, film, new_var); });
-    trace_pixels(workers, sensor.n_pixels(), double(work.spp), work.threads,
-                 [&](std::uint64_t) { return SampleRange{work.first_sample, work.spp}; }, progress);
+    tbb::enumerable_thread_specific<Worker> workers(
+        [&] { return Worker(scenes, path, seeds, old_log, new_log, film, new_var); });
+    trace_pixels(
+        workers, sensor.n_pixels(), double(work.spp), work.threads,
+        [&](std::uint64_t) {
+            return SampleRange{work.first_sample, work.spp};
+        },
+        progress);
     counts = {0, 0, old_log.count() + new_log.count()};
     for (const Worker& worker : workers) counts.add(worker.counts);
     Image image = std::move(film).finish({});
@@ -90,7 +104,8 @@ Image render_residual(const ScenePair& scenes, Method method, const PathOptions&
     link.samples = work.spp;
     link.seed = path.seed;
     link.var_mean = mean_var_mean(image);
-    link.var_sample = std::accumulate(new_var.begin(), new_var.end(), 0.0) / (3.0 * double(new_var.size()));  // in the order of pixels: for any threads
+    link.var_sample = std::accumulate(new_var.begin(), new_var.end(), 0.0) /
+                      (3.0 * double(new_var.size()));  // in the order of pixels: for any threads
     return image;
 }
 

@@ -60,16 +60,17 @@ Seeds seeds_of(Method method, std::uint64_t seed);
 /// independent: v_i has nothing to do with u_i; var_mean is the sum of those of the two pictures.
 /// correlated:  v_i = u_i, the random numbers by (seed, pixel, sample, bounce, place).
 ///   Joint: point on the film; at each bounce the numbers for light, direction, lobe and roulette. A path that meets
-///   nothing of the edit is the same path in both scenes, its difference 0 to the last bit (but for ties of two surfaces
-///   at one place). Roulette at a vertex is by its albedo alone, so that a path whose light changed survives alike in
-///   both; where the albedos differ the one number is set against two thresholds, and one path may go on alone.
-///   Not joint: directions and light points after the paths have parted: they are the same numbers, but at other places.
-///   The choice among lights goes by their number: an added or removed light shifts it for all vertices. A lobe that only
-///   one of two BSDFs has is sampled in that scene alone.
-/// out:     image  R, G, B signed, VarMean of the differences, Albedo, N, Depth of the new scene; ledger: its link, but for
+///   nothing of the edit is the same path in both scenes, its difference 0 to the last bit (but for ties of two
+///   surfaces at one place). Roulette at a vertex is by its albedo alone, so that a path whose light changed survives
+///   alike in both; where the albedos differ the one number is set against two thresholds, and one path may go on
+///   alone. Not joint: directions and light points after the paths have parted: they are the same numbers, but at other
+///   places. The choice among lights goes by their number: an added or removed light shifts it for all vertices. A lobe
+///   that only one of two BSDFs has is sampled in that scene alone.
+/// out:     image  R, G, B signed, VarMean of the differences, Albedo, N, Depth of the new scene; ledger: its link, but
+///          for
 ///                 the edit's words and scene; its var_sample is from the new scene's paths
 /// needs:   the film of the two scenes to have one size; method is not automatic
-Image render_residual(const ScenePair& scenes, Method method, const PathOptions& path, const Work& work, app::Report& report,
-                      Counts& counts);
+Image render_residual(const ScenePair& scenes, Method method, const PathOptions& path, const Work& work,
+                      app::Report& report, Counts& counts);
 
 }  // namespace loom::residual

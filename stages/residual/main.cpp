@@ -1,6 +1,5 @@
-#include "stages/residual/residual.h"
-
 #include "stages/core/app/command.h"
+#include "stages/residual/residual.h"
 
 int main(int argc, char** argv) {
     using namespace loom;

@@ -1,6 +1,6 @@
 #pragma once
-// Random numbers of samples that start from a site: both scenes of an edit ask for the same ones, and many samples at once are
-// worked out by column.
+// Random numbers of samples that start from a site: both scenes of an edit ask for the same ones, and many samples at
+// once are worked out by column.
 
 #include <vector>
 
@@ -15,7 +15,9 @@ class Numbers {
     Numbers(const Sampler& sampler, const Point2f* known, std::uint32_t n_known, std::uint32_t stride)
         : sampler_(sampler), known_(known), n_known_(n_known), stride_(stride) {}
 
-    Point2f pair(std::uint32_t dimension) const { return dimension < n_known_ ? known_[dimension * stride_] : sampler_.pair(dimension); }
+    Point2f pair(std::uint32_t dimension) const {
+        return dimension < n_known_ ? known_[dimension * stride_] : sampler_.pair(dimension);
+    }
 
   private:
     Sampler sampler_;

@@ -22,14 +22,16 @@ namespace {
 constexpr const char* rgb[] = {"R", "G", "B"};
 
 template <class Enum>
-std::optional<Enum> named(std::string_view name, std::string_view (*name_of)(Enum), std::initializer_list<Enum> values) {
+std::optional<Enum> named(std::string_view name, std::string_view (*name_of)(Enum),
+                          std::initializer_list<Enum> values) {
     for (const Enum value : values)
         if (name_of(value) == name) return value;
     return std::nullopt;
 }
 
 bool alike(const PathOptions& a, const PathOptions& b) {
-    return a.seed == b.seed && a.sampler == b.sampler && a.roulette == b.roulette && a.rr_depth == b.rr_depth && a.max_depth == b.max_depth;
+    return a.seed == b.seed && a.sampler == b.sampler && a.roulette == b.roulette && a.rr_depth == b.rr_depth &&
+           a.max_depth == b.max_depth;
 }
 
 PathOptions options_of(const PathGraph& graph, const std::string& file) {
@@ -38,31 +40,45 @@ PathOptions options_of(const PathGraph& graph, const std::string& file) {
     path.rr_depth = graph.tracing.roulette_depth;
     path.max_depth = graph.tracing.max_depth;
     const auto sampler = named(graph.tracing.sampler, sampler_name, {SamplerKind::sobol, SamplerKind::independent});
-    const auto roulette = named(graph.tracing.roulette, roulette_name, {Roulette::albedo, Roulette::throughput, Roulette::off});
-    if (!sampler || !roulette) throw InputError(fmt::format("{}: was traced with sampler {} and roulette {}, which are not known here", file, graph.tracing.sampler, graph.tracing.roulette));
+    const auto roulette =
+        named(graph.tracing.roulette, roulette_name, {Roulette::albedo, Roulette::throughput, Roulette::off});
+    if (!sampler || !roulette)
+        throw InputError(fmt::format("{}: was traced with sampler {} and roulette {}, which are not known here", file,
+                                     graph.tracing.sampler, graph.tracing.roulette));
     path.sampler = *sampler;
     path.roulette = *roulette;
     return path;
 }
 
-void check_pass(const PathGraph& graph, const std::string& file, const Scene& old_scene, const std::string& scene_name, int max_depth) {
+void check_pass(const PathGraph& graph, const std::string& file, const Scene& old_scene, const std::string& scene_name,
+                int max_depth) {
     const Provenance& made = graph.provenance;
-    if (made.stage != "loom-trace") throw InputError(fmt::format("{}: --old-graph: was written by {}; only paths as loom-trace writes them can be traced again", file, made.stage));
+    if (made.stage != "loom-trace")
+        throw InputError(
+            fmt::format("{}: --old-graph: was written by {}; only paths as loom-trace writes them can be traced again",
+                        file, made.stage));
     const std::string hash = content_hash_text(old_scene.content_hash);
     if (std::none_of(made.inputs.begin(), made.inputs.end(), [&](const InputId& i) { return i.hash == hash; }))
-        throw InputError(fmt::format("{}: is a graph of {} with content {}, not of {} with these values, whose content is {}; trace it again", file,
-                                     made.inputs.empty() ? "no known scene" : made.inputs[0].name, made.inputs.empty() ? "unknown" : made.inputs[0].hash, scene_name, hash));
+        throw InputError(fmt::format(
+            "{}: is a graph of {} with content {}, not of {} with these values, whose content is {}; trace it again",
+            file, made.inputs.empty() ? "no known scene" : made.inputs[0].name,
+            made.inputs.empty() ? "unknown" : made.inputs[0].hash, scene_name, hash));
     if (graph.sensor.width != old_scene.sensor.width || graph.sensor.height != old_scene.sensor.height)
-        throw InputError(fmt::format("{}: is of {} x {} pixels, but the film of {} has {} x {}", file, graph.sensor.width, graph.sensor.height, scene_name,
-                                     old_scene.sensor.width, old_scene.sensor.height));
+        throw InputError(fmt::format("{}: is of {} x {} pixels, but the film of {} has {} x {}", file,
+                                     graph.sensor.width, graph.sensor.height, scene_name, old_scene.sensor.width,
+                                     old_scene.sensor.height));
     if (graph.tracing.max_depth != max_depth)
-        throw InputError(fmt::format("{}: was traced with max_depth {}, not {}; give --max-depth {}", file, graph.tracing.max_depth, max_depth, graph.tracing.max_depth));
+        throw InputError(fmt::format("{}: was traced with max_depth {}, not {}; give --max-depth {}", file,
+                                     graph.tracing.max_depth, max_depth, graph.tracing.max_depth));
     if (graph.shapes.id.size() != old_scene.shapes.size() || graph.emitters.id.size() != old_scene.emitters.size())
-        throw InputError(fmt::format("{}: has {} shapes and {} lights, but {} has {} and {}", file, graph.shapes.id.size(), graph.emitters.id.size(), scene_name,
+        throw InputError(fmt::format("{}: has {} shapes and {} lights, but {} has {} and {}", file,
+                                     graph.shapes.id.size(), graph.emitters.id.size(), scene_name,
                                      old_scene.shapes.size(), old_scene.emitters.size()));
 }
 
-std::uint64_t end_of(const PathGraph& graph) { return graph.tracing.first_sample + graph.tracing.samples_per_pixel; }
+std::uint64_t end_of(const PathGraph& graph) {
+    return graph.tracing.first_sample + graph.tracing.samples_per_pixel;
+}
 
 /// A command of loom-trace apart from which samples it traces.
 struct TraceCommand {
@@ -71,11 +87,13 @@ struct TraceCommand {
 };
 std::optional<TraceCommand> parse(std::string command) {
     TraceCommand parsed;
-    for (const auto& [flag, value] : {std::pair<std::string, std::uint64_t*>{" --first-sample ", &parsed.first}, {" --spp ", &parsed.spp}}) {
+    for (const auto& [flag, value] :
+         {std::pair<std::string, std::uint64_t*>{" --first-sample ", &parsed.first}, {" --spp ", &parsed.spp}}) {
         const auto at = command.find(flag);
         if (at == std::string::npos) return std::nullopt;
         const auto digits = at + flag.size(), end = std::min(command.find(' ', digits), command.size());
-        const std::optional<std::uint64_t> number = app::parse_number<std::uint64_t>(command.substr(digits, end - digits));
+        const std::optional<std::uint64_t> number =
+            app::parse_number<std::uint64_t>(command.substr(digits, end - digits));
         if (!number) return std::nullopt;
         *value = *number;
         command.erase(at, end - at);
@@ -94,10 +112,18 @@ class Worker {
     std::string other;                                  // one of them
 
     /// in:  passes  of the graph
-    Worker(const ScenePair& scenes, const OldGraph& graph, const EditReach& reach, const std::vector<StoredPaths>& passes, const Image* old_picture,
-           NonfiniteLog& old_log, NonfiniteLog& new_log, Film& film, GraphResidual& out)
-        : graph_(graph), passes_(passes), old_batch_(scenes.old_scene, graph.path), resumed_(scenes.new_scene, reach, graph.path),
-          old_nonfinite_(old_log), new_nonfinite_(new_log), film_(film), out_(out), n_pixels_(scenes.old_scene.sensor.n_pixels()) {
+    Worker(const ScenePair& scenes, const OldGraph& graph, const EditReach& reach,
+           const std::vector<StoredPaths>& passes, const Image* old_picture, NonfiniteLog& old_log,
+           NonfiniteLog& new_log, Film& film, GraphResidual& out)
+        : graph_(graph),
+          passes_(passes),
+          old_batch_(scenes.old_scene, graph.path),
+          resumed_(scenes.new_scene, reach, graph.path),
+          old_nonfinite_(old_log),
+          new_nonfinite_(new_log),
+          film_(film),
+          out_(out),
+          n_pixels_(scenes.old_scene.sensor.n_pixels()) {
         for (const StoredPaths& pass : passes) {
             finders_.emplace_back(pass, reach);
             first_hits_.emplace_back(pass);
@@ -115,8 +141,8 @@ class Worker {
     }
 
   private:
-    /// Fills flags_, [sample of all passes][pixel of the chunk], and pairs_ in this order. Adds the first surfaces of paths that are not
-    /// touched.
+    /// Fills flags_, [sample of all passes][pixel of the chunk], and pairs_ in this order. Adds the first surfaces of
+    /// paths that are not touched.
     void trace(std::uint64_t begin) {
         flags_.resize(width_ * graph_.spp);
         touched_.clear();
@@ -150,7 +176,8 @@ class Worker {
         constexpr std::size_t one_in = 64;
         const std::size_t step = std::max(one_in, touched_.size() / PathBatch::capacity + 1);
         probes_.clear();
-        for (std::size_t k = 0; k < touched_.size(); k += step) probes_.push_back(passes_[touched_[k].pass].id(touched_[k].path));
+        for (std::size_t k = 0; k < touched_.size(); k += step)
+            probes_.push_back(passes_[touched_[k].pass].id(touched_[k].path));
         probed_.resize(probes_.size());
         old_batch_.trace(probes_, probed_);
         for (std::size_t i = 0; i < probes_.size(); ++i) {
@@ -162,13 +189,17 @@ class Worker {
             const std::uint64_t n = first[path + 1] - first[path];
             constexpr double tolerance = 1e-4;
             bool same = n == traced.n_vertices;
-            for (int c = 0; c < 3; ++c) same &= !(std::abs(double(traced.L[c]) - known[c]) > tolerance * std::abs(double(known[c])));
+            for (int c = 0; c < 3; ++c)
+                same &= !(std::abs(double(traced.L[c]) - known[c]) > tolerance * std::abs(double(known[c])));
             ++probed;
             if (same) continue;
             ++others;
             if (other.empty())
-                other = fmt::format("{}: path {} has {} vertices and brings ({}, {}, {}), but {} and ({}, {}, {}) when it is traced again", graph_.files[pass], path, n,
-                                    known.r, known.g, known.b, traced.n_vertices, traced.L.r, traced.L.g, traced.L.b);
+                other = fmt::format(
+                    "{}: path {} has {} vertices and brings ({}, {}, {}), but {} and ({}, {}, {}) when it is traced "
+                    "again",
+                    graph_.files[pass], path, n, known.r, known.g, known.b, traced.n_vertices, traced.L.r, traced.L.g,
+                    traced.L.b);
         }
     }
 
@@ -192,8 +223,9 @@ class Worker {
                 for (Moments& L : sums.L) L.n = std::max(L.n, sample);
                 sums.add(pair.after - pair.before, pair.first);
                 for (std::size_t c = 0; c < 3 && !squares_.empty(); ++c)
-                    squares_[3 * k + c] += (double(pair.after[int(c)]) - pair.before[int(c)]) *
-                                           (double(pair.after[int(c)]) + pair.before[int(c)] - 2.0 * old_mean_[c][begin + k]);
+                    squares_[3 * k + c] +=
+                        (double(pair.after[int(c)]) - pair.before[int(c)]) *
+                        (double(pair.after[int(c)]) + pair.before[int(c)] - 2.0 * old_mean_[c][begin + k]);
             }
         for (PixelSums& sums : sums_)
             for (Moments& L : sums.L) L.n = graph_.spp;
@@ -227,11 +259,14 @@ class Worker {
 
 }  // namespace
 
-OldGraph read_old_graph(const std::vector<std::string>& files, const Scene& old_scene, const std::string& scene_name, int max_depth) {
+OldGraph read_old_graph(const std::vector<std::string>& files, const Scene& old_scene, const std::string& scene_name,
+                        int max_depth) {
     OldGraph graph;
     std::vector<std::pair<std::string, PathGraph>> passes;
     for (const std::string& file : files) passes.emplace_back(file, read_path_graph(file, Check::structure));
-    std::sort(passes.begin(), passes.end(), [](const auto& a, const auto& b) { return a.second.tracing.first_sample < b.second.tracing.first_sample; });
+    std::sort(passes.begin(), passes.end(), [](const auto& a, const auto& b) {
+        return a.second.tracing.first_sample < b.second.tracing.first_sample;
+    });
     for (auto& [file, pass] : passes) {
         check_pass(pass, file, old_scene, scene_name, max_depth);
         const PathOptions path = options_of(pass, file);
@@ -239,9 +274,12 @@ OldGraph read_old_graph(const std::vector<std::string>& files, const Scene& old_
             graph.path = path;
         } else {
             const PathGraph& before = graph.passes.back();
-            if (!alike(graph.path, path)) throw InputError(fmt::format("{}: was not traced like {} (seed, sampler, roulette)", file, graph.files[0]));
+            if (!alike(graph.path, path))
+                throw InputError(
+                    fmt::format("{}: was not traced like {} (seed, sampler, roulette)", file, graph.files[0]));
             if (end_of(before) > pass.tracing.first_sample)
-                throw InputError(fmt::format("{}: has samples from {} on, which {} has too (to {})", file, pass.tracing.first_sample, graph.files.back(), end_of(before) - 1));
+                throw InputError(fmt::format("{}: has samples from {} on, which {} has too (to {})", file,
+                                             pass.tracing.first_sample, graph.files.back(), end_of(before) - 1));
         }
         graph.spp += pass.tracing.samples_per_pixel;
         graph.files.push_back(file);
@@ -258,18 +296,24 @@ bool same_samples(const Image& old_picture, const std::string& file, const OldGr
     const auto picture = parse(made.command), traced = parse(graph.provenance().command);
     const std::uint64_t first = graph.passes.front().tracing.first_sample, last = end_of(graph.passes.back());
     const bool no_gap = last - first == graph.spp;
-    if (made.stage == "loom-trace" && picture && traced && picture->rest == traced->rest && no_gap && picture->first == first && picture->spp == graph.spp) return true;
-    throw InputError(fmt::format("{}: has seed {} like {}, but not just the same samples with the same options: its noise and that of the residual are neither the same nor "
-                                 "independent; trace the graph with another --seed, or like the picture",
-                                 file, made.seed, graph.files[0]));
+    if (made.stage == "loom-trace" && picture && traced && picture->rest == traced->rest && no_gap &&
+        picture->first == first && picture->spp == graph.spp)
+        return true;
+    throw InputError(
+        fmt::format("{}: has seed {} like {}, but not just the same samples with the same options: its noise and that "
+                    "of the residual are neither the same nor "
+                    "independent; trace the graph with another --seed, or like the picture",
+                    file, made.seed, graph.files[0]));
 }
 
 std::string GraphResidual::summary() const {
-    return fmt::format("{} of {} old paths traced again ({:.3g} %){}", touched, paths, 100.0 * double(touched) / double(std::max<std::uint64_t>(paths, 1)),
+    return fmt::format("{} of {} old paths traced again ({:.3g} %){}", touched, paths,
+                       100.0 * double(touched) / double(std::max<std::uint64_t>(paths, 1)),
                        why_all.empty() ? "" : ": " + why_all);
 }
 
-GraphResidual render_residual(const ScenePair& scenes, const Edit& edit, const OldGraph& graph, int threads, const Image* old_picture, app::Report& report) {
+GraphResidual render_residual(const ScenePair& scenes, const Edit& edit, const OldGraph& graph, int threads,
+                              const Image* old_picture, app::Report& report) {
     const Sensor& sensor = scenes.new_scene.sensor;
     const std::uint64_t n_pixels = sensor.n_pixels();
     GraphResidual out;
@@ -282,9 +326,11 @@ GraphResidual render_residual(const ScenePair& scenes, const Edit& edit, const O
     for (auto& squares : out.squares) squares.resize(old_picture ? n_pixels : 0);
 
     Film film(sensor.width, sensor.height, graph.spp);
-    NonfiniteLog old_log(report, sensor.width, graph.path.seed, " of the old scene"), new_log(report, sensor.width, graph.path.seed, " of the new scene");
+    NonfiniteLog old_log(report, sensor.width, graph.path.seed, " of the old scene"),
+        new_log(report, sensor.width, graph.path.seed, " of the new scene");
     app::Progress progress(report, "tracing", n_pixels * graph.spp);
-    tbb::enumerable_thread_specific<Worker> workers([&] { return Worker(scenes, graph, reach, passes, old_picture, old_log, new_log, film, out); });
+    tbb::enumerable_thread_specific<Worker> workers(
+        [&] { return Worker(scenes, graph, reach, passes, old_picture, old_log, new_log, film, out); });
     // Large enough for batches of touched paths where few are.
     constexpr std::uint64_t paths_per_chunk = 1 << 15;
     parallel_chunks(n_pixels, std::clamp<std::uint64_t>(paths_per_chunk / graph.spp, 16, paths_per_chunk), threads,

@@ -9,11 +9,14 @@ namespace {
 // Pairs of random numbers of a sample that starts from a site. Each bounce has its own, so that the two scenes of an
 // edit ask for the same ones.
 enum : std::uint32_t { choice_pair = 0, point_pair = 1, light_pair = 2, lobe_pair = 3, first_walk_pair = 8 };
-constexpr std::uint32_t walk_pair(int k, bool to_light, std::uint32_t what) { return first_walk_pair + std::uint32_t(k) * 8 + (to_light ? 4 : 0) + what; }
+constexpr std::uint32_t walk_pair(int k, bool to_light, std::uint32_t what) {
+    return first_walk_pair + std::uint32_t(k) * 8 + (to_light ? 4 : 0) + what;
+}
 
 }  // namespace
 
-PathFinder::PathFinder(const DynamicScenes& scenes, const DynamicScene& side, const PathOptions& options) : scenes_(scenes), side_(side), options_(options) {
+PathFinder::PathFinder(const DynamicScenes& scenes, const DynamicScene& side, const PathOptions& options)
+    : scenes_(scenes), side_(side), options_(options) {
     path_.crossings = &crossings_.all;
 }
 
@@ -27,18 +30,22 @@ Hit PathFinder::intersect(const Ray& ray, bool from_camera) {
     return from_camera ? side_.scene.intersect_from_camera(ray) : side_.scene.intersect(ray);
 }
 
-bool PathFinder::scatters(const Hit& hit) const { return hit && !side_.scene.materials[side_.scene.shapes[hit.shape].material].black(); }
+bool PathFinder::scatters(const Hit& hit) const {
+    return hit && !side_.scene.materials[side_.scene.shapes[hit.shape].material].black();
+}
 
 Segment PathFinder::segment_to_sensor(const Vertex& v, const FilmPoint& film) {
     const auto first = std::uint32_t(crossings_.all.size());
-    return {1, std::abs(dot(v.at.ng, film.d)), first, side_.cross({film.from, film.d, film.t_min, film.t * (1 - point_epsilon)}, crossings_)};
+    return {1, std::abs(dot(v.at.ng, film.d)), first,
+            side_.cross({film.from, film.d, film.t_min, film.t * (1 - point_epsilon)}, crossings_)};
 }
 
 std::optional<FilmPoint> PathFinder::on_film(const Point3f& p) const {
     const Sensor& sensor = side_.scene.sensor;
     const std::optional<FilmPoint> at = sensor.project(p);
     const float r = sensor.filter_radius;
-    const bool reached = at && at->film.x > -r && at->film.y > -r && at->film.x < float(sensor.width) + r && at->film.y < float(sensor.height) + r;
+    const bool reached = at && at->film.x > -r && at->film.y > -r && at->film.x < float(sensor.width) + r &&
+                         at->film.y < float(sensor.height) + r;
     return reached ? at : std::nullopt;
 }
 
@@ -67,7 +74,8 @@ bool PathFinder::relocate(const Segment& segment, const SitePoint& point, std::u
     for (std::uint32_t c = segment.first; c < segment.first + segment.n; ++c) {
         const Crossing& crossing = crossings_.all[c];
         const float distance2 = length2(crossing.p - point.p);
-        if (crossing.member != point.member || crossing.primitive != point.hit.primitive || !(distance2 < nearest)) continue;
+        if (crossing.member != point.member || crossing.primitive != point.hit.primitive || !(distance2 < nearest))
+            continue;
         nearest = distance2;
         place = c;
     }
@@ -117,8 +125,10 @@ void PathFinder::walk(std::vector<Stop>& stops, Towards towards, const Numbers& 
     for (int k = 0;; ++k) {
         ++n_vertices;
         if (k > 0 || join_first) {
-            if (lit) join_light(stops.back(), numbers.pair(walk_pair(k, lit, 2)));
-            else join_sensor(stops.back());
+            if (lit)
+                join_light(stops.back(), numbers.pair(walk_pair(k, lit, 2)));
+            else
+                join_sensor(stops.back());
         }
         if (int(stops.size()) >= n_max) return;
         stops.emplace_back();
@@ -128,14 +138,16 @@ void PathFinder::walk(std::vector<Stop>& stops, Towards towards, const Numbers& 
             return;
         }
         here.onward = interact(side_, here.v, lit ? here.back : here.ahead, lit ? here.ahead : here.back, here.lobe);
-        here.segment = lit ? segment_between(side_, here.v, next.v, crossings_) : segment_between(side_, next.v, here.v, crossings_);
+        here.segment = lit ? segment_between(side_, here.v, next.v, crossings_)
+                           : segment_between(side_, next.v, here.v, crossings_);
     }
 }
 
 /// The part of path_ from the sensor to where the walk towards it began, and the segment that goes on from there.
 void PathFinder::from_sensor(std::size_t a, const Segment& ahead) {
     path_.start(z_[a].sensor, z_[a].end_segment);
-    for (std::size_t k = a + 1; k-- > 0;) path_.add(k == a ? z_[k].end : z_[k].onward, z_[k].v, k > 0 ? z_[k - 1].segment : ahead);
+    for (std::size_t k = a + 1; k-- > 0;)
+        path_.add(k == a ? z_[k].end : z_[k].onward, z_[k].v, k > 0 ? z_[k - 1].segment : ahead);
 }
 
 /// The part of path_ from where the walk towards the light began.
@@ -145,7 +157,8 @@ void PathFinder::to_light(std::size_t b) {
     path_.light = y_[b].light;
 }
 
-void PathFinder::show_to_sensor(const LightEnd& light, const Segment& light_segment, const Found& found, const Visitor& visit) {
+void PathFinder::show_to_sensor(const LightEnd& light, const Segment& light_segment, const Found& found,
+                                const Visitor& visit) {
     for (std::size_t a = 0; a < z_.size(); ++a) {
         if (!z_[a].joined) continue;
         from_sensor(a, light_segment);
@@ -156,7 +169,8 @@ void PathFinder::show_to_sensor(const LightEnd& light, const Segment& light_segm
     }
 }
 
-void PathFinder::show_from_sensor(const SensorEnd& sensor, const Segment& sensor_segment, const Found& found, std::size_t first, const Visitor& visit) {
+void PathFinder::show_from_sensor(const SensorEnd& sensor, const Segment& sensor_segment, const Found& found,
+                                  std::size_t first, const Visitor& visit) {
     for (std::size_t b = first; b < y_.size(); ++b) {
         if (!y_[b].joined) continue;
         path_.start(sensor, sensor_segment);
@@ -165,7 +179,8 @@ void PathFinder::show_from_sensor(const SensorEnd& sensor, const Segment& sensor
     }
 }
 
-void PathFinder::show_two_ends(const Interaction* middle, const Vertex* middle_vertex, const Segment* between, const Found& found, const Visitor& visit) {
+void PathFinder::show_two_ends(const Interaction* middle, const Vertex* middle_vertex, const Segment* between,
+                               const Found& found, const Visitor& visit) {
     const int most = longest();
     for (std::size_t a = 0; a < z_.size(); ++a) {
         if (!z_[a].joined) continue;
@@ -294,7 +309,8 @@ void PathFinder::find(Technique technique, Site site, const Numbers& numbers, co
             const Interaction x = interact(side_, middle.v, middle.ahead, to_light_d, middle.lobe);
             y.v = side_.vertex(ray, hit);
             y.back = -to_light_d;
-            const Segment between[2] = {segment_between(side_, z.v, middle.v, crossings_), segment_between(side_, middle.v, y.v, crossings_)};
+            const Segment between[2] = {segment_between(side_, z.v, middle.v, crossings_),
+                                        segment_between(side_, middle.v, y.v, crossings_)};
             z_.push_back(z);
             y_.push_back(y);
             walk(z_, Towards::sensor, numbers, most - 2);
@@ -325,7 +341,8 @@ void PathFinder::find(Technique technique, Site site, const Numbers& numbers, co
             show_two_ends(nullptr, nullptr, &between, found, visit);
             return;
         }
-        case Technique::path_tracing: return;
+        case Technique::path_tracing:
+            return;
     }
 }
 
@@ -334,7 +351,8 @@ bool PathFinder::find_from_camera(PathId id, const Sampler& numbers, const Visit
     crossings_.all.clear();
     y_.clear();
     first_hit = {};
-    const Ray first = scene.sensor.sample_ray(std::uint32_t(id.pixel % scene.sensor.width), std::uint32_t(id.pixel / scene.sensor.width), numbers.pair(film_pair));
+    const Ray first = scene.sensor.sample_ray(std::uint32_t(id.pixel % scene.sensor.width),
+                                              std::uint32_t(id.pixel / scene.sensor.width), numbers.pair(film_pair));
     Ray ray = first;
     bool touched = !scenes_.same_choice_of_lights, escaped = false, is_straight = true;
     LightEnd sky;
@@ -394,7 +412,8 @@ bool PathFinder::find_from_camera(PathId id, const Sampler& numbers, const Visit
             const BsdfModel& model = *here.bsdf.model;
             const bool one_lobe = model.kind == BsdfKind::diffuse && here.bsdf.opacity == 1;
             const float u_lobe = one_lobe ? 0.0f : numbers.pair(dimension(depth, Place::lobe)).x;
-            const BsdfSample<float> s = sample(here.bsdf, here.wo_local, u_lobe, numbers.pair(dimension(depth, Place::direction)));
+            const BsdfSample<float> s =
+                sample(here.bsdf, here.wo_local, u_lobe, numbers.pair(dimension(depth, Place::direction)));
             goes_on = s.lobe != Lobe::none && !is_black(s.weight);
             if (goes_on) {
                 stop.ahead = here.frame.to_world(s.wi);
@@ -420,8 +439,10 @@ bool PathFinder::find_from_camera(PathId id, const Sampler& numbers, const Visit
     const SensorEnd sensor{film.film, film.scale};
     for (std::size_t k = 0; k < y_.size(); ++k) {
         Stop& here = y_[k];
-        if (k == 0) path_.start(sensor, segment_to_sensor(here.v, film));
-        else go_on(y_[k - 1], segment_between(side_, y_[k - 1].v, here.v, crossings_));
+        if (k == 0)
+            path_.start(sensor, segment_to_sensor(here.v, film));
+        else
+            go_on(y_[k - 1], segment_between(side_, y_[k - 1].v, here.v, crossings_));
         show(here.met, false);
         if (!here.joined) continue;
         here.end = interact(side_, here.v, here.back, direction_to(here.light, here.v.at.p), Lobe::none);

@@ -76,10 +76,14 @@ class PathFinder {
     void from_sensor(std::size_t a, const Segment& ahead);
     void to_light(std::size_t b);
     void show_to_sensor(const LightEnd& light, const Segment& light_segment, const Found& found, const Visitor& visit);
-    void show_from_sensor(const SensorEnd& sensor, const Segment& sensor_segment, const Found& found, std::size_t first, const Visitor& visit);
-    void show_two_ends(const Interaction* middle, const Vertex* middle_vertex, const Segment* between, const Found& found, const Visitor& visit);
+    void show_from_sensor(const SensorEnd& sensor, const Segment& sensor_segment, const Found& found, std::size_t first,
+                          const Visitor& visit);
+    void show_two_ends(const Interaction* middle, const Vertex* middle_vertex, const Segment* between,
+                       const Found& found, const Visitor& visit);
 
-    int longest() const { return options_.max_depth < 0 ? most_vertices : std::min(options_.max_depth - 1, most_vertices); }
+    int longest() const {
+        return options_.max_depth < 0 ? most_vertices : std::min(options_.max_depth - 1, most_vertices);
+    }
 
     static constexpr int most_vertices = 512;  // survival is at most 0.95 each
 

@@ -3,7 +3,10 @@
 namespace loom::residual {
 
 PathMapper::PathMapper(const DynamicScenes& scenes, bool from_new, const MappingLimits& limits)
-    : scenes_(scenes), from_(from_new ? scenes.new_scene : scenes.old_scene), to_(from_new ? scenes.old_scene : scenes.new_scene), limits_(limits) {
+    : scenes_(scenes),
+      from_(from_new ? scenes.new_scene : scenes.old_scene),
+      to_(from_new ? scenes.old_scene : scenes.new_scene),
+      limits_(limits) {
     mapped_.path.crossings = &crossings_.all;
 }
 
@@ -11,14 +14,19 @@ bool PathMapper::smooth_enough(const Vertex& v) const {
     const Bsdf<float>& b = v.here.bsdf;
     switch (b.model->kind) {
         case BsdfKind::diffuse:
-        case BsdfKind::rough_diffuse: return b.opacity == 1;
+        case BsdfKind::rough_diffuse:
+            return b.opacity == 1;
         case BsdfKind::rough_conductor:
         case BsdfKind::rough_dielectric:
         case BsdfKind::rough_plastic:
-        case BsdfKind::ward: return b.opacity == 1 && std::min(b.alpha_u, b.alpha_v) >= limits_.alpha_min;
-        case BsdfKind::phong: return std::sqrt(2 / (2 + b.exponent)) >= limits_.alpha_min;
-        case BsdfKind::plastic: return b.opacity == 1;  // joined by its diffuse part
-        default: return false;
+        case BsdfKind::ward:
+            return b.opacity == 1 && std::min(b.alpha_u, b.alpha_v) >= limits_.alpha_min;
+        case BsdfKind::phong:
+            return std::sqrt(2 / (2 + b.exponent)) >= limits_.alpha_min;
+        case BsdfKind::plastic:
+            return b.opacity == 1;  // joined by its diffuse part
+        default:
+            return false;
     }
 }
 
@@ -42,7 +50,9 @@ void PathMapper::reconnect(const FullPath& path, std::size_t j) {
         point.p = from_.to_partner[base.hit.shape](base.at.p);
         const Vector3f to_before = normalize(before.at.p - point.p);
         r.moved = to_.vertex(point, shape, to_before);
-        if (!smooth_enough(base) || !smooth_enough(r.moved) || !smooth_enough(before) || (next && !smooth_enough(*next))) return Rejection::specular;
+        if (!smooth_enough(base) || !smooth_enough(r.moved) || !smooth_enough(before) ||
+            (next && !smooth_enough(*next)))
+            return Rejection::specular;
         const auto distance2 = [](const Point3f& a, const Point3f& b) { return double(length2(a - b)); };
         r.density_ratio = 1;
         const auto far_enough = [&](const Point3f& neighbour, double cos_before, double cos_after) {
@@ -61,7 +71,8 @@ void PathMapper::reconnect(const FullPath& path, std::size_t j) {
         Vector3f to_light;
         if (next) {
             if (!join(r.moved, *next, r.towards_light)) return Rejection::blocked;
-            if (!far_enough(next->at.p, path.segments[j + 1].cos_light, r.towards_light.cos_light)) return Rejection::near;
+            if (!far_enough(next->at.p, path.segments[j + 1].cos_light, r.towards_light.cos_light))
+                return Rejection::near;
             to_light = normalize(next->at.p - r.moved.at.p);
         } else {
             LightEnd& light = r.light = path.light;
@@ -77,7 +88,8 @@ void PathMapper::reconnect(const FullPath& path, std::size_t j) {
                 if (!(s.pdf_w > 0)) return Rejection::light;
                 light.Le = Radiance(s.Li);
             } else if (!light.at_infinity) {
-                const double cos_before = -dot(light.n, direction_to(path.light, base.at.p)), cos_after = -dot(light.n, to_light);
+                const double cos_before = -dot(light.n, direction_to(path.light, base.at.p)),
+                             cos_after = -dot(light.n, to_light);
                 if (!(cos_before * cos_after > 0)) return Rejection::light;
                 if (!far_enough(light.y, cos_before, cos_after)) return Rejection::near;
             }
@@ -94,17 +106,20 @@ const MappedPath* PathMapper::map(const FullPath& path, const Found& found, Reje
     if (m == 0 || path.light.changed) return reject(why, Rejection::light);
     // Which vertex moves; from 0, m: none.
     std::size_t j = m;
-    if (found.technique == Technique::dynamic_from_emitter || found.technique == Technique::dynamic_two_ends) j = found.place - 1;
+    if (found.technique == Technique::dynamic_from_emitter || found.technique == Technique::dynamic_two_ends)
+        j = found.place - 1;
     if (j < m && path.vertices[j].site == std::uint8_t(Site::repainted)) j = m;
     for (std::size_t i = 0; i < m; ++i)
-        if (i != j && path.vertices[i].site != no_site && path.vertices[i].site != std::uint8_t(Site::repainted)) return reject(why, Rejection::moved);
+        if (i != j && path.vertices[i].site != no_site && path.vertices[i].site != std::uint8_t(Site::repainted))
+            return reject(why, Rejection::moved);
     if (j == 0) return reject(why, Rejection::moved);  // it would be seen in another pixel
     for (std::size_t i = 0; i <= m; ++i)
         if (path.segments[i].n > 0 && (j == m || (i != j && i != j + 1))) return reject(why, Rejection::crossed);
     if (!scenes_.same_choice_of_lights) return reject(why, Rejection::light);
     const bool has_next = j + 1 < m;
     if (j < m) {
-        if (path.vertices[j].specular || path.vertices[j - 1].specular || (has_next && path.vertices[j + 1].specular)) return reject(why, Rejection::specular);
+        if (path.vertices[j].specular || path.vertices[j - 1].specular || (has_next && path.vertices[j + 1].specular))
+            return reject(why, Rejection::specular);
         reconnect(path, j);
         if (reconnected_.why != Rejection::none) return reject(why, reconnected_.why);
     }
@@ -120,7 +135,8 @@ const MappedPath* PathMapper::map(const FullPath& path, const Found& found, Reje
     places_.clear();
     places_.reserve(m);
     const auto to_light_of = [&](std::size_t i) {
-        return i + 1 < m ? normalize(q.places[i + 1]->at.p - q.places[i]->at.p) : direction_to(q.light, q.places[i]->at.p);
+        return i + 1 < m ? normalize(q.places[i + 1]->at.p - q.places[i]->at.p)
+                         : direction_to(q.light, q.places[i]->at.p);
     };
     const Sensor& sensor = from_.scene.sensor;
     const auto to_sensor_of = [&](std::size_t i) {
@@ -136,7 +152,9 @@ const MappedPath* PathMapper::map(const FullPath& path, const Found& found, Reje
         mapped_.density_ratio = reconnected_.density_ratio;
         if (!has_next) q.light = reconnected_.light;
         q.vertices[j - 1] = interact(from_, *path.places[j - 1], to_sensor_of(j - 1), to_light_of(j - 1), Lobe::none);
-        if (has_next) q.vertices[j + 1] = interact(from_, *path.places[j + 1], to_sensor_of(j + 1), to_light_of(j + 1), Lobe::none);
+        if (has_next)
+            q.vertices[j + 1] =
+                interact(from_, *path.places[j + 1], to_sensor_of(j + 1), to_light_of(j + 1), Lobe::none);
     }
     // Vertices that look otherwise there.
     for (std::size_t i = 0; i < m; ++i) {

@@ -1,6 +1,6 @@
 #pragma once
-// Pairs of paths, one in each scene of an edit, found by all techniques and joined by the same random numbers or by path
-// mappings; what each adds to the pixels that see it.
+// Pairs of paths, one in each scene of an edit, found by all techniques and joined by the same random numbers or by
+// path mappings; what each adds to the pixels that see it.
 
 #include <functional>
 #include <vector>
@@ -20,11 +20,12 @@ inline constexpr std::size_t max_families = 10;
 /// The families that an edit calls for, path tracing last. No ghosts without something that moves.
 std::vector<Family> families_of(const DynamicScenes& scenes);
 
-/// What one path adds to one pixel:  value / (density.site_density + n h density.camera_density),  n: camera paths of the pixel
+/// What one path adds to one pixel:  value / (density.site_density + n h density.camera_density),  n: camera paths of
+/// the pixel
 struct Part {
     std::uint32_t pixel;
-    Radiance value;                  // f of the path, with the sign of its scene and its share of a pair
-    double h;                        // of the pixel's reconstruction filter, pixels^-2
+    Radiance value;  // f of the path, with the sign of its scene and its share of a pair
+    double h;        // of the pixel's reconstruction filter, pixels^-2
     const Evaluation& density;
     const std::vector<Term>& terms;  // of the same path
     double own;                      // density of the technique that has found the pair
@@ -33,7 +34,8 @@ struct Part {
 };
 
 /// One thread's.
-///   A pair by the same random numbers adds both paths as they are. A path p of one scene that is mapped to q of the other adds
+///   A pair by the same random numbers adds both paths as they are. A path p of one scene that is mapped to q of the
+///   other adds
 ///   omega (F(p) - rho F(q)),  rho = p_q |T'| / p_p,  omega = 1 / (1 + rho)
 /// and the samples of the other scene do the same, so that together they cover both; where the mapping is rejected,
 /// omega is 1 and the partner is left to the other scene's samples.
@@ -44,15 +46,15 @@ class PathPairs {
     struct Options {
         bool mapping = true;
         MappingLimits limits;
-        /// The letter of [RP], to see its bias: both paths of a pair have the weight of the one that was found, Eq. (16); a mapping
-        /// whose Jacobian is above 10 is rejected, §5, and its inverse, below 1/10, is not.
+        /// The letter of [RP], to see its bias: both paths of a pair have the weight of the one that was found, Eq.
+        /// (16); a mapping whose Jacobian is above 10 is rejected, §5, and its inverse, below 1/10, is not.
         bool as_printed = false;
     };
 
     /// in:  samples  of each family, of the whole picture; of path tracing not asked for
     ///      first_to_camera  as SampleCounts
-    PathPairs(const DynamicScenes& scenes, const std::vector<Family>& families, const std::vector<double>& samples, bool first_to_camera, const PathOptions& path,
-              const Options& options);
+    PathPairs(const DynamicScenes& scenes, const std::vector<Family>& families, const std::vector<double>& samples,
+              bool first_to_camera, const PathOptions& path, const Options& options);
 
     void from_site(std::size_t family, const Numbers& numbers, const Sink& sink);
     /// out: whether the edit may have changed the path
@@ -66,9 +68,10 @@ class PathPairs {
 
   private:
     void add(bool is_new, const FullPath& p, const Found& found, std::int64_t only_pixel, const Sink& sink);
-    void show(const FullPath& p, const Evaluation& e, const std::vector<Term>& terms, double factor, double own, bool by_camera, std::int64_t only_pixel,
-              const Sink& sink) const;
-    double own_density(const std::vector<Term>& terms, const Evaluation& of, const Found& found, std::uint32_t place) const;
+    void show(const FullPath& p, const Evaluation& e, const std::vector<Term>& terms, double factor, double own,
+              bool by_camera, std::int64_t only_pixel, const Sink& sink) const;
+    double own_density(const std::vector<Term>& terms, const Evaluation& of, const Found& found,
+                       std::uint32_t place) const;
 
     const DynamicScenes& scenes_;
     const std::vector<Family>& families_;

@@ -19,7 +19,9 @@ namespace {
 
 constexpr const char* rgb[] = {"R", "G", "B"};
 
-std::string file_name(const std::string& path) { return std::filesystem::path(path).filename().string(); }
+std::string file_name(const std::string& path) {
+    return std::filesystem::path(path).filename().string();
+}
 
 Defines both(const std::vector<std::string>& common, const std::vector<std::string>& own) {
     std::vector<std::string> all = common;
@@ -28,43 +30,53 @@ Defines both(const std::vector<std::string>& common, const std::vector<std::stri
 }
 
 bool says_its_noise(const Image& image) {
-    return std::none_of(std::begin(rgb), std::end(rgb), [&](const char* c) { return image.find(std::string("VarMean.") + c).empty(); });
+    return std::none_of(std::begin(rgb), std::end(rgb),
+                        [&](const char* c) { return image.find(std::string("VarMean.") + c).empty(); });
 }
 
 /// A picture on the film of a scene that says how noisy it is.
 /// in:  writers  what writes such pictures, in words
 ///      denoised one need not say it
-Image read_noisy_picture(const std::string& file, const Scene& scene, const std::string& scene_name, const char* writers, bool or_denoised = false) {
+Image read_noisy_picture(const std::string& file, const Scene& scene, const std::string& scene_name,
+                         const char* writers, bool or_denoised = false) {
     Image image = read_image(file);
     if (image.width != scene.sensor.width || image.height != scene.sensor.height)
-        throw InputError(fmt::format("{}: is {} x {}, but the film of {} has {} x {} pixels", file, image.width, image.height, scene_name, scene.sensor.width,
-                                     scene.sensor.height));
+        throw InputError(fmt::format("{}: is {} x {}, but the film of {} has {} x {} pixels", file, image.width,
+                                     image.height, scene_name, scene.sensor.width, scene.sensor.height));
     if (!says_its_noise(image) && !(or_denoised && image.provenance.stage == "loom-denoise"))
-        throw InputError(fmt::format("{}: does not say how noisy it is (no channels VarMean.R, G, B); {} write them", file, writers));
+        throw InputError(fmt::format("{}: does not say how noisy it is (no channels VarMean.R, G, B); {} write them",
+                                     file, writers));
     return image;
 }
 
 /// The old picture, once it is known to be of the old scene as far as it says.
-Image read_old_picture(const std::string& file, const Scene& old_scene, const std::string& scene_name, app::Report& report) {
+Image read_old_picture(const std::string& file, const Scene& old_scene, const std::string& scene_name,
+                       app::Report& report) {
     Image image = read_noisy_picture(file, old_scene, scene_name, "loom-trace -o x.exr and loom-merge");
     if (image.samples < 2)
-        throw InputError(fmt::format("{}: does not say how noisy it is (samples per pixel: {}, VarMean takes two)", file, image.samples));
-    if (image.ledger.size() == 1) throw InputError(fmt::format("{}: is a residual, not a picture of {}; --new writes one", file, scene_name));
+        throw InputError(fmt::format("{}: does not say how noisy it is (samples per pixel: {}, VarMean takes two)",
+                                     file, image.samples));
+    if (image.ledger.size() == 1)
+        throw InputError(fmt::format("{}: is a residual, not a picture of {}; --new writes one", file, scene_name));
     // Traced before pictures named their scene.
-    if (image.scene.hash.empty() && image.provenance.stage == "loom-trace" && !image.provenance.inputs.empty()) image.scene = image.provenance.inputs[0];
+    if (image.scene.hash.empty() && image.provenance.stage == "loom-trace" && !image.provenance.inputs.empty())
+        image.scene = image.provenance.inputs[0];
     const std::string hash = content_hash_text(old_scene.content_hash);
     if (image.scene.hash.empty())
         report.info("{}: does not name its scene; taken for a picture of {}", file, scene_name);
     else if (image.scene.hash != hash)
-        throw InputError(fmt::format("{}: is a picture of {} with content {}, not of {} with these values, whose content is {}; {}", file, image.scene.name,
-                                     image.scene.hash, scene_name, hash,
-                                     image.ledger.empty() ? "trace it again" : "an edit goes on from the new scene of the edit before, with its values"));
+        throw InputError(fmt::format(
+            "{}: is a picture of {} with content {}, not of {} with these values, whose content is {}; {}", file,
+            image.scene.name, image.scene.hash, scene_name, hash,
+            image.ledger.empty() ? "trace it again"
+                                 : "an edit goes on from the new scene of the edit before, with its values"));
     return image;
 }
 
 /// Which of the families that an edit calls for has a name.
 std::size_t family_of(const std::string& name, const std::vector<Family>& families) {
-    const auto found = std::find_if(families.begin(), families.end(), [&](const Family& family) { return family.name == name; });
+    const auto found =
+        std::find_if(families.begin(), families.end(), [&](const Family& family) { return family.name == name; });
     if (found != families.end()) return std::size_t(found - families.begin());
     std::vector<const char*> names;
     for (const Family& family : families) names.push_back(family.name);
@@ -73,49 +85,67 @@ std::size_t family_of(const std::string& name, const std::vector<Family>& famili
 
 /// A residual made before, once it is known to lead to the new scene as far as it says; with its link.
 Image read_residual(const std::string& file, const Scene& new_scene, const std::string& scene_name) {
-    Image image = read_noisy_picture(file, new_scene, scene_name, "loom-residual and loom-merge of two or more passes", true);
-    if (!image.scene.hash.empty()) throw InputError(fmt::format("{}: is a picture of {}, not a residual", file, image.scene.name));
+    Image image =
+        read_noisy_picture(file, new_scene, scene_name, "loom-residual and loom-merge of two or more passes", true);
+    if (!image.scene.hash.empty())
+        throw InputError(fmt::format("{}: is a picture of {}, not a residual", file, image.scene.name));
     image.ledger = {link_of_residual(image)};
-    if (image.ledger[0].method == part_method) throw InputError(fmt::format("{}: has the paths of one technique, which are a part of a residual", file));
+    if (image.ledger[0].method == part_method)
+        throw InputError(fmt::format("{}: has the paths of one technique, which are a part of a residual", file));
     const InputId& leads_to = image.ledger[0].scene;
     const std::string hash = content_hash_text(new_scene.content_hash);
     if (!leads_to.hash.empty() && leads_to.hash != hash)
-        throw InputError(fmt::format("{}: leads to {} with content {}, not to {} with these values, whose content is {}", file, leads_to.name, leads_to.hash,
-                                     scene_name, hash));
+        throw InputError(
+            fmt::format("{}: leads to {} with content {}, not to {} with these values, whose content is {}", file,
+                        leads_to.name, leads_to.hash, scene_name, hash));
     return image;
 }
 
 void check_endings(const Options& options) {
     const auto check = [](const std::string& flag, const std::string& file, const char* ending) {
         if (file.empty()) return;
-        if (std::filesystem::path(file).extension() != ending) throw InputError(fmt::format("{}: {} must end in {}", file, flag, ending));
+        if (std::filesystem::path(file).extension() != ending)
+            throw InputError(fmt::format("{}: {} must end in {}", file, flag, ending));
         check_output_path(file);
     };
     check("-o", options.output, ".exr");
     check("--new", options.new_picture, ".exr");
     check("--png", options.png, ".png");
     check("--residual-png", options.residual_png, ".png");
-    if (!options.technique.empty() && options.method != Method::dynamic) throw InputError("--technique: is of --method dynamic");
+    if (!options.technique.empty() && options.method != Method::dynamic)
+        throw InputError("--technique: is of --method dynamic");
     if (!options.technique.empty() && !options.new_picture.empty())
-        throw InputError("--technique: its paths are a part of the residual, which makes no picture of the new scene; leave out --new");
+        throw InputError(
+            "--technique: its paths are a part of the residual, which makes no picture of the new scene; leave out "
+            "--new");
     if (options.as_printed && (options.method != Method::dynamic || options.no_mapping || !options.technique.empty()))
         throw InputError("--as-printed: is of the pairs that --method dynamic maps, all techniques together");
     if (options.raw && options.technique.empty()) throw InputError("--raw: is of the paths of one --technique");
-    if (!options.residual.empty() && !options.output.empty()) throw InputError(fmt::format("-o: the residual is there, {}; give --new", options.residual));
-    if (options.output.empty() && options.new_picture.empty()) throw InputError("-o: missing (an .exr file), or --new with --old");
-    if (!options.png.empty() && options.new_picture.empty()) throw InputError("--png: is of the new picture; give --new and --old");
-    if (!options.new_picture.empty() && options.old_picture.empty()) throw InputError("--new: is the sum of the residual and the old picture; give --old");
-    if (!options.old_graph.empty() && !options.residual.empty()) throw InputError("--old-graph: nothing is traced with --residual");
+    if (!options.residual.empty() && !options.output.empty())
+        throw InputError(fmt::format("-o: the residual is there, {}; give --new", options.residual));
+    if (options.output.empty() && options.new_picture.empty())
+        throw InputError("-o: missing (an .exr file), or --new with --old");
+    if (!options.png.empty() && options.new_picture.empty())
+        throw InputError("--png: is of the new picture; give --new and --old");
+    if (!options.new_picture.empty() && options.old_picture.empty())
+        throw InputError("--new: is the sum of the residual and the old picture; give --old");
+    if (!options.old_graph.empty() && !options.residual.empty())
+        throw InputError("--old-graph: nothing is traced with --residual");
     if (!options.old_graph.empty() && options.method != Method::automatic && options.method != Method::correlated)
-        throw InputError("--old-graph: its paths are traced again with the same random numbers; --method must be correlated or auto");
-    if (!options.new_picture.empty() && options.residual.empty() && options.old_graph.empty() && options.spp < 2) throw InputError("--spp 1: one sample has no variance, so that --new could not say its own; at least 2");
+        throw InputError(
+            "--old-graph: its paths are traced again with the same random numbers; --method must be correlated or "
+            "auto");
+    if (!options.new_picture.empty() && options.residual.empty() && options.old_graph.empty() && options.spp < 2)
+        throw InputError("--spp 1: one sample has no variance, so that --new could not say its own; at least 2");
 }
 
 /// in:  old_picture  null, or what the new picture is wanted from
 ///      plan         what was spent on what is added
-Image render_by_dynamic_paths(const ScenePair& scenes, const Edit& edit, const Options& options, const PathOptions& path, const Image* old_picture,
-                              app::Report& report, Counts& counts, std::string& plan, std::optional<ControlledPicture>& controlled) {
-    if (scenes.old_scene.nlos || scenes.new_scene.nlos) throw InputError("captures around a corner have no dynamic paths; --method correlated compares them");
+Image render_by_dynamic_paths(const ScenePair& scenes, const Edit& edit, const Options& options,
+                              const PathOptions& path, const Image* old_picture, app::Report& report, Counts& counts,
+                              std::string& plan, std::optional<ControlledPicture>& controlled) {
+    if (scenes.old_scene.nlos || scenes.new_scene.nlos)
+        throw InputError("captures around a corner have no dynamic paths; --method correlated compares them");
     DynamicOptions dynamic;
     dynamic.pairs.mapping = !options.no_mapping;
     dynamic.pairs.limits.d_min = 0.01f * scenes.new_scene.radius;
@@ -123,20 +153,30 @@ Image render_by_dynamic_paths(const ScenePair& scenes, const Edit& edit, const O
     dynamic.adaptive_map = !options.no_map;
     dynamic.old_picture = options.no_control ? nullptr : old_picture;
     dynamic.pairs.as_printed = options.as_printed;
-    if (options.as_printed) plan += "; as printed in [RP]: both paths of a pair with the weight of the one found, mappings limited one way: biased";
+    if (options.as_printed)
+        plan +=
+            "; as printed in [RP]: both paths of a pair with the weight of the one found, mappings limited one way: "
+            "biased";
     if (!options.technique.empty()) {
-        dynamic.only_family = int(family_of(options.technique, families_of(DynamicScenes(scenes.old_scene, scenes.new_scene, edit))));
+        dynamic.only_family =
+            int(family_of(options.technique, families_of(DynamicScenes(scenes.old_scene, scenes.new_scene, edit))));
         dynamic.weighted = !options.raw;
-        plan += fmt::format("; a part of it: only paths found by {}, {}", options.technique, options.raw ? "raw: over the density of that technique alone" : "weighted against all techniques");
+        plan += fmt::format(
+            "; a part of it: only paths found by {}, {}", options.technique,
+            options.raw ? "raw: over the density of that technique alone" : "weighted against all techniques");
     }
     DynamicCounts counted;
-    Image image = render_dynamic(scenes, edit, dynamic, path, {options.first_sample, options.spp, options.threads}, report, counted);
+    Image image = render_dynamic(scenes, edit, dynamic, path, {options.first_sample, options.spp, options.threads},
+                                 report, counted);
     counts = counted.counts;
     if (!counted.effort.empty()) plan += "; " + counted.effort;
     if (counts.nonfinite > 0) report.warn("{} paths are not finite and left out", counts.nonfinite);
-    if (counted.n_unrelocated > 0) report.info("{} samples of ghosts lie on a segment that does not reach them (surfaces in one place)", counted.n_unrelocated);
+    if (counted.n_unrelocated > 0)
+        report.info("{} samples of ghosts lie on a segment that does not reach them (surfaces in one place)",
+                    counted.n_unrelocated);
     if (counted.controlled) {
-        const std::string weights = fmt::format("weight of the old picture {:.3g} to {:.3g}", counted.controlled->least, counted.controlled->most);
+        const std::string weights = fmt::format("weight of the old picture {:.3g} to {:.3g}", counted.controlled->least,
+                                                counted.controlled->most);
         report.info("{}", weights);
         plan += "; " + weights;
         controlled = std::move(counted.controlled);
@@ -156,27 +196,48 @@ void declare(app::Command& command, Options& options) {
     command.option("-D,--define", options.defines, "NAME=VALUE of a scene parameter $NAME, in both scenes");
     command.option("--old-define", options.old_defines, "the same in the old scene only, after -D");
     command.option("--new-define", options.new_defines, "the same in the new scene only, after -D");
-    command.option("--sensor", options.sensor, "sensor of both scenes, by id or by number from 0 in the order of the file (default: the first)");
-    command.file("--old", options.old_picture, "picture of the old scene (EXR with VarMean), also the --new of an edit before");
-    command.files("--old-graph", options.old_graph, "paths that loom-trace has traced in the old scene (.h5; its passes, one after the other): only those that the edit touches are "
-                                                    "traced again. Samples, seed, sampler and roulette are theirs, not --spp, --first-sample, --seed");
-    command.file("--residual", options.residual, "a residual made before, of passes or path graphs (loom-merge), to be added to --old: nothing is traced; method and seed are its own");
-    command.output("-o,--output", options.output, "the residual, new minus old: signed R, G, B with VarMean, and Albedo, N, Depth of the new scene");
+    command.option("--sensor", options.sensor,
+                   "sensor of both scenes, by id or by number from 0 in the order of the file (default: the first)");
+    command.file("--old", options.old_picture,
+                 "picture of the old scene (EXR with VarMean), also the --new of an edit before");
+    command.files("--old-graph", options.old_graph,
+                  "paths that loom-trace has traced in the old scene (.h5; its passes, one after the other): only "
+                  "those that the edit touches are "
+                  "traced again. Samples, seed, sampler and roulette are theirs, not --spp, --first-sample, --seed");
+    command.file("--residual", options.residual,
+                 "a residual made before, of passes or path graphs (loom-merge), to be added to --old: nothing is "
+                 "traced; method and seed are its own");
+    command.output("-o,--output", options.output,
+                   "the residual, new minus old: signed R, G, B with VarMean, and Albedo, N, Depth of the new scene");
     command.output("--new", options.new_picture, "picture of the new scene: --old plus the residual");
     command.output("--png", options.png, "preview of --new");
-    command.output("--residual-png", options.residual_png, "the residual in false colours: blue is darker now, red is brighter");
-    command.choice("--method", options.method, "pairs of paths with the same random numbers, with different ones, or those that meet the edit; auto: by a pilot",
-                   {{"auto", Method::automatic}, {"correlated", Method::correlated}, {"independent", Method::independent}, {"dynamic", Method::dynamic}});
-    command.flag("--no-mapping", options.no_mapping, "auto, dynamic: pair paths of the two scenes by their random numbers alone");
-    command.option("--technique", options.technique, "dynamic: only the paths that this technique finds, as a picture to look at; list: those of this edit");
-    command.flag("--as-printed", options.as_printed, "dynamic: weights and limits of mappings by the letter of the paper, to see their bias");
+    command.output("--residual-png", options.residual_png,
+                   "the residual in false colours: blue is darker now, red is brighter");
+    command.choice("--method", options.method,
+                   "pairs of paths with the same random numbers, with different ones, or those that meet the edit; "
+                   "auto: by a pilot",
+                   {{"auto", Method::automatic},
+                    {"correlated", Method::correlated},
+                    {"independent", Method::independent},
+                    {"dynamic", Method::dynamic}});
+    command.flag("--no-mapping", options.no_mapping,
+                 "auto, dynamic: pair paths of the two scenes by their random numbers alone");
+    command.option(
+        "--technique", options.technique,
+        "dynamic: only the paths that this technique finds, as a picture to look at; list: those of this edit");
+    command.flag("--as-printed", options.as_printed,
+                 "dynamic: weights and limits of mappings by the letter of the paper, to see their bias");
     command.flag("--raw", options.raw, "with --technique: not weighted against the other techniques");
     command.flag("--no-map", options.no_map, "auto: as many camera paths in every pixel");
     command.flag("--no-control", options.no_control, "auto: --new is --old plus the residual, without weights");
-    command.option("--spp", options.spp, "pairs of paths per pixel; auto spends what they would cost", app::Range<std::uint64_t>{1, 1u << 30});
+    command.option("--spp", options.spp, "pairs of paths per pixel; auto spends what they would cost",
+                   app::Range<std::uint64_t>{1, 1u << 30});
     command.option("--first-sample", options.first_sample, "number of the first sample of each pixel");
-    command.option("--seed", options.seed, "seed of all random numbers; with the same seed those of loom-trace are others, and those of each edit after an edit");
-    command.option("--max-depth", options.max_depth, "longest path in edges, in both scenes; -1: no limit", app::Range<int>{-1, 1 << 20});
+    command.option("--seed", options.seed,
+                   "seed of all random numbers; with the same seed those of loom-trace are others, and those of each "
+                   "edit after an edit");
+    command.option("--max-depth", options.max_depth, "longest path in edges, in both scenes; -1: no limit",
+                   app::Range<int>{-1, 1 << 20});
     command.threads(options.threads);
     command.flag("--plan", options.plan, "print the edit and what it calls for, and stop");
     command.example("loom-residual old.xml new.xml --old old.exr --spp 8 -o residual.exr --new new.exr");
@@ -190,7 +251,9 @@ std::string plan_of(Method method, const Edit& edit) {
     std::string plan;
     switch (method) {
         case Method::automatic:
-            plan = "on: camera paths with the same random numbers in both scenes, the old ones of those that the edit touches";
+            plan =
+                "on: camera paths with the same random numbers in both scenes, the old ones of those that the edit "
+                "touches";
             if (!sites.empty()) plan += "; if a pilot finds that they pay: " + sites.substr(0, sites.size() - 2);
             break;
         case Method::dynamic:
@@ -198,15 +261,20 @@ std::string plan_of(Method method, const Edit& edit) {
             if (!moves) plan += "; off: ghosts (nothing moves)";
             break;
         case Method::correlated:
-            plan = "on: correlated paths (same random numbers in both scenes, as asked: a path that meets nothing of the edit differs by 0)"
-                   "; off: independent paths (more noise for all but the largest edits)";
+            plan =
+                "on: correlated paths (same random numbers in both scenes, as asked: a path that meets nothing of the "
+                "edit differs by 0)"
+                "; off: independent paths (more noise for all but the largest edits)";
             break;
         case Method::independent:
-            plan = "on: independent paths (different random numbers in the two scenes, as asked); off: correlated paths (the noise of both pictures is in the residual)";
+            plan =
+                "on: independent paths (different random numbers in the two scenes, as asked); off: correlated paths "
+                "(the noise of both pictures is in the residual)";
             break;
     }
     if (method != Method::independent && edit.old_emitters.size() != edit.new_emitters.size())
-        plan += fmt::format("; joint choice of lights is off ({} lights, now {}: the same number picks another)", edit.old_emitters.size(), edit.new_emitters.size());
+        plan += fmt::format("; joint choice of lights is off ({} lights, now {}: the same number picks another)",
+                            edit.old_emitters.size(), edit.new_emitters.size());
     return plan;
 }
 
@@ -251,13 +319,15 @@ void run(const Options& options, app::Report& report) {
     const bool names_techniques = options.technique == "list";
     if (!options.plan && !names_techniques) check_endings(options);
     const std::string& new_file = options.new_scene.empty() ? options.old_scene : options.new_scene;
-    SceneDescription old_description = read_scene(options.old_scene, both(options.defines, options.old_defines), options.sensor);
+    SceneDescription old_description =
+        read_scene(options.old_scene, both(options.defines, options.old_defines), options.sensor);
     SceneDescription new_description = read_scene(new_file, both(options.defines, options.new_defines), options.sensor);
     const Edit edit = find_edit(old_description, new_description);
     std::string plan = plan_of(options.old_graph.empty() ? options.method : Method::correlated, edit);
     const std::string found = edit.nothing() ? "nothing differs" : fmt::format("{}", fmt::join(edit.changes, "\n"));
-    const std::string counted = fmt::format("shapes: {} dynamic, {} ghosts of them, {} look otherwise; lights: {} changed", edit.n_dynamic(), edit.n_ghosts(),
-                                            edit.n_dyed(), edit.n_emitters());
+    const std::string counted =
+        fmt::format("shapes: {} dynamic, {} ghosts of them, {} look otherwise; lights: {} changed", edit.n_dynamic(),
+                    edit.n_ghosts(), edit.n_dyed(), edit.n_emitters());
     if (options.plan) {
         std::string text = found + "\n";
         for (const std::string& note : edit.notes) text += "note: " + note + "\n";
@@ -274,7 +344,8 @@ void run(const Options& options, app::Report& report) {
     for (const std::string& note : new_scene->notes) report.info("{}", note);
     if (names_techniques) {
         std::string names;
-        for (const Family& family : families_of(DynamicScenes(*old_scene, *new_scene, edit))) names += std::string(family.name) + "\n";
+        for (const Family& family : families_of(DynamicScenes(*old_scene, *new_scene, edit)))
+            names += std::string(family.name) + "\n";
         report.answer(names);
         return;
     }
@@ -296,26 +367,39 @@ void run(const Options& options, app::Report& report) {
         graph = read_old_graph(options.old_graph, *old_scene, old_name, path.max_depth);
         path.seed = graph.path.seed;
         if (!options.new_picture.empty() && graph.spp < 2)
-            throw InputError(fmt::format("{}: one sample per pixel has no variance, so that --new could not say its own; at least 2", options.old_graph[0]));
-        same = !options.old_picture.empty() && old_picture.ledger.empty() && same_samples(old_picture, options.old_picture, graph);
+            throw InputError(
+                fmt::format("{}: one sample per pixel has no variance, so that --new could not say its own; at least 2",
+                            options.old_graph[0]));
+        same = !options.old_picture.empty() && old_picture.ledger.empty() &&
+               same_samples(old_picture, options.old_picture, graph);
     }
     Image residual;
     std::optional<ControlledPicture> controlled;
     GraphResidual of_graph;
     if (made) residual = read_residual(options.residual, *new_scene, new_name);
-    if (!same) check_numbers(before, made ? residual.ledger[0].method : stored ? old_graph_method : method_name(options.method), made ? residual.ledger[0].seed : path.seed);
+    if (!same)
+        check_numbers(before,
+                      made     ? residual.ledger[0].method
+                      : stored ? old_graph_method
+                               : method_name(options.method),
+                      made ? residual.ledger[0].seed : path.seed);
     if (stored) {
-        of_graph = render_residual({*old_scene, *new_scene}, edit, graph, options.threads, same ? &old_picture : nullptr, report);
+        of_graph = render_residual({*old_scene, *new_scene}, edit, graph, options.threads,
+                                   same ? &old_picture : nullptr, report);
         residual = of_graph.image;
         counts = of_graph.counts;
         plan += "; old graph: " + of_graph.summary();
         report.info("old graph: {}", of_graph.summary());
-        if (same) report.info("{}: is of the graph's own samples, and so the sum is what these are in the new scene", options.old_picture);
+        if (same)
+            report.info("{}: is of the graph's own samples, and so the sum is what these are in the new scene",
+                        options.old_picture);
     } else if (!made) {
         residual = options.method == Method::automatic || options.method == Method::dynamic
-                       ? render_by_dynamic_paths({*old_scene, *new_scene}, edit, options, path, options.new_picture.empty() ? nullptr : &old_picture, report, counts, plan,
-                                                 controlled)
-                       : render_residual({*old_scene, *new_scene}, options.method, path, {options.first_sample, options.spp, options.threads}, report, counts);
+                       ? render_by_dynamic_paths({*old_scene, *new_scene}, edit, options, path,
+                                                 options.new_picture.empty() ? nullptr : &old_picture, report, counts,
+                                                 plan, controlled)
+                       : render_residual({*old_scene, *new_scene}, options.method, path,
+                                         {options.first_sample, options.spp, options.threads}, report, counts);
     }
     const std::string how = made ? residual.provenance.plan : plan;
     residual.provenance.stage = report.name();
@@ -323,8 +407,10 @@ void run(const Options& options, app::Report& report) {
     if (!made) residual.provenance.seed = stored ? path.seed : options.seed;
     const std::string in_words = edit.nothing() ? "nothing differs" : fmt::format("{}", fmt::join(edit.changes, "; "));
     residual.provenance.plan = how.starts_with("edit: ") ? how : fmt::format("edit: {}; {}", in_words, how);
-    residual.provenance.inputs = {{old_name, content_hash_text(old_scene->content_hash)}, {new_name, content_hash_text(new_scene->content_hash)}};
-    for (std::size_t i = 0; i < graph.passes.size(); ++i) residual.provenance.inputs.push_back(identify_by_header(graph.passes[i], graph.files[i]));
+    residual.provenance.inputs = {{old_name, content_hash_text(old_scene->content_hash)},
+                                  {new_name, content_hash_text(new_scene->content_hash)}};
+    for (std::size_t i = 0; i < graph.passes.size(); ++i)
+        residual.provenance.inputs.push_back(identify_by_header(graph.passes[i], graph.files[i]));
     residual.ledger.back().what = in_words;
     residual.ledger.back().scene = residual.provenance.inputs[1];
 
@@ -361,8 +447,8 @@ void run(const Options& options, app::Report& report) {
         write(sum, options.new_picture);
         if (!options.png.empty()) write_png(sum, options.png);
     }
-    report.done("{}: {} pairs of paths, {} vertices, {} rays, {} samples not finite", file_name(last_output), cost.samples, counts.vertices, counts.rays,
-                counts.nonfinite);
+    report.done("{}: {} pairs of paths, {} vertices, {} rays, {} samples not finite", file_name(last_output),
+                cost.samples, counts.vertices, counts.rays, counts.nonfinite);
 }
 
 }  // namespace loom::residual

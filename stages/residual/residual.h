@@ -7,8 +7,8 @@
 #include <vector>
 
 #include "formats/image.h"
-#include "stages/residual/edit.h"
 #include "stages/residual/dynamic_estimator.h"
+#include "stages/residual/edit.h"
 #include "stages/residual/estimators.h"
 
 namespace loom::app {
@@ -21,25 +21,25 @@ namespace loom::residual {
 struct Options {
     std::string old_scene, new_scene;  // Mitsuba XML; no new_scene: the same file with other values
     std::vector<std::string> defines, old_defines, new_defines;  // name=value: of both, of one after those of both
-    std::string sensor;  // of both: id or number, from 0; empty: the first
-    std::string old_picture;           // of the old scene, with VarMean
+    std::string sensor;                                          // of both: id or number, from 0; empty: the first
+    std::string old_picture;                                     // of the old scene, with VarMean
     std::vector<std::string> old_graph;  // passes over the old scene: only paths that the edit touches are traced
-    std::string residual;              // made before: nothing is traced
-    std::string output, new_picture;   // the residual, and the sum of the two
-    std::string png, residual_png;     // previews of the sum, and of the residual in false colours
+    std::string residual;                // made before: nothing is traced
+    std::string output, new_picture;     // the residual, and the sum of the two
+    std::string png, residual_png;       // previews of the sum, and of the residual in false colours
     Method method = Method::automatic;
-    bool no_mapping = false;           // auto, dynamic: no path mappings
-    bool no_map = false;               // auto: as many camera paths in every pixel
-    bool no_control = false;           // auto: --new is --old plus the residual, without weights
-    std::string technique;             // dynamic: a picture of the paths of this family alone; list: its names
-    bool as_printed = false;           // dynamic: weights and Jacobian limit by the letter of [RP], biased
-    bool raw = false;                  // of a technique: each path divided by the density of its own technique alone
-    std::uint64_t spp = 4;             // pairs of paths per pixel, or what they would cost
+    bool no_mapping = false;  // auto, dynamic: no path mappings
+    bool no_map = false;      // auto: as many camera paths in every pixel
+    bool no_control = false;  // auto: --new is --old plus the residual, without weights
+    std::string technique;    // dynamic: a picture of the paths of this family alone; list: its names
+    bool as_printed = false;  // dynamic: weights and Jacobian limit by the letter of [RP], biased
+    bool raw = false;         // of a technique: each path divided by the density of its own technique alone
+    std::uint64_t spp = 4;    // pairs of paths per pixel, or what they would cost
     std::uint64_t first_sample = 0;
     std::uint64_t seed = 0;
-    std::optional<int> max_depth;      // of the scene files when unset
-    int threads = 0;                   // 0: all
-    bool plan = false;                 // print the edit, and stop
+    std::optional<int> max_depth;  // of the scene files when unset
+    int threads = 0;               // 0: all
+    bool plan = false;             // print the edit, and stop
 };
 
 void declare(app::Command& command, Options& options);
@@ -52,12 +52,13 @@ std::string plan_of(Method method, const Edit& edit);
 
 /// old + residual.
 ///   L = L_old + delta_L,  var_mean = var_mean_old + var_mean_delta: their samples are independent (seed_of_edit)
-/// out:     image  R, G, B, VarMean; Albedo, N, Depth of the residual, which has those of the new scene; samples: of both;
+/// out:     image  R, G, B, VarMean; Albedo, N, Depth of the residual, which has those of the new scene; samples: of
+///          both;
 ///                 ledger: the old picture's and the residual's link, whose scene it shows
 /// needs:   both to have VarMean and one size, the residual its link
 Image add_residual(const Image& old_picture, const Image& residual);
-/// The same of a picture that the old one is the control variate of: its ledger, in which the links of the old picture have what is
-/// left of their variances, and the edit's that of its own samples.
+/// The same of a picture that the old one is the control variate of: its ledger, in which the links of the old picture
+/// have what is left of their variances, and the edit's that of its own samples.
 Image take_controlled(const Image& old_picture, const Image& residual, ControlledPicture controlled);
 
 }  // namespace loom::residual

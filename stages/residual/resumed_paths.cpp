@@ -9,7 +9,9 @@
 namespace loom::residual {
 namespace {
 
-bool same_bits(const Vector3f& a, const Vector3f& b) { return std::memcmp(&a, &b, sizeof a) == 0; }
+bool same_bits(const Vector3f& a, const Vector3f& b) {
+    return std::memcmp(&a, &b, sizeof a) == 0;
+}
 
 }  // namespace
 
@@ -20,8 +22,10 @@ ResumedPaths::ResumedPaths(const Scene& new_scene, const EditReach& reach, const
 }
 
 void ResumedPaths::add_light(PathPair& pair, const Spectrum& light, std::uint32_t ray) {
-    if (ray == is_seen && first_term_ == terms_.size()) pair.after += light;
-    else terms_.push_back({&pair, light, ray});
+    if (ray == is_seen && first_term_ == terms_.size())
+        pair.after += light;
+    else
+        terms_.push_back({&pair, light, ray});
 }
 
 void ResumedPaths::ask(PathPair& pair, const ShadowRequest& shadow) {
@@ -31,20 +35,23 @@ void ResumedPaths::ask(PathPair& pair, const ShadowRequest& shadow) {
 
 ShadingPoint ResumedPaths::repainted(const ShadingPoint& here, std::uint32_t shape) const {
     const Material* material = &scene_.materials[std::size_t(reach_.repainted[shape])];
-    if (material->back >= 0 && dot(here.frame.n, here.wo) < 0) material = &scene_.materials[std::size_t(material->back)];
+    if (material->back >= 0 && dot(here.frame.n, here.wo) < 0)
+        material = &scene_.materials[std::size_t(material->back)];
     ShadingPoint there = here;
     there.bsdf = Bsdf<float>(material->model);
     return there;
 }
 
-bool ResumedPaths::sample_light_again(const ShadingPoint& here, std::uint32_t shape, float q, int depth, const PathState& path, ShadowRequest& shadow) const {
+bool ResumedPaths::sample_light_again(const ShadingPoint& here, std::uint32_t shape, float q, int depth,
+                                      const PathState& path, ShadowRequest& shadow) const {
     LightQuery lights;
     lights.u = path.sampler.pair(dimension(depth, Place::light));
     look_up_light(scene_, lights);
     return sample_next_event<false>(scene_, path, here, shape, q, lights, shadow, 0);
 }
 
-void ResumedPaths::add(const StoredPaths& paths, const PathChange& change, std::span<const std::uint32_t> again, PathPair& pair) {
+void ResumedPaths::add(const StoredPaths& paths, const PathChange& change, std::span<const std::uint32_t> again,
+                       PathPair& pair) {
     const PathGraph& g = paths.graph();
     const auto& v = g.vertices;
     const auto& e = g.light_edges;
@@ -54,7 +61,9 @@ void ResumedPaths::add(const StoredPaths& paths, const PathChange& change, std::
     Spectrum beta(1);         // in the old one
     pair.before = rgb(g.paths.Le, change.path);
     // A light that is relit sends the same to wherever it has been seen from.
-    const auto new_light = [&](std::size_t emitter, const Spectrum& old_light) { return reach_.relit[emitter] ? scene_.emitters[emitter].radiance : old_light; };
+    const auto new_light = [&](std::size_t emitter, const Spectrum& old_light) {
+        return reach_.relit[emitter] ? scene_.emitters[emitter].radiance : old_light;
+    };
     pair.after = Spectrum(0);
     if (change.cut > 0) {
         const int seen = paths.seen_emitter(change.path);
@@ -64,7 +73,10 @@ void ResumedPaths::add(const StoredPaths& paths, const PathChange& change, std::
 
     // The new path is followed as long as it goes along the old one. From vertex `end` on it has nothing of its own.
     bool along = change.cut > 0, resumes = !along, other_weight = false;
-    const std::size_t end = change.cut != PathChange::never ? first + change.cut : change.repainted ? last : again.empty() ? first : again.back() + 1;
+    const std::size_t end = change.cut != PathChange::never ? first + change.cut
+                            : change.repainted              ? last
+                            : again.empty()                 ? first
+                                                            : again.back() + 1;
     std::size_t k = change.edge;
     for (std::size_t j = first; j < last; ++j) {
         const auto done = [&] { return (!along || j >= end) && (k == e.vertex.size() || e.vertex[k] >= last); };
@@ -76,17 +88,20 @@ void ResumedPaths::add(const StoredPaths& paths, const PathChange& change, std::
         const bool ask_again = along && !again.empty() && again.front() == j;
         const bool repaint = along && reach_.repainted[v.shape[j]] >= 0;
         // Roulette goes by the throughput of the path.
-        const bool other_survival = other_weight && options_.roulette == Roulette::throughput && depth >= options_.rr_depth;
+        const bool other_survival =
+            other_weight && options_.roulette == Roulette::throughput && depth >= options_.rr_depth;
         const bool step_again = along && (repaint || other_survival) && depth != options_.max_depth;
         if (ask_again) again = again.subspan(1);
         if (along) ++path.result.n_vertices;
 
         bool seen = false;
-        for (; k < e.vertex.size() && e.vertex[k] == j && e.technique[k] == std::uint8_t(LightTechnique::next_event); ++k) {
+        for (; k < e.vertex.size() && e.vertex[k] == j && e.technique[k] == std::uint8_t(LightTechnique::next_event);
+             ++k) {
             const float weight = power_heuristic(e.pdf_nee_w[k], e.pdf_bsdf_w[k]) / e.pdf_nee_w[k];
             const Spectrum f_cos = vertex.f_cos(paths.reader().light_direction(p, k));
             pair.before += beta * f_cos * rgb(e.Li, k) * weight;
-            if (along && !ask_again && !step_again) add_light(pair, path.beta * f_cos * new_light(e.emitter[k], rgb(e.Li, k)) * weight);
+            if (along && !ask_again && !step_again)
+                add_light(pair, path.beta * f_cos * new_light(e.emitter[k], rgb(e.Li, k)) * weight);
             seen = true;
         }
         if (done()) break;
@@ -101,12 +116,18 @@ void ResumedPaths::add(const StoredPaths& paths, const PathChange& change, std::
             lights.u = sampler.pair(dimension(depth, Place::light));
             look_up_light(scene_, lights);
             ShadowRequest shadow;
-            const Step step = leave<false>(scene_, options_, depth, there, v.shape[j], lights, sampler.pair(dimension(depth, Place::direction)), path, shadow, {});
+            const Step step = leave<false>(scene_, options_, depth, there, v.shape[j], lights,
+                                           sampler.pair(dimension(depth, Place::direction)), path, shadow, {});
             if (has(step, Step::asks_shadow)) {
-                const auto was_asked = [&] { return !is_black(f_cos_pdf(here, sample_light(scene_, here.p, lights).wi).f_cos); };
-                if (ask_again) ask(pair, shadow);
-                else if (seen) add_light(pair, shadow.contribution);
-                else if (!was_asked()) ask(pair, shadow);
+                const auto was_asked = [&] {
+                    return !is_black(f_cos_pdf(here, sample_light(scene_, here.p, lights).wi).f_cos);
+                };
+                if (ask_again)
+                    ask(pair, shadow);
+                else if (seen)
+                    add_light(pair, shadow.contribution);
+                else if (!was_asked())
+                    ask(pair, shadow);
             }
             const bool goes_on = has(step, Step::goes_on);
             along = goes_on && path.lobe == Lobe(v.lobe[j]) && same_bits(path.ray.d, wi());
@@ -131,7 +152,8 @@ void ResumedPaths::add(const StoredPaths& paths, const PathChange& change, std::
         for (; k < e.vertex.size() && e.vertex[k] == j; ++k) {
             const Spectrum Li = rgb(e.Li, k);
             pair.before += beta * Li * power_heuristic(e.pdf_bsdf_w[k], e.pdf_nee_w[k]);
-            if (along) add_light(pair, path.beta * new_light(e.emitter[k], Li) * power_heuristic(path.pdf_w, e.pdf_nee_w[k]));
+            if (along)
+                add_light(pair, path.beta * new_light(e.emitter[k], Li) * power_heuristic(path.pdf_w, e.pdf_nee_w[k]));
         }
     }
     if (!resumes) return;

@@ -10,12 +10,13 @@
 
 namespace loom::residual {
 
-/// What the columns do not hold follows from a path's own random numbers. Scene and graph are borrowed. Vertices are rows of the
-/// graph.
+/// What the columns do not hold follows from a path's own random numbers. Scene and graph are borrowed. Vertices are
+/// rows of the graph.
 class StoredPaths {
   public:
     /// in:      options  with which the graph was traced in the scene
-    StoredPaths(const Scene& scene, const GraphReader& reader, const PathOptions& options) : scene_(scene), reader_(reader), options_(options) {}
+    StoredPaths(const Scene& scene, const GraphReader& reader, const PathOptions& options)
+        : scene_(scene), reader_(reader), options_(options) {}
 
     const Scene& scene() const { return scene_; }
     const GraphReader& reader() const { return reader_; }
@@ -32,11 +33,13 @@ class StoredPaths {
     }
     Ray camera_ray(std::size_t path) const {
         const std::uint64_t pixel = id(path).pixel;
-        return scene_.sensor.sample_ray(std::uint32_t(pixel % graph().sensor.width), std::uint32_t(pixel / graph().sensor.width), sampler(path).pair(film_pair));
+        return scene_.sensor.sample_ray(std::uint32_t(pixel % graph().sensor.width),
+                                        std::uint32_t(pixel / graph().sensor.width), sampler(path).pair(film_pair));
     }
     Point3f camera(std::size_t path) const {
         const auto& origin = graph().paths.origin;
-        return origin.empty() ? scene_.sensor.origin : Point3f{origin[3 * path], origin[3 * path + 1], origin[3 * path + 2]};
+        return origin.empty() ? scene_.sensor.origin
+                              : Point3f{origin[3 * path], origin[3 * path + 1], origin[3 * path + 2]};
     }
     /// Emitter that the camera has seen; -1: none.
     int seen_emitter(std::size_t path) const {
@@ -55,7 +58,9 @@ class StoredPaths {
         const auto& v = graph().vertices;
         return unit_vector<Normal3f>(v.ng.empty() ? v.ns : v.ng, vertex);
     }
-    RayEnd end(std::size_t vertex) const { return {position(vertex), ng(vertex), scene_.shapes[graph().vertices.shape[vertex]].hit_error}; }
+    RayEnd end(std::size_t vertex) const {
+        return {position(vertex), ng(vertex), scene_.shapes[graph().vertices.shape[vertex]].hit_error};
+    }
     /// All of a vertex, the very one that the tracer had.
     ShadingPoint shading_point(std::size_t vertex) const {
         ShadingPoint here = reader_.vertex(vertex);
@@ -83,7 +88,8 @@ class StoredPaths {
     PathOptions options_;
 };
 
-/// A vertex that is asked for a few things only: what a plain matte surface does follows from cosines alone, without a frame.
+/// A vertex that is asked for a few things only: what a plain matte surface does follows from cosines alone, without a
+/// frame.
 class StoredVertex {
   public:
     StoredVertex(const StoredPaths& paths, std::size_t vertex) : paths_(paths), vertex_(vertex) {
@@ -91,7 +97,8 @@ class StoredVertex {
         const std::size_t material = g.vertices.material[vertex];
         const BsdfModel& model = paths.reader().model(material);
         const std::uint8_t textured = g.materials.textured[material];
-        matte_ = model.kind == BsdfKind::diffuse && model.opacity == 1 && !(textured & textured_parameter::opacity) && g.vertices.n_side.empty();
+        matte_ = model.kind == BsdfKind::diffuse && model.opacity == 1 && !(textured & textured_parameter::opacity) &&
+                 g.vertices.n_side.empty();
         if (!matte_) return;
         bsdf_.diffuse = textured & textured_parameter::diffuse ? paths.reader().bsdf(vertex).diffuse : model.diffuse;
         n_ = unit_vector<Normal3f>(g.vertices.ns, vertex);
@@ -137,7 +144,8 @@ class FirstHits {
   public:
     explicit FirstHits(const StoredPaths& paths) : paths_(paths) {
         for (std::size_t i = 0; i < paths.graph().materials.kind.size(); ++i)
-            for (const float side : {1.0f, -1.0f}) matte_.push_back(albedo(Bsdf<float>(paths.reader().model(i)), {0, 0, side}));
+            for (const float side : {1.0f, -1.0f})
+                matte_.push_back(albedo(Bsdf<float>(paths.reader().model(i)), {0, 0, side}));
     }
 
     FirstHit of(std::size_t path) {
@@ -151,15 +159,17 @@ class FirstHits {
         }
         const Vector3f v = paths_.position(j) - paths_.camera(path);
         const std::size_t material = g.vertices.material[j];
-        const bool matte = paths_.reader().model(material).kind == BsdfKind::diffuse && g.materials.textured[material] == 0;
+        const bool matte =
+            paths_.reader().model(material).kind == BsdfKind::diffuse && g.materials.textured[material] == 0;
         // An albedo depends on the angle to the normal alone, a matte one on the side.
-        return {matte ? matte_[2 * material + (dot(v, last_normal_) > 0)] : albedo(paths_.reader().bsdf(j), {0, 0, dot(-paths_.arrival(j), last_normal_)}), last_normal_,
-                length(v)};
+        return {matte ? matte_[2 * material + (dot(v, last_normal_) > 0)]
+                      : albedo(paths_.reader().bsdf(j), {0, 0, dot(-paths_.arrival(j), last_normal_)}),
+                last_normal_, length(v)};
     }
 
   private:
     const StoredPaths& paths_;
-    std::vector<Spectrum> matte_;  // by material and side, of matte ones without texture
+    std::vector<Spectrum> matte_;         // by material and side, of matte ones without texture
     std::int16_t last_code_[2] = {0, 0};  // of a normal, and that normal: neighbours lie on one surface
     Normal3f last_normal_{0, 0, 1};
 };

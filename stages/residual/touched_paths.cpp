@@ -6,7 +6,8 @@
 namespace loom::residual {
 namespace {
 
-/// A segment ends this much behind the point that it leads to: a surface of the edit may lie in the very place of another.
+/// A segment ends this much behind the point that it leads to: a surface of the edit may lie in the very place of
+/// another.
 float beyond(float t, const Point3f& p) {
     constexpr float slack = 1e-5f;
     return t * (1 + slack) + slack * std::max({std::abs(p.x), std::abs(p.y), std::abs(p.z)});
@@ -16,7 +17,8 @@ constexpr std::size_t queue_size = 1024;
 
 }  // namespace
 
-TouchedPaths::TouchedPaths(const StoredPaths& paths, const EditReach& reach) : paths_(paths), reach_(reach), candidates_(paths.scene(), reach, paths.graph()) {
+TouchedPaths::TouchedPaths(const StoredPaths& paths, const EditReach& reach)
+    : paths_(paths), reach_(reach), candidates_(paths.scene(), reach, paths.graph()) {
     for (Queue* queue : {&through_, &blocked_}) queue->rays.reserve(2 * queue_size);
 }
 
@@ -32,7 +34,9 @@ void TouchedPaths::look_at_failed_light(std::size_t path, std::size_t j) {
     if (reach_.emitters[light.emitter]) return sample_again(in_block, vertex);
     if (!may_be_freed || !light.asked) return;
     if (light.at_infinity ? reach_.old_places.may_meet(p, Vector3f(light.y)) : reach_.old_places.may_meet(p, light.y))
-        blocked_.add(light.at_infinity ? spawn_ray(paths_.end(j), Vector3f(light.y)) : spawn_segment(paths_.end(j), {light.y}), {in_block, vertex, false});
+        blocked_.add(
+            light.at_infinity ? spawn_ray(paths_.end(j), Vector3f(light.y)) : spawn_segment(paths_.end(j), {light.y}),
+            {in_block, vertex, false});
 }
 
 TouchedPaths::FailedLight TouchedPaths::failed_light(std::size_t path, std::size_t j, const Point3f& p) const {
@@ -43,14 +47,15 @@ TouchedPaths::FailedLight TouchedPaths::failed_light(std::size_t path, std::size
         const bool at_infinity = m.y[4 * k + 3] == 0;
         return {m.emitter[k], y, at_infinity, at_infinity || !(y == p)};
     }
-    const LightSample light = sample_light(paths_.scene(), p, paths_.sampler(path).pair(dimension(paths_.depth(path, j), Place::light)));
+    const LightSample light =
+        sample_light(paths_.scene(), p, paths_.sampler(path).pair(dimension(paths_.depth(path, j), Place::light)));
     return {light.emitter, light.at_infinity ? Point3f(light.wi) : light.y, light.at_infinity, light.pdf_w > 0};
 }
 
 void TouchedPaths::look_at(std::size_t path) {
     const PathGraph& g = paths_.graph();
-    const auto &v = g.vertices;
-    const auto &e = g.light_edges;
+    const auto& v = g.vertices;
+    const auto& e = g.light_edges;
     const std::size_t first = g.paths.first_vertex[path], last = g.paths.first_vertex[path + 1], edges = next_edge_;
     while (next_edge_ < e.vertex.size() && e.vertex[next_edge_] < last) ++next_edge_;
     const std::uint32_t in_block = std::uint32_t(path - begin_), n = std::uint32_t(last - first);
@@ -58,7 +63,9 @@ void TouchedPaths::look_at(std::size_t path) {
     const Scene& scene = paths_.scene();
     if (!reach_.everything.empty()) return cut(in_block, 0);
 
-    if (const int seen = reach_.any_relit ? paths_.seen_emitter(path) : -1; seen >= 0 && reach_.relit[std::size_t(seen)]) touched_[in_block] = 1;
+    if (const int seen = reach_.any_relit ? paths_.seen_emitter(path) : -1;
+        seen >= 0 && reach_.relit[std::size_t(seen)])
+        touched_[in_block] = 1;
     if (first == last) {
         if (reach_.sky) return cut(in_block, 0);
         if (ahead.empty()) return;
@@ -81,7 +88,8 @@ void TouchedPaths::look_at(std::size_t path) {
         if (reach_.relit[emitter]) touched_[in_block] = 1;
         if (e.technique[k] == std::uint8_t(LightTechnique::bsdf_hit)) {
             // A ray may have ended on a shape that only shines.
-            if (reach_.emitters[emitter] || (e.y[4 * k + 3] == 1 && reach_.shapes[scene.emitters[emitter].shape])) cut(in_block, std::uint32_t(e.vertex[k] - first + 1));
+            if (reach_.emitters[emitter] || (e.y[4 * k + 3] == 1 && reach_.shapes[scene.emitters[emitter].shape]))
+                cut(in_block, std::uint32_t(e.vertex[k] - first + 1));
         } else if (reach_.emitters[emitter]) {
             sample_again(in_block, std::uint32_t(e.vertex[k] - first_vertex_));
         }
@@ -102,7 +110,8 @@ void TouchedPaths::look_at(std::size_t path) {
         }
         bool light_found = false, hit_found = false;
         for (; k < next_edge_ && e.vertex[k] == j; ++k) {
-            const bool by_hit = e.technique[k] == std::uint8_t(LightTechnique::bsdf_hit), at_infinity = e.y[4 * k + 3] == 0;
+            const bool by_hit = e.technique[k] == std::uint8_t(LightTechnique::bsdf_hit),
+                       at_infinity = e.y[4 * k + 3] == 0;
             (by_hit ? hit_found : light_found) = true;
             if (ahead.empty() || (by_hit && number + 1 >= end)) continue;
             const Point3f y{e.y[4 * k], e.y[4 * k + 1], e.y[4 * k + 2]};
@@ -123,7 +132,8 @@ void TouchedPaths::look_at(std::size_t path) {
         if (!light_found) look_at_failed_light(path, j);
         if (j + 1 < last || n >= end) continue;
         const Ending ending = ending_of(v.flags[j]);
-        if ((ending == Ending::escaped && reach_.sky) || (ending == Ending::hit_emitter && !hit_found && reach_.dark_light)) {
+        if ((ending == Ending::escaped && reach_.sky) ||
+            (ending == Ending::hit_emitter && !hit_found && reach_.dark_light)) {
             cut(in_block, n);
         } else if ((ending == Ending::escaped || ending == Ending::hit_emitter) && !hit_found && !ahead.empty()) {
             const Ray ray = paths_.sampled_ray(path, j);
@@ -142,8 +152,10 @@ void TouchedPaths::answer(Queue& queue, const Obstacles& obstacles) {
     for (std::size_t i = 0; i < n; ++i) {
         if (!met[i]) continue;
         const Asked& asked = queue.asked[i];
-        if (asked.arrives) cut(asked.path, asked.vertex);
-        else sample_again(asked.path, asked.vertex);
+        if (asked.arrives)
+            cut(asked.path, asked.vertex);
+        else
+            sample_again(asked.path, asked.vertex);
     }
     queue.rays.clear();
     queue.asked.clear();

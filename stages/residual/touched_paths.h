@@ -15,10 +15,11 @@ namespace loom::residual {
 struct PathChange {
     static constexpr std::uint32_t never = ~0u;
     std::size_t path = 0, edge = 0;  // of the graph; first light edge of it, or of a later one
-    std::uint32_t cut = never;       // number within the path, from 0, of the first vertex whose ray may be another; n: the ray
-                                     // that left the last of n and found no vertex
-    bool repainted = false;          // a vertex before that lies on EditReach::repainted
-    std::uint32_t n_again = 0;       // vertices before that whose light sample may be another, or be answered otherwise
+    // number within the path, from 0, of the first vertex whose ray may be another; n: the ray that left the last of n
+    // and found no vertex
+    std::uint32_t cut = never;
+    bool repainted = false;     // a vertex before that lies on EditReach::repainted
+    std::uint32_t n_again = 0;  // vertices before that whose light sample may be another, or be answered otherwise
 };
 
 /// Those of many paths, in order.
@@ -31,14 +32,15 @@ struct PathChanges {
     }
 };
 
-/// Looks for paths that may be others, or worth something else, in the new scene with the same random numbers. [METHODS 2.3]
+/// Looks for paths that may be others, or worth something else, in the new scene with the same random numbers. [METHODS
+/// 2.3]
 ///
-/// A path is the same to the last bit if no vertex lies on what the edit changed, no light that it sampled is changed, and
-/// every ray answers as before: those that went through (to the next vertex, to a light, out of the scene) if nothing stands
-/// in their way at its new place; those that did not (shadow rays) if nothing stood in their way at its old place, for then
-/// what blocked them is still there. Most rays can be read off the graph. What it does not keep is drawn once more by the
-/// path's own random numbers: light samples that failed, directions of rays that found nothing, camera rays that escaped.
-/// A ray that leads to what the edit changed counts as one that may be another.
+/// A path is the same to the last bit if no vertex lies on what the edit changed, no light that it sampled is changed,
+/// and every ray answers as before: those that went through (to the next vertex, to a light, out of the scene) if
+/// nothing stands in their way at its new place; those that did not (shadow rays) if nothing stood in their way at its
+/// old place, for then what blocked them is still there. Most rays can be read off the graph. What it does not keep is
+/// drawn once more by the path's own random numbers: light samples that failed, directions of rays that found nothing,
+/// camera rays that escaped. A ray that leads to what the edit changed counts as one that may be another.
 /// One belongs to one thread.
 class TouchedPaths {
   public:
@@ -52,8 +54,9 @@ class TouchedPaths {
   private:
     /// Rays of a block that wait for an answer, and what becomes another if they meet something.
     struct Asked {
-        std::uint32_t path, vertex;  // from the begin of the block; for an arriving ray the vertex's number within the path
-        bool arrives;                // else it is a shadow ray
+        std::uint32_t path,
+            vertex;    // from the begin of the block; for an arriving ray the vertex's number within the path
+        bool arrives;  // else it is a shadow ray
     };
     struct Queue {
         std::vector<Ray> rays;
@@ -66,8 +69,8 @@ class TouchedPaths {
     /// A light sample that was not seen: off the graph, or drawn once more.
     struct FailedLight {
         std::uint16_t emitter;
-        Point3f y;               // or the direction towards it
-        bool at_infinity, asked; // asked: a shadow ray may have been
+        Point3f y;                // or the direction towards it
+        bool at_infinity, asked;  // asked: a shadow ray may have been
     };
     /// Of a vertex at p.
     FailedLight failed_light(std::size_t path, std::size_t vertex, const Point3f& p) const;

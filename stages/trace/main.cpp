@@ -1,6 +1,5 @@
-#include "stages/trace/trace.h"
-
 #include "stages/core/app/command.h"
+#include "stages/trace/trace.h"
 
 int main(int argc, char** argv) {
     using namespace loom;

@@ -15,11 +15,14 @@ std::string text(const NormalCode& code) {
     const auto n = unit_from_octahedral(code[0], code[1]);
     return text(Vector3f{n[0], n[1], n[2]});
 }
-std::string text(const Spectrum& v) { return fmt::format("({:.6g}, {:.6g}, {:.6g})", v.r, v.g, v.b); }
+std::string text(const Spectrum& v) {
+    return fmt::format("({:.6g}, {:.6g}, {:.6g})", v.r, v.g, v.b);
+}
 
 std::string_view lobe_name(Lobe lobe) {
-    static constexpr std::string_view names[] = {"none",             "diffuse",            "glossy reflection", "glossy transmission",
-                                                 "delta reflection", "delta transmission", "null"};
+    static constexpr std::string_view names[] = {
+        "none", "diffuse", "glossy reflection", "glossy transmission", "delta reflection", "delta transmission",
+        "null"};
     return names[int(lobe)];
 }
 
@@ -31,18 +34,22 @@ std::string replay(const Scene& scene, const PathOptions& options, const std::st
     if (std::sscanf(place.c_str(), "%llu,%llu,%llu%c", &x, &y, &sample, &tail) != 3)
         throw InputError(fmt::format("--replay {}: expected X,Y,SAMPLE", place));
     if (x >= scene.sensor.width || y >= scene.sensor.height)
-        throw InputError(fmt::format("--replay {}: the film has {} x {} pixels", place, scene.sensor.width, scene.sensor.height));
+        throw InputError(
+            fmt::format("--replay {}: the film has {} x {} pixels", place, scene.sensor.width, scene.sensor.height));
     PathRecords record;
     const PathResult r = trace_path(scene, options, {y * scene.sensor.width + x, sample}, record);
-    std::string out = fmt::format("pixel ({}, {}), sample {}: L = {}, of it seen directly {}; {} vertices, {} rays\n", x, y,
-                                  sample, text(r.L), text(record.paths[0].Le), r.n_vertices, r.n_rays);
+    std::string out = fmt::format("pixel ({}, {}), sample {}: L = {}, of it seen directly {}; {} vertices, {} rays\n",
+                                  x, y, sample, text(r.L), text(record.paths[0].Le), r.n_vertices, r.n_rays);
     std::size_t edge = 0;
     for (std::size_t j = 0; j < record.vertices.size(); ++j) {
         const VertexRecord& v = record.vertices[j];
         out += fmt::format("x{}  p {}  n {}  shape {}  material {}\n", j + 1, text(v.p), text(v.ns),
                            scene.shapes[v.shape].id, scene.materials[v.material].id);
-        out += fmt::format("    wo {}  lobe {}  pdf_w {:.6g}  q {:.4g}  eta {:.5g}  {}\n", text(v.wo), lobe_name(v.lobe),
-                           v.pdf_w, v.q, v.eta, (v.flags & vertex_flag::continued) ? "continued" : fmt::format("ends: {}", ending_name(ending_of(v.flags))));
+        out +=
+            fmt::format("    wo {}  lobe {}  pdf_w {:.6g}  q {:.4g}  eta {:.5g}  {}\n", text(v.wo), lobe_name(v.lobe),
+                        v.pdf_w, v.q, v.eta,
+                        (v.flags & vertex_flag::continued) ? "continued"
+                                                           : fmt::format("ends: {}", ending_name(ending_of(v.flags))));
         for (; edge < record.light_edges.size() && record.light_edges[edge].vertex == j; ++edge) {
             const LightEdgeRecord& e = record.light_edges[edge];
             out += fmt::format("    light {}  y {}{}  Li {}  pdf_nee_w {:.6g}  pdf_bsdf_w {:.6g}  emitter {}\n",

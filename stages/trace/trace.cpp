@@ -44,7 +44,8 @@ struct PictureWorker : Worker {
     NonfiniteLog& nonfinite;
     Film& film;
     PixelSums sums;
-    PictureWorker(const Scene& scene, const PathOptions& path, NonfiniteLog& log, Film& onto) : Worker(scene, path), nonfinite(log), film(onto) {}
+    PictureWorker(const Scene& scene, const PathOptions& path, NonfiniteLog& log, Film& onto)
+        : Worker(scene, path), nonfinite(log), film(onto) {}
 
     void trace(std::span<const PathId> ids) {
         results.resize(ids.size());
@@ -79,9 +80,10 @@ std::string output_of_pass(const Options& options, std::uint64_t pass) {
 
 /// The command that makes this pass alone.
 std::string command_of_pass(const Options& options, std::string command, std::uint64_t pass) {
-    return app::command_of_part(std::move(command), {{fmt::format(" --passes {}", options.passes), ""},
-                                                     {fmt::format(" --first-sample {}", options.first_sample),
-                                                      fmt::format(" --first-sample {}", options.first_sample + pass * options.spp)}});
+    return app::command_of_part(std::move(command),
+                                {{fmt::format(" --passes {}", options.passes), ""},
+                                 {fmt::format(" --first-sample {}", options.first_sample),
+                                  fmt::format(" --first-sample {}", options.first_sample + pass * options.spp)}});
 }
 
 }  // namespace
@@ -91,17 +93,22 @@ Image render_image(const Scene& scene, const PathOptions& path, const Work& work
     NonfiniteLog nonfinite(report, scene.sensor.width, path.seed);
     app::Progress progress(report, "tracing", scene.sensor.n_pixels() * work.spp);
     tbb::enumerable_thread_specific<PictureWorker> workers([&] { return PictureWorker(scene, path, nonfinite, film); });
-    trace_pixels(workers, scene.sensor.n_pixels(), double(work.spp), work.threads,
-                 [&](std::uint64_t) { return SampleRange{work.first_sample, work.spp}; }, progress);
+    trace_pixels(
+        workers, scene.sensor.n_pixels(), double(work.spp), work.threads,
+        [&](std::uint64_t) {
+            return SampleRange{work.first_sample, work.spp};
+        },
+        progress);
     counts = {0, 0, nonfinite.count()};
     for (const PictureWorker& worker : workers) counts.add(worker.counts);
     return std::move(film).finish({});
 }
 
-PathGraphInPieces render_graph(const Scene& scene, const PathOptions& path, const Work& work,
-                               app::Report& report, Counts& counts, std::shared_ptr<Arena> memory, bool misses) {
+PathGraphInPieces render_graph(const Scene& scene, const PathOptions& path, const Work& work, app::Report& report,
+                               Counts& counts, std::shared_ptr<Arena> memory, bool misses) {
     const std::uint64_t n_pixels = scene.sensor.n_pixels(), n_paths = n_pixels * work.spp;
-    GraphBuilder builder(scene, path, (n_paths + PathBatch::capacity - 1) / PathBatch::capacity, std::move(memory), misses);
+    GraphBuilder builder(scene, path, (n_paths + PathBatch::capacity - 1) / PathBatch::capacity, std::move(memory),
+                         misses);
     NonfiniteLog nonfinite(report, scene.sensor.width, path.seed);
     counts = {};
     {
@@ -131,9 +138,11 @@ PathGraphInPieces render_graph(const Scene& scene, const PathOptions& path, cons
 
 void declare(app::Command& command, Options& options) {
     command.file("scene", options.scene, "scene file (Mitsuba XML, dialects 0.5 to 3)");
-    command.output("-o,--output", options.output, "path graph (.h5) or path-traced image (.exr); % stands for the number of the pass");
+    command.output("-o,--output", options.output,
+                   "path graph (.h5) or path-traced image (.exr); % stands for the number of the pass");
     command.option("-D,--define", options.defines, "NAME=VALUE of a scene parameter $NAME");
-    command.option("--sensor", options.sensor, "sensor to render, by id or by number from 0 in the order of the file (default: the first)");
+    command.option("--sensor", options.sensor,
+                   "sensor to render, by id or by number from 0 in the order of the file (default: the first)");
     command.option("--spp", options.spp, "samples per pixel", app::Range<std::uint64_t>{1, 1u << 30});
     command.option("--first-sample", options.first_sample, "number of the first sample of each pixel");
     command.option("--passes", options.passes, "files to make, one after the other, of --spp samples each",
@@ -141,15 +150,20 @@ void declare(app::Command& command, Options& options) {
     command.option("--seed", options.seed, "seed of all random numbers");
     command.choice("--sampler", options.sampler, "random numbers",
                    {{"sobol", SamplerKind::sobol}, {"independent", SamplerKind::independent}});
-    command.choice("--roulette", options.roulette, "survival probability: the vertex's albedo, or the path's throughput",
+    command.choice("--roulette", options.roulette,
+                   "survival probability: the vertex's albedo, or the path's throughput",
                    {{"albedo", Roulette::albedo}, {"throughput", Roulette::throughput}, {"off", Roulette::off}});
     command.option("--rr-depth", options.rr_depth, "first vertex at which roulette may end a path",
                    app::Range<int>{1, 1 << 20});
     command.option("--max-depth", options.max_depth, "longest path in edges; -1: no limit",
                    app::Range<int>{-1, 1 << 20});
-    command.choice("--laser-spot", options.laser_spot, "spot of the laser in a capture around a corner, when it is sampled: of unit area, as mitransient has it, or that of its beam",
+    command.choice("--laser-spot", options.laser_spot,
+                   "spot of the laser in a capture around a corner, when it is sampled: of unit area, as mitransient "
+                   "has it, or that of its beam",
                    {{"unit", LaserSpot::unit_area}, {"true", LaserSpot::true_area}});
-    command.flag("--misses", options.misses, "graph: also keep what found no light, a tenth more bytes, with which loom-residual --old-graph finds what an edit touches several times faster");
+    command.flag("--misses", options.misses,
+                 "graph: also keep what found no light, a tenth more bytes, with which loom-residual --old-graph finds "
+                 "what an edit touches several times faster");
     command.threads(options.threads);
     command.flag("--plan", options.plan, "print what the scene calls for, and stop");
     command.option("--replay", options.replay, "X,Y,SAMPLE: trace that path alone and print it");
@@ -165,9 +179,11 @@ std::string camera_medium(const Scene& scene) {
     std::string shapes;
     for (const MediumStack::Entry& entry : media.entries()) {
         const std::string& id = scene.shapes[entry.shape].id;
-        shapes += fmt::format("{}shape {}", shapes.empty() ? "" : " and ", id.empty() ? fmt::format("number {}", entry.shape + 1) : "'" + id + "'");
+        shapes += fmt::format("{}shape {}", shapes.empty() ? "" : " and ",
+                              id.empty() ? fmt::format("number {}", entry.shape + 1) : "'" + id + "'");
     }
-    return fmt::format("camera {}(index {:.4g})", shapes.empty() ? "in a medium " : "inside of " + shapes + " ", media.index());
+    return fmt::format("camera {}(index {:.4g})", shapes.empty() ? "in a medium " : "inside of " + shapes + " ",
+                       media.index());
 }
 
 }  // namespace
@@ -178,13 +194,21 @@ std::string plan(const Scene& scene, const PathOptions& path, bool graph) {
     const auto say = [&](bool yes, const char* what, const char* why) {
         (yes ? on : off) += fmt::format("{}{}{}", (yes ? on : off).empty() ? "" : ", ", what, yes ? "" : why);
     };
-    say(true, path.roulette == Roulette::off ? "no roulette" : fmt::format("roulette by {} from depth {}",
-        roulette_name(path.roulette), path.rr_depth).c_str(), "");
+    say(true,
+        path.roulette == Roulette::off
+            ? "no roulette"
+            : fmt::format("roulette by {} from depth {}", roulette_name(path.roulette), path.rr_depth).c_str(),
+        "");
     say(!scene.emitters.empty(), "next-event estimation", " (no emitter)");
     say(scene.environment >= 0, "environment", " (no emitter at infinity)");
     if (scene.nlos) {
-        say(scene.nlos->laser_sampling, path.laser_spot == LaserSpot::unit_area ? "laser sampling (spot of unit area)" : "laser sampling (spot of true area)", " (not asked for)");
-        say(scene.nlos->hidden_probability > 0, fmt::format("hidden geometry at {:.4g} % of the vertices", 100 * scene.nlos->hidden_probability).c_str(), " (not asked for)");
+        say(scene.nlos->laser_sampling,
+            path.laser_spot == LaserSpot::unit_area ? "laser sampling (spot of unit area)"
+                                                    : "laser sampling (spot of true area)",
+            " (not asked for)");
+        say(scene.nlos->hidden_probability > 0,
+            fmt::format("hidden geometry at {:.4g} % of the vertices", 100 * scene.nlos->hidden_probability).c_str(),
+            " (not asked for)");
     }
     if (graph) {
         say(f.smooth_normals, "geometric normals", " (all surfaces flat)");
@@ -208,12 +232,15 @@ void run(const Options& options, app::Report& report) {
     if (writes) {
         if (options.output.empty()) throw InputError("--output: missing (a .h5 or .exr file)");
         if (ending != ".h5" && ending != ".exr")
-            throw InputError(fmt::format("{}: the output must end in .h5 (path graph) or .exr (image)", options.output));
+            throw InputError(
+                fmt::format("{}: the output must end in .h5 (path graph) or .exr (image)", options.output));
         if (options.passes > 1 && options.output.find('%') == std::string::npos)
-            throw InputError(options.output + ": --passes needs a % in the name of the output, for the number of the pass");
+            throw InputError(options.output +
+                             ": --passes needs a % in the name of the output, for the number of the pass");
         if (options.passes > 1 && options.first_sample % options.spp != 0)
-            throw InputError(fmt::format("--first-sample {}: passes are numbered by it, so it must be a multiple of --spp {}",
-                                         options.first_sample, options.spp));
+            throw InputError(
+                fmt::format("--first-sample {}: passes are numbered by it, so it must be a multiple of --spp {}",
+                            options.first_sample, options.spp));
         check_output_path(options.output);
     }
     const auto scene = load_scene(options.scene, parse_defines(options.defines), options.sensor);
@@ -243,7 +270,8 @@ void run(const Options& options, app::Report& report) {
         provenance.command = command_of_pass(options, report.command(), pass);
         provenance.seed = options.seed;
         provenance.plan = planned;
-        provenance.inputs.push_back({std::filesystem::path(options.scene).filename(), content_hash_text(scene->content_hash)});
+        provenance.inputs.push_back(
+            {std::filesystem::path(options.scene).filename(), content_hash_text(scene->content_hash)});
         const Work work{options.first_sample + pass * options.spp, options.spp, options.threads};
         Counts counts;
         try {
@@ -259,7 +287,8 @@ void run(const Options& options, app::Report& report) {
                 std::uint64_t bytes = 0;
                 for (const ColumnBytes& column : column_bytes(graph)) bytes += column.bytes;
                 report.info("graph: {} vertices, {} light edges, {:.1f} bytes per vertex", graph.n_vertices(),
-                            graph.n_light_edges(), double(bytes) / double(std::max<std::size_t>(graph.n_vertices(), 1)));
+                            graph.n_light_edges(),
+                            double(bytes) / double(std::max<std::size_t>(graph.n_vertices(), 1)));
             }
         } catch (const NonfiniteError& kept) {
             // The other passes are worth having.
@@ -279,10 +308,13 @@ void run(const Options& options, app::Report& report) {
         cost.sources = {std::filesystem::path(options.scene).filename()};
         cost.plan = planned;
         write_cost(cost, output);
-        report.done("{}: {} paths, {} vertices, {} rays, {} samples not finite", std::filesystem::path(output).filename().string(),
-                    samples, counts.vertices, counts.rays, counts.nonfinite);
+        report.done("{}: {} paths, {} vertices, {} rays, {} samples not finite",
+                    std::filesystem::path(output).filename().string(), samples, counts.vertices, counts.rays,
+                    counts.nonfinite);
     }
-    if (n_nonfinite_passes > 0) throw NonfiniteError(fmt::format("{} of {} passes hold values that are NaN or infinite", n_nonfinite_passes, options.passes));
+    if (n_nonfinite_passes > 0)
+        throw NonfiniteError(
+            fmt::format("{} of {} passes hold values that are NaN or infinite", n_nonfinite_passes, options.passes));
 }
 
 }  // namespace loom::trace

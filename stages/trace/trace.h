@@ -26,15 +26,15 @@ struct Options {
     std::uint64_t first_sample = 0;    // number of the first one
     std::uint64_t passes = 1;          // files of spp samples each, made one after the other
     std::uint64_t seed = 0;
-    int threads = 0;                   // 0: all
+    int threads = 0;  // 0: all
     SamplerKind sampler = SamplerKind::sobol;
     Roulette roulette = Roulette::albedo;
-    std::optional<int> rr_depth;       // of the scene file when unset
-    std::optional<int> max_depth;      // of the scene file when unset; -1: no limit
+    std::optional<int> rr_depth;   // of the scene file when unset
+    std::optional<int> max_depth;  // of the scene file when unset; -1: no limit
     LaserSpot laser_spot = LaserSpot::unit_area;
-    bool misses = false;               // of a graph: keep what found no light, too
-    bool plan = false;                 // print the plan and stop
-    std::string replay;                // x,y,sample: trace that one path and print it
+    bool misses = false;  // of a graph: keep what found no light, too
+    bool plan = false;    // print the plan and stop
+    std::string replay;   // x,y,sample: trace that one path and print it
 };
 
 using loom::Counts;
@@ -46,7 +46,8 @@ Image render_image(const Scene& scene, const PathOptions& path, const Work& work
 /// The same paths as a graph, to be written, in the memory given: that of an earlier graph, which is gone then.
 /// in:      misses  kept, too; a capture around a corner has none
 PathGraphInPieces render_graph(const Scene& scene, const PathOptions& path, const Work& work, app::Report& report,
-                               Counts& counts, std::shared_ptr<Arena> memory = std::make_shared<Arena>(), bool misses = false);
+                               Counts& counts, std::shared_ptr<Arena> memory = std::make_shared<Arena>(),
+                               bool misses = false);
 
 void declare(app::Command& command, Options& options);
 

@@ -83,7 +83,12 @@ struct Block {
     std::vector<float> radiance, var_mean, before, after, never, steady;
 
     Block(std::size_t n_pixels, std::uint32_t n_bins)
-        : radiance(n_pixels * n_bins * 3), var_mean(radiance.size()), before(3 * n_pixels), after(before), never(before), steady(before) {}
+        : radiance(n_pixels * n_bins * 3),
+          var_mean(radiance.size()),
+          before(3 * n_pixels),
+          after(before),
+          never(before),
+          steady(before) {}
 
     void set(std::size_t pixel, const Histogram& h, double n_paths, double n, std::uint32_t n_bins) {
         h.write(n_paths, n, &radiance[pixel * n_bins * 3], &var_mean[pixel * n_bins * 3]);
@@ -96,8 +101,12 @@ struct Block {
     }
     TransientRows rows(std::size_t n_pixels, std::uint32_t n_bins) const {
         const auto first = [](const std::vector<float>& all, std::size_t n) { return std::span(all).first(n); };
-        return {first(radiance, n_pixels * n_bins * 3), first(var_mean, n_pixels * n_bins * 3), first(before, 3 * n_pixels),
-                first(after, 3 * n_pixels), first(never, 3 * n_pixels), first(steady, 3 * n_pixels)};
+        return {first(radiance, n_pixels * n_bins * 3),
+                first(var_mean, n_pixels * n_bins * 3),
+                first(before, 3 * n_pixels),
+                first(after, 3 * n_pixels),
+                first(never, 3 * n_pixels),
+                first(steady, 3 * n_pixels)};
     }
 };
 
@@ -122,7 +131,8 @@ void bin_shared(Worker& worker, const SharedArrivals& shared, bool by_graph, std
     for (std::size_t i = 0; i < n; ++i) {
         Histogram& pixel = worker.histograms[i];
         for (std::uint64_t s = 0; s < g.tracing.samples_per_pixel; ++s) {
-            shared.walk(s * g.n_pixels() + first_pixel + i, [&](const Spectrum& L, double opl) { worker.add(pixel, L, opl); });
+            shared.walk(s * g.n_pixels() + first_pixel + i,
+                        [&](const Spectrum& L, double opl) { worker.add(pixel, L, opl); });
             if (!by_graph) worker.end_sample(pixel);
         }
         if (by_graph) worker.end_sample(pixel);
@@ -131,8 +141,9 @@ void bin_shared(Worker& worker, const SharedArrivals& shared, bool by_graph, std
 
 }  // namespace
 
-void bin_graphs(std::span<const PathGraph> graphs, std::span<SharedArrivals> shared, const TimeResponse& response, const Timing& timing,
-                std::uint64_t max_bytes, int threads, app::Progress& progress, const std::function<void(std::uint32_t, const TransientRows&)>& take) {
+void bin_graphs(std::span<const PathGraph> graphs, std::span<SharedArrivals> shared, const TimeResponse& response,
+                const Timing& timing, std::uint64_t max_bytes, int threads, app::Progress& progress,
+                const std::function<void(std::uint32_t, const TransientRows&)>& take) {
     const std::size_t width = graphs[0].sensor.width, height = graphs[0].sensor.height;
     const std::size_t row_bytes = width * response.n_bins * 3 * 2 * sizeof(float);
     const std::size_t block_rows = std::clamp<std::size_t>(max_bytes / row_bytes, 1, height);
@@ -165,7 +176,9 @@ void bin_graphs(std::span<const PathGraph> graphs, std::span<SharedArrivals> sha
                 for (const SharedArrivals& s : shared) bin_shared(worker, s, by_graph, pixel, end - begin);
                 if (shared.empty())
                     for (const GraphReader& reader : readers) bin_own(worker, reader, timing, pixel, end - begin);
-                for (std::size_t i = 0; i < end - begin; ++i) block.set(from + begin + i, worker.histograms[i], n_paths, by_graph ? double(shared.size()) : n_paths, response.n_bins);
+                for (std::size_t i = 0; i < end - begin; ++i)
+                    block.set(from + begin + i, worker.histograms[i], n_paths,
+                              by_graph ? double(shared.size()) : n_paths, response.n_bins);
                 progress.add(end - begin);
             });
         }

@@ -1,6 +1,5 @@
-#include "stages/transient/transient.h"
-
 #include "stages/core/app/command.h"
+#include "stages/transient/transient.h"
 
 int main(int argc, char** argv) {
     using namespace loom;

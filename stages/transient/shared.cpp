@@ -9,18 +9,27 @@
 namespace loom::transient {
 
 SharedArrivals::SharedArrivals(const PathGraph& graph, const Clusters& clusters, const Timing& timing, int threads)
-    : reader_(graph), clusters_(clusters), lengths_(graph, timing),
-      first_edge_(light_edge_offsets(graph)), cluster_of_(cluster_of_vertices(clusters)), continuation_(graph.n_vertices()),
-      light_(graph.n_light_edges()), slot_of_(graph.n_vertices(), nobody), is_first_(graph.n_vertices(), false) {
+    : reader_(graph),
+      clusters_(clusters),
+      lengths_(graph, timing),
+      first_edge_(light_edge_offsets(graph)),
+      cluster_of_(cluster_of_vertices(clusters)),
+      continuation_(graph.n_vertices()),
+      light_(graph.n_light_edges()),
+      slot_of_(graph.n_vertices(), nobody),
+      is_first_(graph.n_vertices(), false) {
     for (std::size_t path = 0; path < graph.n_paths(); ++path)
-        if (graph.paths.first_vertex[path] < graph.paths.first_vertex[path + 1]) is_first_[graph.paths.first_vertex[path]] = true;
+        if (graph.paths.first_vertex[path] < graph.paths.first_vertex[path + 1])
+            is_first_[graph.paths.first_vertex[path]] = true;
     parallel_chunks(graph.n_vertices(), 4096, threads, [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
         for (std::size_t j = begin; j < end; ++j) {
             const ShadingPoint at = reader_.vertex(j);
             const Point3<double> x = position(graph, j);
-            for (std::uint32_t e = first_edge_[j]; e < first_edge_[j + 1]; ++e) light_[e] = {own_light(reader_, at, j, e), lengths_.to_light(e, x)};
+            for (std::uint32_t e = first_edge_[j]; e < first_edge_[j + 1]; ++e)
+                light_[e] = {own_light(reader_, at, j, e), lengths_.to_light(e, x)};
             if (graph.vertices.flags[j] & vertex_flag::continued)
-                continuation_[j] = {own_continuation(reader_, at, j, continuation_direction(graph, j)), lengths_.to_vertex(j + 1, x)};
+                continuation_[j] = {own_continuation(reader_, at, j, continuation_direction(graph, j)),
+                                    lengths_.to_vertex(j + 1, x)};
         }
     });
 }
@@ -31,8 +40,10 @@ std::size_t SharedArrivals::bytes_per_pixel() const {
     return std::size_t(double(graph().tracing.samples_per_pixel) * per_cluster * edges * sizeof(Taken)) + 1;
 }
 
-void SharedArrivals::take_all(ClusterShading& shading, std::size_t cluster, std::span<const std::uint32_t> slot_of_lane) {
-    const auto members = clusters_.member.values().subspan(clusters_.first[cluster], clusters_.first[cluster + 1] - clusters_.first[cluster]);
+void SharedArrivals::take_all(ClusterShading& shading, std::size_t cluster,
+                              std::span<const std::uint32_t> slot_of_lane) {
+    const auto members = clusters_.member.values().subspan(clusters_.first[cluster],
+                                                           clusters_.first[cluster + 1] - clusters_.first[cluster]);
     // Paths of limited length go on for less from where they already are long: with a limit only first vertices give
     // their continuations, or late light would be missing.
     std::vector<std::uint32_t> givers, slot_of_givers;
@@ -43,15 +54,19 @@ void SharedArrivals::take_all(ClusterShading& shading, std::size_t cluster, std:
     }
     const auto take = [&](std::uint32_t from, bool is_light, float inv_rho, const Spectrum& light) {
         for (int lane = 0; lane < shading.size(); ++lane) {
-            const std::uint32_t slot = (is_light ? slot_of_lane : std::span<const std::uint32_t>(slot_of_givers))[shading.place(lane)];
+            const std::uint32_t slot =
+                (is_light ? slot_of_lane : std::span<const std::uint32_t>(slot_of_givers))[shading.place(lane)];
             if (slot == nobody || !shading.sees(lane)) continue;
             taken_[slot].push_back({shading.f(lane, inv_rho) * light, from, is_light});
         }
     };
     shading.load(members);
-    for_each_light_edge(shading, graph(), first_edge_, {}, [&](int, std::uint32_t edge, const Spectrum& light, float inv_rho) { take(edge, true, inv_rho, light); });
+    for_each_light_edge(
+        shading, graph(), first_edge_, {},
+        [&](int, std::uint32_t edge, const Spectrum& light, float inv_rho) { take(edge, true, inv_rho, light); });
     if (givers.size() < members.size()) shading.load(givers);
-    for_each_indirect_edge(shading, graph(), {}, [&](int, std::uint32_t end, float inv_rho) { take(end, false, inv_rho, Spectrum(1)); });
+    for_each_indirect_edge(shading, graph(), {},
+                           [&](int, std::uint32_t end, float inv_rho) { take(end, false, inv_rho, Spectrum(1)); });
 }
 
 void SharedArrivals::prepare(std::size_t first_pixel, std::size_t n, int threads) {
@@ -78,13 +93,15 @@ void SharedArrivals::prepare(std::size_t first_pixel, std::size_t n, int threads
             touched.push_back(cluster_of_[j]);
         }
     }
-    tbb::enumerable_thread_specific<std::unique_ptr<ClusterShading>> shadings([&] { return std::make_unique<ClusterShading>(reader_); });
+    tbb::enumerable_thread_specific<std::unique_ptr<ClusterShading>> shadings(
+        [&] { return std::make_unique<ClusterShading>(reader_); });
     parallel_chunks(touched.size(), 64, threads, [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
         std::vector<std::uint32_t> slots;
         for (std::size_t i = begin; i < end; ++i) {
             const std::size_t c = touched[i];
             slots.clear();
-            for (std::uint32_t m = clusters_.first[c]; m < clusters_.first[c + 1]; ++m) slots.push_back(slot_of_[clusters_.member[m]]);
+            for (std::uint32_t m = clusters_.first[c]; m < clusters_.first[c + 1]; ++m)
+                slots.push_back(slot_of_[clusters_.member[m]]);
             take_all(*shadings.local(), c, slots);
         }
     });

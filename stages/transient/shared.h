@@ -4,7 +4,8 @@
 // A path's first vertex j takes the light edges and the continuations of all members k of its cluster, as refining does
 // (PG eq. 7 to 12), and what each continuation's own path brings from there on:
 //   sum_e f_j cos_j / rho_e L_e  at  |x_0 x_j| + eta_e |x_j y_e|
-//   sum_k f_j cos_j / rho_k L'   at  |x_0 x_j| + eta_k |x_j x_(k+1)| + the rest of path k,    L' of each light of that rest
+//   sum_k f_j cos_j / rho_k L'   at  |x_0 x_j| + eta_k |x_j x_(k+1)| + the rest of path k,    L' of each light of that
+//   rest
 // Lengths are those of the polyline through x_j itself: exact for it. What errs is the light: it is that which x_k saw.
 
 #include <span>
@@ -54,19 +55,20 @@ class SharedArrivals {
     GraphReader reader_;
     const Clusters& clusters_;
     OpticalLengths lengths_;
-    std::vector<std::uint32_t> first_edge_;         // vertex+1
-    std::vector<std::uint32_t> cluster_of_;         // by vertex
-    std::vector<Leg> continuation_, light_;         // by vertex, by light edge
+    std::vector<std::uint32_t> first_edge_;  // vertex+1
+    std::vector<std::uint32_t> cluster_of_;  // by vertex
+    std::vector<Leg> continuation_, light_;  // by vertex, by light edge
     std::size_t first_pixel_ = 0, n_prepared_ = 0;
-    std::vector<std::uint32_t> slot_of_;            // by vertex: of the prepared path that starts there
-    std::vector<bool> is_first_;                    // by vertex: of its path
-    std::vector<std::vector<Taken>> taken_;         // by slot: pixel - first pixel + sample * n
+    std::vector<std::uint32_t> slot_of_;     // by vertex: of the prepared path that starts there
+    std::vector<bool> is_first_;             // by vertex: of its path
+    std::vector<std::vector<Taken>> taken_;  // by slot: pixel - first pixel + sample * n
 };
 
 template <class OnLight>
 void SharedArrivals::own_rest(std::size_t j, Spectrum beta, double opl, OnLight&& on_light) const {
     for (;; ++j) {
-        for (std::uint32_t e = first_edge_[j]; e < first_edge_[j + 1]; ++e) on_light(beta * light_[e].factor, opl + light_[e].opl);
+        for (std::uint32_t e = first_edge_[j]; e < first_edge_[j + 1]; ++e)
+            on_light(beta * light_[e].factor, opl + light_[e].opl);
         if (!(graph().vertices.flags[j] & vertex_flag::continued)) return;
         beta *= continuation_[j].factor;
         opl += continuation_[j].opl;
@@ -99,8 +101,10 @@ void SharedArrivals::walk(std::size_t path, OnLight&& on_light) const {
     // What its own delta lobe has found is no other's.
     if (is_delta(Lobe(g.vertices.lobe[j]))) {
         for (std::uint32_t e = first_edge_[j]; e < first_edge_[j + 1]; ++e)
-            if (LightTechnique(g.light_edges.technique[e]) == LightTechnique::bsdf_hit) on_light(light_[e].factor, opl + light_[e].opl);
-        if (g.vertices.flags[j] & vertex_flag::continued) own_rest(j + 1, continuation_[j].factor, opl + continuation_[j].opl, on_light);
+            if (LightTechnique(g.light_edges.technique[e]) == LightTechnique::bsdf_hit)
+                on_light(light_[e].factor, opl + light_[e].opl);
+        if (g.vertices.flags[j] & vertex_flag::continued)
+            own_rest(j + 1, continuation_[j].factor, opl + continuation_[j].opl, on_light);
     }
 }
 

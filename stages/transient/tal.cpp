@@ -7,7 +7,8 @@ namespace loom::transient {
 namespace {
 
 /// From rows of y to columns of x.
-TalCapture::Grid grid_of(std::uint32_t width, std::uint32_t height, const Column<float>& points, const Column<float>& normals, double metres) {
+TalCapture::Grid grid_of(std::uint32_t width, std::uint32_t height, const Column<float>& points,
+                         const Column<float>& normals, double metres) {
     TalCapture::Grid grid{width, height, {}, {}};
     for (std::uint32_t x = 0; x < width; ++x)
         for (std::uint32_t y = 0; y < height; ++y)
@@ -61,7 +62,8 @@ void add_rows(const PathGraph& graph, std::uint32_t first_row, const TransientRo
         const std::uint32_t y = first_row + std::uint32_t(i / width), x = std::uint32_t(i % width);
         const float* value = &rows.radiance[i * n_bins * 3];
         for (std::uint32_t t = 0; t < n_bins; ++t, value += 3) {
-            const std::size_t at = capture.exhaustive ? capture.place(t, x % laser_width, x / laser_width, y % sensor_width, y / sensor_width)
+            const std::size_t at = capture.exhaustive ? capture.place(t, x % laser_width, x / laser_width,
+                                                                      y % sensor_width, y / sensor_width)
                                                       : capture.place(t, 0, 0, x, y);
             capture.H[at] = value[0] + value[1] + value[2];
         }

@@ -22,7 +22,8 @@ constexpr std::uint32_t default_bins = 300;
 /// Optical path lengths, in units of the scene, of what the user gave.
 class Lengths {
   public:
-    explicit Lengths(const Options& options) : factor_(options.unit == Unit::ns ? speed_of_light / options.metres_per_unit : 1) {}
+    explicit Lengths(const Options& options)
+        : factor_(options.unit == Unit::ns ? speed_of_light / options.metres_per_unit : 1) {}
     double operator()(double in_unit) const { return in_unit * factor_; }
 
   private:
@@ -34,7 +35,8 @@ std::vector<std::pair<float, float>> parse_group_index(const std::vector<std::st
     for (const std::string& text : texts) {
         const auto equals = text.find('=');
         const auto phase = app::parse_number<float>(text.substr(0, equals));
-        const auto group = equals == std::string::npos ? std::nullopt : app::parse_number<float>(text.substr(equals + 1));
+        const auto group =
+            equals == std::string::npos ? std::nullopt : app::parse_number<float>(text.substr(equals + 1));
         if (!phase || !group || !(*phase > 0) || !(*group > 0))
             throw InputError(fmt::format("--group-index {}: expected PHASE=GROUP, two positive numbers", text));
         table.emplace_back(*phase, *group);
@@ -52,7 +54,8 @@ Pulse read_pulse_table(const std::string& file, const Lengths& lengths) {
         std::istringstream words(line);
         double t, p;
         std::string rest;
-        if (!(words >> t >> p) || words >> rest) throw InputError(fmt::format("{}:{}: expected two numbers, when and power", file, number));
+        if (!(words >> t >> p) || words >> rest)
+            throw InputError(fmt::format("{}:{}: expected two numbers, when and power", file, number));
         at.push_back(lengths(t));
         power.push_back(p);
     }
@@ -69,7 +72,8 @@ double positive(double value, const char* option, const char* what) {
 }
 
 /// Fills the pulse, and says it in the header.
-void set_pulse(const Options& options, double film_sigma, const Lengths& lengths, TimeResponse& response, TransientCubeHeader& header) {
+void set_pulse(const Options& options, double film_sigma, const Lengths& lengths, TimeResponse& response,
+               TransientCubeHeader& header) {
     auto& said = header.response;
     const double length = lengths(options.pulse_length), tail = lengths(options.pulse_tail);
     Shape shape = options.pulse;
@@ -77,23 +81,32 @@ void set_pulse(const Options& options, double film_sigma, const Lengths& lengths
         shape = film_sigma > 0 ? Shape::gaussian : Shape::delta;
         said.length_opl = film_sigma;
     } else if (shape == Shape::box || shape == Shape::gaussian || shape == Shape::expgauss) {
-        said.length_opl = positive(length, "--pulse-length", shape == Shape::box ? "how long the light is on" : "the pulse's standard deviation");
+        said.length_opl = positive(length, "--pulse-length",
+                                   shape == Shape::box ? "how long the light is on" : "the pulse's standard deviation");
     } else if (options.pulse_length != 0) {
         throw InputError("--pulse-length: only a box, gaussian or expgauss pulse has one");
     }
     if ((shape == Shape::expgauss) != (tail != 0)) throw InputError("--pulse-tail: goes with --pulse expgauss");
-    if ((shape == Shape::table) != !options.pulse_table.empty()) throw InputError("--pulse-table: goes with --pulse table");
+    if ((shape == Shape::table) != !options.pulse_table.empty())
+        throw InputError("--pulse-table: goes with --pulse table");
     switch (shape) {
         case Shape::film:
-        case Shape::delta: break;
-        case Shape::box: said.pulse = "box", response.pulse = Pulse::box(said.length_opl); break;
-        case Shape::gaussian: said.pulse = "gaussian", response.pulse = Pulse::gaussian(said.length_opl); break;
+        case Shape::delta:
+            break;
+        case Shape::box:
+            said.pulse = "box", response.pulse = Pulse::box(said.length_opl);
+            break;
+        case Shape::gaussian:
+            said.pulse = "gaussian", response.pulse = Pulse::gaussian(said.length_opl);
+            break;
         case Shape::expgauss:
             said.pulse = "expgauss";
             said.tail_opl = positive(tail, "--pulse-tail", "the mean delay");
             response.pulse = Pulse::exponential_gaussian(said.length_opl, said.tail_opl);
             break;
-        case Shape::table: said.pulse = "table", response.pulse = read_pulse_table(options.pulse_table, lengths); break;
+        case Shape::table:
+            said.pulse = "table", response.pulse = read_pulse_table(options.pulse_table, lengths);
+            break;
         case Shape::sine:
         case Shape::square:
             said.pulse = shape == Shape::sine ? "sine" : "square";
@@ -105,11 +118,16 @@ void set_pulse(const Options& options, double film_sigma, const Lengths& lengths
 /// Refuses graphs that are not of one film.
 void check_graphs(const std::vector<std::string>& names, const std::vector<PathGraph>& graphs) {
     for (std::size_t i = 0; i < graphs.size(); ++i) {
-        const auto scene = [](const PathGraph& g) { return g.provenance.inputs.empty() ? std::string() : g.provenance.inputs[0].hash; };
+        const auto scene = [](const PathGraph& g) {
+            return g.provenance.inputs.empty() ? std::string() : g.provenance.inputs[0].hash;
+        };
         if (graphs[i].sensor.width != graphs[0].sensor.width || graphs[i].sensor.height != graphs[0].sensor.height)
-            throw InputError(fmt::format("{}: is {} x {}, but {} is {} x {}", names[i], graphs[i].sensor.width, graphs[i].sensor.height, names[0],
-                                         graphs[0].sensor.width, graphs[0].sensor.height));
-        if (scene(graphs[i]) != scene(graphs[0])) throw InputError(fmt::format("{}: was traced in another scene than {}, or with other -D values", names[i], names[0]));
+            throw InputError(fmt::format("{}: is {} x {}, but {} is {} x {}", names[i], graphs[i].sensor.width,
+                                         graphs[i].sensor.height, names[0], graphs[0].sensor.width,
+                                         graphs[0].sensor.height));
+        if (scene(graphs[i]) != scene(graphs[0]))
+            throw InputError(
+                fmt::format("{}: was traced in another scene than {}, or with other -D values", names[i], names[0]));
     }
 }
 
@@ -117,28 +135,48 @@ void check_graphs(const std::vector<std::string>& names, const std::vector<PathG
 
 void declare(app::Command& command, Options& options) {
     command.files("graphs", options.graphs, "path graphs of one scene with different samples (.h5)").required();
-    command.files("--clusters", options.clusters, "clusters of these graphs, in their order (.h5): first hits share the light of their cluster");
+    command.files("--clusters", options.clusters,
+                  "clusters of these graphs, in their order (.h5): first hits share the light of their cluster");
     command.output("-o,--output", options.output, "transient cube (.h5)");
     command.output("--tal", options.tal, "also write a capture around a corner as the TAL tools read it (.h5)");
-    command.choice("--unit", options.unit, "of all lengths here, and of the cube's labels: optical path length in units of the scene, or nanoseconds",
-                   {{"opl", Unit::opl}, {"ns", Unit::ns}});
-    command.option("--metres-per-unit", options.metres_per_unit, "length of a unit of the scene", app::Range<double>{1e-12, 1e12, "m"});
-    command.option("--bins", options.bins, "number of bins (the film's, else 300)", app::Range<std::uint32_t>{1, 1u << 24});
+    command.choice(
+        "--unit", options.unit,
+        "of all lengths here, and of the cube's labels: optical path length in units of the scene, or nanoseconds",
+        {{"opl", Unit::opl}, {"ns", Unit::ns}});
+    command.option("--metres-per-unit", options.metres_per_unit, "length of a unit of the scene",
+                   app::Range<double>{1e-12, 1e12, "m"});
+    command.option("--bins", options.bins, "number of bins (the film's, else 300)",
+                   app::Range<std::uint32_t>{1, 1u << 24});
     command.option("--start", options.start, "where the first bin opens (the film's, else where light first arrives)");
-    command.option("--width", options.width, "from bin to bin (the film's, else so that 99.9 % of the light is within)", app::Range<double>{1e-12, 1e12});
-    command.option("--gate", options.gate, "how long a bin is open (as --width: bins tile the time)", app::Range<double>{1e-12, 1e12});
-    command.choice("--pulse", options.pulse, "the light in time: the film's, all at once, for a while, Gaussian, Gaussian with an exponential tail, from a file; or modulated, --bins phases of one period",
-                   {{"film", Shape::film}, {"delta", Shape::delta}, {"box", Shape::box}, {"gaussian", Shape::gaussian}, {"expgauss", Shape::expgauss},
-                    {"table", Shape::table}, {"sine", Shape::sine}, {"square", Shape::square}});
-    command.option("--pulse-length", options.pulse_length, "of box: how long; of gaussian and expgauss: standard deviation", app::Range<double>{0, 1e12});
+    command.option("--width", options.width, "from bin to bin (the film's, else so that 99.9 % of the light is within)",
+                   app::Range<double>{1e-12, 1e12});
+    command.option("--gate", options.gate, "how long a bin is open (as --width: bins tile the time)",
+                   app::Range<double>{1e-12, 1e12});
+    command.choice("--pulse", options.pulse,
+                   "the light in time: the film's, all at once, for a while, Gaussian, Gaussian with an exponential "
+                   "tail, from a file; or modulated, --bins phases of one period",
+                   {{"film", Shape::film},
+                    {"delta", Shape::delta},
+                    {"box", Shape::box},
+                    {"gaussian", Shape::gaussian},
+                    {"expgauss", Shape::expgauss},
+                    {"table", Shape::table},
+                    {"sine", Shape::sine},
+                    {"square", Shape::square}});
+    command.option("--pulse-length", options.pulse_length,
+                   "of box: how long; of gaussian and expgauss: standard deviation", app::Range<double>{0, 1e12});
     command.option("--pulse-tail", options.pulse_tail, "of expgauss: mean delay", app::Range<double>{0, 1e12});
     command.file("--pulse-table", options.pulse_table, "of table: a text file, when and power in each line");
     command.option("--period", options.period, "of sine and square", app::Range<double>{0, 1e12});
     command.flag("--unwarp", options.unwarp, "count lengths from the first hit, not from the camera");
-    command.option("--group-index", options.group_index, "PHASE=GROUP: light whose phase index is the first travels by the second");
-    command.option("--memory", options.memory_MiB, "for rows that are worked on at a time", app::Range<std::uint64_t>{1, 1u << 20, "MiB"});
+    command.option("--group-index", options.group_index,
+                   "PHASE=GROUP: light whose phase index is the first travels by the second");
+    command.option("--memory", options.memory_MiB, "for rows that are worked on at a time",
+                   app::Range<std::uint64_t>{1, 1u << 20, "MiB"});
     command.threads(options.threads);
-    command.example("loom-transient graph.h5 -o cube.h5 --unit ns --start 10 --width 0.05 --bins 400 --pulse gaussian --pulse-length 0.1");
+    command.example(
+        "loom-transient graph.h5 -o cube.h5 --unit ns --start 10 --width 0.05 --bins 400 --pulse gaussian "
+        "--pulse-length 0.1");
 }
 
 void run(const Options& options, app::Report& report) {
@@ -160,50 +198,75 @@ void run(const Options& options, app::Report& report) {
         clusters.push_back(read_clusters(options.clusters[i]));
         require_clusters_of(graphs[i], header.provenance.inputs[i], clusters[i], options.clusters[i]);
         if (graphs[i].tracing.samples_per_pixel != graphs[0].tracing.samples_per_pixel)
-            throw InputError(fmt::format("{}: has {} samples per pixel, but {} has {}; graphs that share light must have as many", options.graphs[i],
-                                         graphs[i].tracing.samples_per_pixel, options.graphs[0], graphs[0].tracing.samples_per_pixel));
+            throw InputError(
+                fmt::format("{}: has {} samples per pixel, but {} has {}; graphs that share light must have as many",
+                            options.graphs[i], graphs[i].tracing.samples_per_pixel, options.graphs[0],
+                            graphs[0].tracing.samples_per_pixel));
     }
     for (const std::string& file : options.clusters) header.provenance.inputs.push_back(identify(file));
     if (!options.tal.empty()) {
         check_output_path(options.tal);
-        if (graphs[0].sensor.kind != "nlos_capture_meter") throw InputError(fmt::format("--tal: {} is not of a capture around a corner (sensor nlos_capture_meter)", options.graphs[0]));
+        if (graphs[0].sensor.kind != "nlos_capture_meter")
+            throw InputError(fmt::format("--tal: {} is not of a capture around a corner (sensor nlos_capture_meter)",
+                                         options.graphs[0]));
     }
     const auto& film = graphs[0].transient;
     const bool has_film = !film.n_bins.empty();
 
-    Timing timing{!options.unwarp && (!has_film || film.camera_segment[0] != 0), parse_group_index(options.group_index)};
+    Timing timing{!options.unwarp && (!has_film || film.camera_segment[0] != 0),
+                  parse_group_index(options.group_index)};
     TimeResponse response;
     set_pulse(options, has_film ? film.sigma_opl[0] : 0, lengths, response, header);
-    response.n_bins = options.bins.value_or(has_film ? film.n_bins[0] : response.modulation == Modulation::none ? default_bins : 4);
+    response.n_bins = options.bins.value_or(has_film                                  ? film.n_bins[0]
+                                            : response.modulation == Modulation::none ? default_bins
+                                                                                      : 4);
     if (response.modulation != Modulation::none) {
-        if (options.start || options.width || options.gate) throw InputError("--pulse sine and square: their bins are phases, with no --start, --width or --gate");
+        if (options.start || options.width || options.gate)
+            throw InputError("--pulse sine and square: their bins are phases, with no --start, --width or --gate");
         if (!options.bins) response.n_bins = 4;
         if (response.n_bins < 2 || (response.modulation == Modulation::square && response.n_bins % 2 != 0))
-            throw InputError(fmt::format("--bins {}: {} needs {} phases", response.n_bins, header.response.pulse, response.modulation == Modulation::sine ? "two or more" : "an even number of"));
-        response.period = header.response.period_opl = lengths(positive(options.period, "--period", "the period of the modulation"));
+            throw InputError(
+                fmt::format("--bins {}: {} needs {} phases", response.n_bins, header.response.pulse,
+                            response.modulation == Modulation::sine ? "two or more" : "an even number of"));
+        response.period = header.response.period_opl =
+            lengths(positive(options.period, "--period", "the period of the modulation"));
         response.start = 0;
         response.width = response.gate = response.period / response.n_bins;
     } else {
         if (options.period != 0) throw InputError("--period: goes with --pulse sine and square");
         const Window window = has_film || (options.start && options.width) ? Window{} : window_of(graphs[0], timing);
         response.start = options.start ? lengths(*options.start) : has_film ? film.start_opl[0] : window.start;
-        response.width = options.width ? lengths(*options.width) : has_film ? film.bin_width_opl[0] : (window.end - response.start) / response.n_bins;
-        if (!(response.width > 0)) throw InputError(fmt::format("--start {}: no light arrives after it; give --width", *options.start));
+        response.width = options.width ? lengths(*options.width)
+                         : has_film    ? film.bin_width_opl[0]
+                                       : (window.end - response.start) / response.n_bins;
+        if (!(response.width > 0))
+            throw InputError(fmt::format("--start {}: no light arrives after it; give --width", *options.start));
         response.gate = options.gate ? lengths(*options.gate) : response.width;
     }
 
     header.film.width = graphs[0].sensor.width;
     header.film.height = graphs[0].sensor.height;
-    header.time = {response.n_bins, response.start, response.width, response.gate, options.unit == Unit::ns ? "ns" : "opl", options.metres_per_unit, timing.camera_segment};
+    header.time = {response.n_bins,
+                   response.start,
+                   response.width,
+                   response.gate,
+                   options.unit == Unit::ns ? "ns" : "opl",
+                   options.metres_per_unit,
+                   timing.camera_segment};
     header.provenance.stage = report.name();
     header.provenance.command = report.command();
     header.provenance.seed = graphs[0].provenance.seed;
-    header.provenance.plan = fmt::format("on: {}{} pulse, {}; off: {}", clusters.empty() ? "" : "light shared by clusters at first hits, ", header.response.pulse,
-                                         timing.camera_segment ? "camera segment" : "lengths from the first hit",
-                                         response.pulse.is_delta() && response.modulation == Modulation::none ? "derivatives by interior terms alone (the response jumps at borders of bins)" : "nothing");
-    const std::uint64_t cube_bytes = 2 * sizeof(float) * header.row_size() * header.film.height, max_bytes = options.memory_MiB << 20;
-    report.info("{} x {} pixels, {} bins of {:.6g} {} from {:.6g}: {}, of which {} in memory", header.film.width, header.film.height, response.n_bins,
-                header.in_unit(response.width), header.time.unit == "ns" ? "ns" : "m", header.in_unit(response.start), app::bytes_text(cube_bytes),
+    header.provenance.plan =
+        fmt::format("on: {}{} pulse, {}; off: {}", clusters.empty() ? "" : "light shared by clusters at first hits, ",
+                    header.response.pulse, timing.camera_segment ? "camera segment" : "lengths from the first hit",
+                    response.pulse.is_delta() && response.modulation == Modulation::none
+                        ? "derivatives by interior terms alone (the response jumps at borders of bins)"
+                        : "nothing");
+    const std::uint64_t cube_bytes = 2 * sizeof(float) * header.row_size() * header.film.height,
+                        max_bytes = options.memory_MiB << 20;
+    report.info("{} x {} pixels, {} bins of {:.6g} {} from {:.6g}: {}, of which {} in memory", header.film.width,
+                header.film.height, response.n_bins, header.in_unit(response.width),
+                header.time.unit == "ns" ? "ns" : "m", header.in_unit(response.start), app::bytes_text(cube_bytes),
                 app::bytes_text(std::min(cube_bytes, max_bytes)));
 
     TalCapture tal;
@@ -213,23 +276,28 @@ void run(const Options& options, app::Report& report) {
         TransientCubeWriter writer(options.output, header);
         app::Progress progress(report, "binning", header.n_pixels());
         const auto add_up = [](std::span<const float> values, Rgb<double>& sum) {
-            for (std::size_t i = 0; i < values.size(); i += 3) sum += Rgb<double>(values[i], values[i + 1], values[i + 2]);
+            for (std::size_t i = 0; i < values.size(); i += 3)
+                sum += Rgb<double>(values[i], values[i + 1], values[i + 2]);
         };
         std::vector<SharedArrivals> shared;
-        for (std::size_t i = 0; i < clusters.size(); ++i) shared.emplace_back(graphs[i], clusters[i], timing, options.threads);
-        bin_graphs(graphs, shared, response, timing, max_bytes, options.threads, progress, [&](std::uint32_t first_row, const TransientRows& rows) {
-            writer.write_rows(first_row, rows);
-            if (!options.tal.empty()) add_rows(graphs[0], first_row, rows, tal);
-            add_up(rows.radiance, inside);
-            add_up(rows.before, before);
-            add_up(rows.after, after);
-            add_up(rows.never, never);
-            add_up(rows.steady, steady);
-        });
+        for (std::size_t i = 0; i < clusters.size(); ++i)
+            shared.emplace_back(graphs[i], clusters[i], timing, options.threads);
+        bin_graphs(graphs, shared, response, timing, max_bytes, options.threads, progress,
+                   [&](std::uint32_t first_row, const TransientRows& rows) {
+                       writer.write_rows(first_row, rows);
+                       if (!options.tal.empty()) add_rows(graphs[0], first_row, rows, tal);
+                       add_up(rows.radiance, inside);
+                       add_up(rows.before, before);
+                       add_up(rows.after, after);
+                       add_up(rows.never, never);
+                       add_up(rows.steady, steady);
+                   });
         writer.commit();
     }
     if (!options.tal.empty()) write_tal_capture(tal, options.tal);
-    const auto share = [&](const Rgb<double>& part) { return luminance(steady) > 0 ? 100 * luminance(part) / luminance(steady) : 0.0; };
+    const auto share = [&](const Rgb<double>& part) {
+        return luminance(steady) > 0 ? 100 * luminance(part) / luminance(steady) : 0.0;
+    };
     if (!std::isfinite(luminance(steady))) report.warn("light that is not finite is in the sums");
 
     Cost cost = report.cost();
@@ -239,8 +307,8 @@ void run(const Options& options, app::Report& report) {
     for (const std::string& file : options.graphs) cost.parents.push_back(parent_of(options.output, file));
     for (const std::string& file : options.clusters) cost.parents.push_back(parent_of(options.output, file));
     write_cost(cost, options.output);
-    report.done("{} paths; of their light {:.4g} % in the bins, {:.3g} % before, {:.3g} % after, {:.3g} % never", cost.samples, share(inside), share(before),
-                share(after), share(never));
+    report.done("{} paths; of their light {:.4g} % in the bins, {:.3g} % before, {:.3g} % after, {:.3g} % never",
+                cost.samples, share(inside), share(before), share(after), share(never));
 }
 
 }  // namespace loom::transient

@@ -27,8 +27,8 @@ enum class Shape { film, delta, box, gaussian, expgauss, table, sine, square };
 struct Options {
     std::vector<std::string> graphs;    // path graphs of one scene with different samples
     std::vector<std::string> clusters;  // of these graphs, in their order; empty: paths alone
-    std::string output;               // transient cube (.h5)
-    std::string tal;                  // also a capture as the TAL tools read it (.h5); empty: none
+    std::string output;                 // transient cube (.h5)
+    std::string tal;                    // also a capture as the TAL tools read it (.h5); empty: none
 
     // Lengths are in `unit`; what is not given is the film's.
     Unit unit = Unit::opl;
@@ -40,7 +40,7 @@ struct Options {
     std::string pulse_table;                  // two columns
     double period = 0;                        // of sine and square
     bool unwarp = false;
-    std::vector<std::string> group_index;     // PHASE=GROUP
+    std::vector<std::string> group_index;  // PHASE=GROUP
 
     std::uint64_t memory_MiB = 1024;
     int threads = 0;  // 0: all
@@ -56,8 +56,8 @@ class SharedArrivals;
 /// in:      graphs     of one sensor
 ///          max_bytes  for the rows that are worked on at a time
 ///          shared     the same graphs with their clusters, or none: paths alone
-void bin_graphs(std::span<const PathGraph> graphs, std::span<SharedArrivals> shared, const TimeResponse& response, const Timing& timing,
-                std::uint64_t max_bytes, int threads, app::Progress& progress,
+void bin_graphs(std::span<const PathGraph> graphs, std::span<SharedArrivals> shared, const TimeResponse& response,
+                const Timing& timing, std::uint64_t max_bytes, int threads, app::Progress& progress,
                 const std::function<void(std::uint32_t first_row, const TransientRows&)>& take);
 
 /// The window that the light of a graph asks for: from its first light to where all but 0.1 % has arrived.

@@ -91,8 +91,8 @@ struct BareTracer::Impl {
             const Shape& shape = s.shapes[i];
             const Mesh mesh = triangles_of(shape);
             RTCGeometry geometry = rtcNewGeometry(device, RTC_GEOMETRY_TYPE_TRIANGLE);
-            auto* p = static_cast<Point3f*>(rtcSetNewGeometryBuffer(geometry, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3,
-                                                                    sizeof(Point3f), mesh.positions.size()));
+            auto* p = static_cast<Point3f*>(rtcSetNewGeometryBuffer(
+                geometry, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3, sizeof(Point3f), mesh.positions.size()));
             std::copy(mesh.positions.begin(), mesh.positions.end(), p);
             auto* indices = static_cast<std::uint32_t*>(rtcSetNewGeometryBuffer(
                 geometry, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3, 12, mesh.indices.size() / 3));
@@ -156,8 +156,8 @@ struct BareTracer::Impl {
     float path(std::uint32_t x, std::uint32_t y, Random& random, std::uint64_t& n) const {
         const Ray camera = loom_scene.sensor.sample_ray(x, y, random.pair());
         RTCRayHit rh;
-        rh.ray = {camera.o.x, camera.o.y, camera.o.z, camera.t_min, camera.d.x, camera.d.y, camera.d.z, 0,
-                  camera.t_max, ~0u, 0, 0};
+        rh.ray = {camera.o.x, camera.o.y, camera.o.z,   camera.t_min, camera.d.x, camera.d.y,
+                  camera.d.z, 0,          camera.t_max, ~0u,          0,          0};
         float radiance = 0, beta = 1;
         for (int depth = 1;; ++depth) {
             rh.hit.geomID = RTC_INVALID_GEOMETRY_ID;
@@ -171,7 +171,8 @@ struct BareTracer::Impl {
             const Vector3f d{rh.ray.dir_x, rh.ray.dir_y, rh.ray.dir_z};
             Normal3f ng = normalize(Normal3f(rh.hit.Ng_x, rh.hit.Ng_y, rh.hit.Ng_z));
             if (dot(ng, d) > 0) ng = -ng;
-            const Point3f p = offset_origin(Point3f(rh.ray.org_x, rh.ray.org_y, rh.ray.org_z) + d * rh.ray.tfar, ng, 1e-5f * loom_scene.radius, Vector3f(ng));
+            const Point3f p = offset_origin(Point3f(rh.ray.org_x, rh.ray.org_y, rh.ray.org_z) + d * rh.ray.tfar, ng,
+                                            1e-5f * loom_scene.radius, Vector3f(ng));
             const float reflectance = albedos[rh.hit.geomID];
             radiance += beta * reflectance * inv_pi<float> * direct(p, ng, random);
             if (depth >= 5) {

@@ -57,7 +57,8 @@ void kernels(const Options&, app::Report& report) {
     for (const test::BsdfCase& c : test::bsdf_cases()) {
         if (!seen.emplace(c.model.kind, c.model.distribution).second) continue;
         const Bsdf<float> bsdf(c.model);
-        const double sampling = ns_per_element([&](int i) { return sample(bsdf, wo[i], draws[i].u_lobe, draws[i].u).weight.g; });
+        const double sampling =
+            ns_per_element([&](int i) { return sample(bsdf, wo[i], draws[i].u_lobe, draws[i].u).weight.g; });
         const double evaluating = ns_per_element([&](int i) {
             const BsdfValue<float> value = f_cos_pdf(bsdf, wo[i], wi[i]);
             return value.f_cos.g + value.pdf_w;
@@ -65,8 +66,8 @@ void kernels(const Options&, app::Report& report) {
         report.answer(fmt::format("{:40}{:9.1f}{:9.1f}\n", c.name, sampling, evaluating));
     }
     report.answer(fmt::format("{:40}{:>9}\n", "sampler", "pair"));
-    report.answer(fmt::format("{:40}{:9.1f}\n{:40}{:9.1f}\n\n", "sobol", ns_per_pair<SamplerKind::sobol>(), "independent",
-                              ns_per_pair<SamplerKind::independent>()));
+    report.answer(fmt::format("{:40}{:9.1f}\n{:40}{:9.1f}\n\n", "sobol", ns_per_pair<SamplerKind::sobol>(),
+                              "independent", ns_per_pair<SamplerKind::independent>()));
 }
 
 }  // namespace loom::bench

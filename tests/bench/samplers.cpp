@@ -28,8 +28,9 @@ double squared_error(const Image& image, const Image& reference) {
 void samplers(const Options& options, app::Report& report) {
     constexpr int seeds = 8;
     constexpr std::uint64_t reference_spp = 2048;  // independent, so that it knows its own error
-    report.answer(fmt::format("Samplers, mean squared error over {} seeds against {} samples per pixel\n{:18}{:>6}{:>14}{:>14}{:>20}\n",
-                              seeds, reference_spp, "scene", "spp", "independent", "sobol", "independent/sobol"));
+    report.answer(fmt::format(
+        "Samplers, mean squared error over {} seeds against {} samples per pixel\n{:18}{:>6}{:>14}{:>14}{:>20}\n",
+        seeds, reference_spp, "scene", "spp", "independent", "sobol", "independent/sobol"));
     app::Report silent;
     silent.set_quiet(true);
     for (const char* name : {"cornell-box", "glossy-box", "all-emitters", "environment-map"}) {
@@ -48,9 +49,12 @@ void samplers(const Options& options, app::Report& report) {
                     path.sampler = kind;
                     path.seed = std::uint64_t(seed);
                     errors[kind == SamplerKind::sobol] +=
-                        squared_error(trace::render_image(*scene, path, {0, spp, options.threads}, silent, counts), reference) / seeds;
+                        squared_error(trace::render_image(*scene, path, {0, spp, options.threads}, silent, counts),
+                                      reference) /
+                        seeds;
                 }
-            report.answer(fmt::format("{:18}{:6}{:14.3e}{:14.3e}{:20.2f}\n", name, spp, errors[0], errors[1], errors[0] / errors[1]));
+            report.answer(fmt::format("{:18}{:6}{:14.3e}{:14.3e}{:20.2f}\n", name, spp, errors[0], errors[1],
+                                      errors[0] / errors[1]));
         }
     }
 }

@@ -75,7 +75,8 @@ void throughput(const Options& options, app::Report& report) {
         std::string line = fmt::format("{:16}{:9.2f}", name_of(scene_file), n_paths / fastest[0] / 1e6);
         for (std::size_t i = 1; i < runs.size(); ++i)
             line += fmt::format("{:9.2f} ({:.2f})", n_paths / fastest[i] / 1e6, fastest[0] / fastest[i]);
-        report.answer(line + fmt::format("{:8.1f}/{:.1f}\n", double(bare_result.vertices) / n_paths, double(counts.vertices) / n_paths));
+        report.answer(line + fmt::format("{:8.1f}/{:.1f}\n", double(bare_result.vertices) / n_paths,
+                                         double(counts.vertices) / n_paths));
     }
     fs::remove(file);
     report.answer("vertices/path: of the bare loop / of loom.\n\n");

@@ -11,7 +11,9 @@
 #include "tests/formats/tiny_graph.h"
 
 /// HDF5 itself leaks when it refuses damaged metadata.
-extern "C" const char* __lsan_default_suppressions() { return "leak:libhdf5"; }
+extern "C" const char* __lsan_default_suppressions() {
+    return "leak:libhdf5";
+}
 
 namespace loom {
 namespace {
@@ -45,10 +47,9 @@ class BadFiles : public ::testing::Test {
     void replace(const char* name, hid_t type, std::vector<hsize_t> dims) const {
         edit([&](hid_t open) {
             H5Ldelete(open, name, H5P_DEFAULT);
-            const Hdf5Handle space(H5Screate_simple(static_cast<int>(dims.size()), dims.data(), nullptr),
-                                   H5Sclose);
-            const Hdf5Handle made(
-                H5Dcreate2(open, name, type, space.get(), H5P_DEFAULT, H5P_DEFAULT, H5P_DEFAULT), H5Dclose);
+            const Hdf5Handle space(H5Screate_simple(static_cast<int>(dims.size()), dims.data(), nullptr), H5Sclose);
+            const Hdf5Handle made(H5Dcreate2(open, name, type, space.get(), H5P_DEFAULT, H5P_DEFAULT, H5P_DEFAULT),
+                                  H5Dclose);
             ASSERT_TRUE(made);
         });
     }
@@ -88,8 +89,7 @@ TEST_F(BadFiles, NotHdf5) {
 
 TEST_F(BadFiles, ForeignHdf5) {
     edit([](hid_t open) { H5Adelete(open, "filetype"); });
-    EXPECT_EQ(complaint(),
-              "is an HDF5 file of another program (no attribute filetype), expected a path_graph");
+    EXPECT_EQ(complaint(), "is an HDF5 file of another program (no attribute filetype), expected a path_graph");
 }
 
 TEST_F(BadFiles, WrongFiletype) {
@@ -211,8 +211,7 @@ TEST_F(BadFiles, IndexOutOfRange) {
 // A reader would look the parameter up past the end of an empty column.
 TEST_F(BadFiles, TexturedParameterWithoutColumn) {
     rewrite([](PathGraph& g) { g.vertices.diffuse = Column<Half>(); });
-    EXPECT_EQ(complaint(),
-              "materials/textured: row 1 leaves a parameter to vertices/diffuse, which is not there");
+    EXPECT_EQ(complaint(), "materials/textured: row 1 leaves a parameter to vertices/diffuse, which is not there");
 }
 
 TEST_F(BadFiles, NanWhereForbidden) {
@@ -277,10 +276,17 @@ TEST_F(BadFiles, InvariantsOfMisses) {
     EXPECT_EQ(with([](auto& m) { m.vertex = {1, 2, 6}; }), "misses/vertex: row 2 is 6, but there are 6 vertices");
     EXPECT_EQ(with([](auto& m) { m.emitter = {0, 2, 0}; }), "misses/emitter: row 1 is 2, but there are 2 emitters");
     EXPECT_EQ(with([](auto& m) { m.emitter = {}; }), "misses: some of its columns are there, some are not");
-    EXPECT_EQ(with([](auto& m) { m.vertex = {2, 1, 4}; }), "misses/vertex: row 1 is not in order (by vertex, then technique)");
-    EXPECT_EQ(with([](auto& m) { m.vertex = {1, 1, 4}; }), "misses/vertex: row 1 is not in order (by vertex, then technique)");
+    EXPECT_EQ(with([](auto& m) {
+                  m.vertex = {2, 1, 4};
+              }),
+              "misses/vertex: row 1 is not in order (by vertex, then technique)");
+    EXPECT_EQ(with([](auto& m) {
+                  m.vertex = {1, 1, 4};
+              }),
+              "misses/vertex: row 1 is not in order (by vertex, then technique)");
     EXPECT_EQ(with([](auto& m) { m.technique = {0, 0, 2}; }), "misses/technique: row 2 is 2, not 0 or 1");
-    EXPECT_EQ(with([](auto& m) { m.y = {0, 2, 0, 1, 0.2f, 0.2f, -0.3f, 0.5f, 0, 0.6f, 0.8f, 0}; }), "misses/y: row 1 has w = 0.5, not 0 or 1");
+    EXPECT_EQ(with([](auto& m) { m.y = {0, 2, 0, 1, 0.2f, 0.2f, -0.3f, 0.5f, 0, 0.6f, 0.8f, 0}; }),
+              "misses/y: row 1 has w = 0.5, not 0 or 1");
 }
 
 // Readers that look at few rows ask for what keeps them within the file, and for no more.
@@ -329,9 +335,9 @@ TEST_F(BadFiles, PackedDatasetsRead) {
         const Hdf5Handle creation(H5Pcreate(H5P_DATASET_CREATE), H5Pclose);
         H5Pset_chunk(creation.get(), 2, chunk.data());
         H5Pset_deflate(creation.get(), 1);
-        const Hdf5Handle made(H5Dcreate2(open, "vertices/p", H5T_IEEE_F32LE, space.get(), H5P_DEFAULT,
-                                         creation.get(), H5P_DEFAULT),
-                              H5Dclose);
+        const Hdf5Handle made(
+            H5Dcreate2(open, "vertices/p", H5T_IEEE_F32LE, space.get(), H5P_DEFAULT, creation.get(), H5P_DEFAULT),
+            H5Dclose);
         H5Dwrite(made.get(), H5T_IEEE_F32LE, H5S_ALL, H5S_ALL, H5P_DEFAULT, graph.vertices.p.data());
     });
     const PathGraph read = read_path_graph(file());

@@ -53,27 +53,34 @@ TEST(Clusters, BrokenOnesAreRefusedByDataset) {
         return text.starts_with(head) ? text.substr(head.size()) : "does not name the file: " + text;
     };
     EXPECT_EQ(complaint([](Clusters& c) { c.first = {1, 2, 3, 5}; }), "clusters/first: starts at 1, not at 0");
-    EXPECT_EQ(complaint([](Clusters& c) { c.first = {0, 1, 3, 4}; }),
+    EXPECT_EQ(complaint([](Clusters& c) {
+                  c.first = {0, 1, 3, 4};
+              }),
               "clusters/first: ends at 4, but there are 5 members");
-    EXPECT_EQ(complaint([](Clusters& c) { c.first = {0, 3, 1, 5}; }),
+    EXPECT_EQ(complaint([](Clusters& c) {
+                  c.first = {0, 3, 1, 5};
+              }),
               "clusters/first: does not grow from 3 to 1 at row 2");
-    EXPECT_EQ(complaint([](Clusters& c) { c.first = {0, 3, 3, 5}; }),
+    EXPECT_EQ(complaint([](Clusters& c) {
+                  c.first = {0, 3, 3, 5};
+              }),
               "clusters/first: does not grow from 3 to 3 at row 2");
-    EXPECT_EQ(complaint([](Clusters& c) { c.first = {0, 5}; }),
+    EXPECT_EQ(complaint([](Clusters& c) {
+                  c.first = {0, 5};
+              }),
               "clusters/first: row 0 has 5 members, but settings/max_size is 4");
-    EXPECT_EQ(complaint([](Clusters& c) { c.member = {5, 0, 2, 6, 1}; }),
+    EXPECT_EQ(complaint([](Clusters& c) {
+                  c.member = {5, 0, 2, 6, 1};
+              }),
               "clusters/member: row 3 is 6, but there are 6 vertices");
-    EXPECT_EQ(complaint([](Clusters& c) { c.member = {5, 0, 2, 3, 0}; }),
-              "clusters/member: row 4 repeats vertex 0");
+    EXPECT_EQ(complaint([](Clusters& c) { c.member = {5, 0, 2, 3, 0}; }), "clusters/member: row 4 repeats vertex 0");
     EXPECT_EQ(complaint([](Clusters& c) { c.graph_vertices = 4; }),
               "clusters/member: has 5 rows, but there are 4 vertices");
     EXPECT_EQ(complaint([](Clusters& c) { c.settings.method = "grid"; }),
               "settings/method: is grid, expected balanced or centres");
     EXPECT_EQ(complaint([](Clusters& c) { c.settings.k = 0; }), "settings/k: is 0");
-    EXPECT_EQ(complaint([](Clusters& c) { c.settings.normal_weight = -1; }),
-              "settings/normal_weight: is negative");
-    EXPECT_EQ(complaint([](Clusters& c) { c.settings.length_scale = 0; }),
-              "settings/length_scale: is not positive");
+    EXPECT_EQ(complaint([](Clusters& c) { c.settings.normal_weight = -1; }), "settings/normal_weight: is negative");
+    EXPECT_EQ(complaint([](Clusters& c) { c.settings.length_scale = 0; }), "settings/length_scale: is not positive");
 }
 
 TEST(Clusters, AGraphIsNoClusters) {

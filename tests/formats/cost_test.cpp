@@ -53,9 +53,10 @@ TEST(Cost, NoParents) {
 // Files from before a cost named its command and plan.
 TEST(Cost, CommandAndPlanMayBeMissing) {
     const ScratchFolder folder;
-    write_bytes(cost_path(folder / "x.h5"),
-                "{\"stage\": \"s\", \"wall_s\": 1, \"cpu_s\": 2, \"rays\": 3, \"samples\": 4, \"peak_memory_bytes\": 5, "
-                "\"bytes_written\": 6, \"parents\": [], \"sources\": []}");
+    write_bytes(
+        cost_path(folder / "x.h5"),
+        "{\"stage\": \"s\", \"wall_s\": 1, \"cpu_s\": 2, \"rays\": 3, \"samples\": 4, \"peak_memory_bytes\": 5, "
+        "\"bytes_written\": 6, \"parents\": [], \"sources\": []}");
     const Cost cost = read_cost(folder / "x.h5");
     EXPECT_EQ(cost.bytes_written, 6u);
     EXPECT_EQ(cost.command + cost.plan, "");
@@ -79,8 +80,7 @@ TEST(Json, TruncatedAnywhere) {
     write_cost(some_cost(), folder / "x.h5");
     const std::string whole = file_bytes(cost_path(folder / "x.h5"));
     for (std::size_t n = 0; n + 2 < whole.size(); ++n) {
-        EXPECT_NE(input_error_of([&] { parse_json(std::string_view(whole).substr(0, n), "x"); }),
-                  "nothing was thrown");
+        EXPECT_NE(input_error_of([&] { parse_json(std::string_view(whole).substr(0, n), "x"); }), "nothing was thrown");
     }
     EXPECT_NE(input_error_of([] { parse_json(std::string(100'000, '['), "x"); }), "nothing was thrown");
 }

@@ -42,8 +42,7 @@ void expect_equal(const Format& a, const Format& b) {
     Format::fields(a, left);
     Format::fields(b, right);
     ASSERT_EQ(left.found.size(), right.found.size());
-    for (std::size_t i = 0; i < left.found.size(); ++i)
-        EXPECT_EQ(left.found[i], right.found[i]) << left.found[i].first;
+    for (std::size_t i = 0; i < left.found.size(); ++i) EXPECT_EQ(left.found[i], right.found[i]) << left.found[i].first;
     EXPECT_EQ(a.provenance, b.provenance);
 }
 

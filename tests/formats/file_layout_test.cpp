@@ -128,8 +128,7 @@ TEST(FileLayout, OutputsThatCannotBeAreRefusedEarly) {
     const ScratchFolder folder;
     EXPECT_NE(input_error_of([&] { check_output_path(folder / "none/g.h5"); }).find("there is no folder"),
               std::string::npos);
-    EXPECT_NE(input_error_of([&] { check_output_path(folder / ""); }).find("is a directory"),
-              std::string::npos);
+    EXPECT_NE(input_error_of([&] { check_output_path(folder / ""); }).find("is a directory"), std::string::npos);
 }
 
 TEST(Documentation, FormatsMdIsFresh) {

@@ -67,10 +67,14 @@ TEST(Image, DamagedLedgersSayWhatIsWrong) {
         return input_error_of([&] { ledger_from_text(damaged, "x.exr"); });
     };
     EXPECT_TRUE(message("[", "{").starts_with("x.exr: ledger:")) << message("[", "{");
-    EXPECT_EQ(message("\"var_sample\"", "\"var_simple\""), "x.exr: ledger: \"var_sample\" is missing or of another type");
-    EXPECT_EQ(message("\"samples\": 64", "\"samples\": \"64\""), "x.exr: ledger: \"samples\" is missing or of another type");
-    EXPECT_EQ(message("\"samples\": 64", "\"samples\": -64"), "x.exr: ledger: \"samples\" is -64, which is no such number");
-    EXPECT_EQ(message("\"seed\": 7", "\"seed\": 18446744073709551616"), "x.exr: ledger: \"seed\" is 18446744073709551616, which is no such number");
+    EXPECT_EQ(message("\"var_sample\"", "\"var_simple\""),
+              "x.exr: ledger: \"var_sample\" is missing or of another type");
+    EXPECT_EQ(message("\"samples\": 64", "\"samples\": \"64\""),
+              "x.exr: ledger: \"samples\" is missing or of another type");
+    EXPECT_EQ(message("\"samples\": 64", "\"samples\": -64"),
+              "x.exr: ledger: \"samples\" is -64, which is no such number");
+    EXPECT_EQ(message("\"seed\": 7", "\"seed\": 18446744073709551616"),
+              "x.exr: ledger: \"seed\" is 18446744073709551616, which is no such number");
     EXPECT_EQ(input_error_of([] { ledger_from_text("7", "x.exr"); }), "x.exr: ledger: is not a list");
     // A member of a later minor version is left alone.
     EXPECT_EQ(message("\"what\":", "\"why\": 3, \"what\":"), "nothing was thrown");
@@ -189,8 +193,7 @@ TEST(Merge, MomentsAreThoseOfAllSamples) {
         for (std::size_t i = begin; i < end; ++i) squares += (samples[i] - mean) * (samples[i] - mean);
         for (const char* name : {"R", "G", "B"}) {
             image.add(name)[0] = static_cast<float>(mean);
-            image.add(std::string("VarMean.") + name)[0] =
-                n > 1 ? static_cast<float>(squares / (n - 1) / n) : 0.0f;
+            image.add(std::string("VarMean.") + name)[0] = n > 1 ? static_cast<float>(squares / (n - 1) / n) : 0.0f;
         }
         image.add("Depth.Z")[0] = static_cast<float>(mean);
         return image;

@@ -28,8 +28,7 @@ TEST(Inspect, TableOfAGraph) {
     const std::string text = inspect::text_of(survey_file(file), file);
     EXPECT_TRUE(holds(text, "path_graph 1.2")) << text;
     EXPECT_TRUE(holds(text, "4 paths, 6 vertices (1.5 per path), 4 light edges (0.667 per vertex)")) << text;
-    EXPECT_TRUE(holds(text, "endings: 1 escaped, 1 roulette, 0 invalid sample, 1 max depth, 0 hit emitter"))
-        << text;
+    EXPECT_TRUE(holds(text, "endings: 1 escaped, 1 roulette, 0 invalid sample, 1 max depth, 0 hit emitter")) << text;
     EXPECT_TRUE(holds(text, "0123456789abcdef tiny scene.xml")) << text;
     EXPECT_TRUE(holds(text, "textures on; roulette on; no dielectrics")) << text;
     EXPECT_TRUE(holds(text, "100 rays")) << text;
@@ -44,8 +43,7 @@ TEST(Inspect, JsonOfAGraphParses) {
     const JsonValue* graph = json.find("path_graph");
     ASSERT_NE(graph, nullptr);
     EXPECT_EQ(std::get<JsonValue::Number>(graph->find("n_vertices")->value).text, "6");
-    EXPECT_EQ(std::get<JsonValue::Number>(graph->find("bytes_per_vertex")->find("vertices/p")->value).text,
-              "12");
+    EXPECT_EQ(std::get<JsonValue::Number>(graph->find("bytes_per_vertex")->find("vertices/p")->value).text, "12");
     EXPECT_GT(std::get<JsonValue::Array>(json.find("datasets")->value).size(), 60u);
 }
 
@@ -59,23 +57,23 @@ TEST(Inspect, ClustersHaveSizesAndWithTheirGraphRadii) {
     clusters.graph = identify(graph).hash;
     write_clusters(clusters, file);
     const std::string text = inspect::text_of(survey_file(file), file);
-    EXPECT_TRUE(holds(text, "3 clusters of 5 vertices; size: mean 1.67, weighted by size 1.80, min 1, median 2")) << text;
+    EXPECT_TRUE(holds(text, "3 clusters of 5 vertices; size: mean 1.67, weighted by size 1.80, min 1, median 2"))
+        << text;
     const std::string more = inspect::text_of(survey_file(file), file, graph);
     EXPECT_TRUE(holds(more, "distance to the centroid: mean 0.08 m, median radius 0.1 m")) << more;
     EXPECT_TRUE(holds(more, "26 degrees off: 0.00 %, opposed: 0.00 % (of 5 members)")) << more;
     const JsonValue json = parse_json(inspect::json_of(survey_file(file), file, graph), "json");
     EXPECT_EQ(std::get<JsonValue::Number>(json.find("clusters")->find("size_max")->value).text, "2");
     write_path_graph(testing::large_graph(6), graph);
-    EXPECT_TRUE(holds(input_error_of([&] { inspect::text_of(survey_file(file), file, graph); }), "made from tiny graph.h5"));
+    EXPECT_TRUE(
+        holds(input_error_of([&] { inspect::text_of(survey_file(file), file, graph); }), "made from tiny graph.h5"));
 }
 
 TEST(Inspect, StatisticsAreOfTheFiniteNumbers) {
     const ScratchFolder folder;
     PathGraph graph = tiny_graph();
-    graph.paths.Le = {1, 2, 3,
-                      4, 5, 6,
-                      7, 8, std::numeric_limits<float>::quiet_NaN(),
-                      0, 0, std::numeric_limits<float>::infinity()};
+    graph.paths.Le = {
+        1, 2, 3, 4, 5, 6, 7, 8, std::numeric_limits<float>::quiet_NaN(), 0, 0, std::numeric_limits<float>::infinity()};
     testing::write_nonfinite(folder / "g.h5", [&] { write_path_graph(graph, folder / "g.h5"); });
     for (const auto& dataset : survey_file(folder / "g.h5").datasets) {
         if (dataset.name != "paths/Le") continue;
@@ -111,9 +109,7 @@ TEST(Inspect, PathByPixelAndSample) {
 
 TEST(Inspect, PathThatIsNotThere) {
     const PathGraph graph = tiny_graph();
-    const auto message = [&](const char* which) {
-        return input_error_of([&] { inspect::path_text(graph, which); });
-    };
+    const auto message = [&](const char* which) { return input_error_of([&] { inspect::path_text(graph, which); }); };
     EXPECT_EQ(message("2:0,8"), "--path 2:0,8: the image has 2 x 1 pixels");
     EXPECT_EQ(message("2,8"), "--path 2,8: the image has 2 pixels");
     EXPECT_EQ(message("0,10"), "--path 0,10: the file has samples 8 to 9");
@@ -137,8 +133,7 @@ TEST(Inspect, ObjHasPathsAsLines) {
     EXPECT_TRUE(holds(text, "l 4 5\n")) << text;
     EXPECT_TRUE(holds(text, "l 6 7 8 9\n")) << text;
     std::size_t n_lights = 0;
-    for (auto at = text.find("l -2 -1"); at != std::string::npos; at = text.find("l -2 -1", at + 1))
-        ++n_lights;
+    for (auto at = text.find("l -2 -1"); at != std::string::npos; at = text.find("l -2 -1", at + 1)) ++n_lights;
     EXPECT_EQ(n_lights, 3u);
 }
 

@@ -62,8 +62,8 @@ TEST(Octahedral, AxesAreExact) {
     }
 }
 
-// What a tracer has rounded is what a reader of the graph gets. All 4.3e9 codes were tried: with a fold that rounding could
-// cross, 21,344 on its edges came back as another vector.
+// What a tracer has rounded is what a reader of the graph gets. All 4.3e9 codes were tried: with a fold that rounding
+// could cross, 21,344 on its edges came back as another vector.
 TEST(Octahedral, WhatCameBackOnceComesBackTheSame) {
     const auto same_again = [](int u, int v) {
         const auto once = unit_from_octahedral(static_cast<std::int16_t>(u), static_cast<std::int16_t>(v));
@@ -91,11 +91,9 @@ TEST(Octahedral, ErrorIsBoundedEverywhere) {
         double x = gauss(random), y = gauss(random), z = gauss(random) * (i % 4 == 0 ? 1e-4 : 1.0);
         const double r = std::sqrt(x * x + y * y + z * z);
         x /= r, y /= r, z /= r;
-        const auto [u, v] =
-            octahedral_from_unit(static_cast<float>(x), static_cast<float>(y), static_cast<float>(z));
+        const auto [u, v] = octahedral_from_unit(static_cast<float>(x), static_cast<float>(y), static_cast<float>(z));
         const auto back = unit_from_octahedral(u, v);
-        const double cx = y * back[2] - z * back[1], cy = z * back[0] - x * back[2],
-                     cz = x * back[1] - y * back[0];
+        const double cx = y * back[2] - z * back[1], cy = z * back[0] - x * back[2], cz = x * back[1] - y * back[0];
         worst = std::max(worst, std::sqrt(cx * cx + cy * cy + cz * cz));
         EXPECT_GT(x * back[0] + y * back[1] + z * back[2], 0);
     }

@@ -127,7 +127,8 @@ TEST(Outputs, NonfiniteValuesAreAnErrorThatKeepsTheFile) {
         std::string name, what;
         std::function<void(const fs::path&)> write;
     } cases[] = {
-        {"x.exr", "1 of G, the first in pixel (1, 1); 1 of VarMean.R, the first in pixel (2, 0)", [&](const fs::path& p) { write_image(image, p); }},
+        {"x.exr", "1 of G, the first in pixel (1, 1); 1 of VarMean.R, the first in pixel (2, 0)",
+         [&](const fs::path& p) { write_image(image, p); }},
         {"graph.h5", "2 of vertices/pdf_w", [&](const fs::path& p) { write_path_graph(graph, p); }},
         {"radiance.h5", "1 of vertices/L", [&](const fs::path& p) { write_radiance(radiance, p); }},
         {"cube.h5", "2 of radiance, 2 of var_mean", [](const fs::path& p) { write_cube(p, nan); }},
@@ -139,7 +140,8 @@ TEST(Outputs, NonfiniteValuesAreAnErrorThatKeepsTheFile) {
             c.write(file);
             ADD_FAILURE() << c.name;
         } catch (const NonfiniteError& error) {
-            EXPECT_EQ(error.what(), file.native() + ": values are NaN or infinite (" + c.what + "); kept as " + kept.native());
+            EXPECT_EQ(error.what(),
+                      file.native() + ": values are NaN or infinite (" + c.what + "); kept as " + kept.native());
         }
         EXPECT_FALSE(fs::exists(file));
         EXPECT_TRUE(fs::exists(kept));

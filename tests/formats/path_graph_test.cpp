@@ -41,8 +41,8 @@ TEST(PathGraph, MissesReadBackBitForBit) {
     EXPECT_EQ(read.n_misses(), 3u);
 }
 
-// A reader of 1.2 would take the material's exponent, index and coat for all its vertices: it must refuse such a graph by
-// its version, and go on reading all others.
+// A reader of 1.2 would take the material's exponent, index and coat for all its vertices: it must refuse such a graph
+// by its version, and go on reading all others.
 TEST(PathGraph, OnlyGraphsThatOlderReadersWouldMisreadAreOfVersion2) {
     const ScratchFolder folder;
     const auto version_of = [&](const PathGraph& graph) {
@@ -83,7 +83,8 @@ TEST(PathGraph, CoatsAndParametersOfVerticesMustBeWhole) {
     EXPECT_EQ(g.problem(), "materials/textured: row 0 leaves a parameter to vertices/exponent, which is not there");
     g = tiny_graph_with_own_lobes();
     g.vertices.k_c = std::vector<Half>{};
-    EXPECT_EQ(g.problem(), "materials/textured: row 0 leaves a parameter to vertices/eta_c or vertices/k_c, which is not there");
+    EXPECT_EQ(g.problem(),
+              "materials/textured: row 0 leaves a parameter to vertices/eta_c or vertices/k_c, which is not there");
 }
 
 TEST(PathGraph, AbsentColumnsStayAbsent) {
@@ -166,12 +167,10 @@ TEST(PathGraph, LargeColumnsAreMapped) {
     write_path_graph(graph, folder / "g.h5");
     const PathGraph read = read_path_graph(folder / "g.h5");
     const auto bytes = read.storage->bytes();
-    const auto offset_of = [&](const void* data) {
-        return static_cast<const std::byte*>(data) - bytes.data();
-    };
-    for (const void* data : {static_cast<const void*>(read.vertices.p.data()),
-                             static_cast<const void*>(read.vertices.diffuse.data()),
-                             static_cast<const void*>(read.vertices.flags.data())}) {
+    const auto offset_of = [&](const void* data) { return static_cast<const std::byte*>(data) - bytes.data(); };
+    for (const void* data :
+         {static_cast<const void*>(read.vertices.p.data()), static_cast<const void*>(read.vertices.diffuse.data()),
+          static_cast<const void*>(read.vertices.flags.data())}) {
         ASSERT_GE(offset_of(data), 0);
         ASSERT_LT(offset_of(data), static_cast<std::ptrdiff_t>(bytes.size()));
         EXPECT_EQ(offset_of(data) % 4096, 0);

@@ -73,10 +73,12 @@ TEST(Radiance, BrokenOnesAreRefusedByDataset) {
               "settings/method: is magic, expected fixed-point or west");
     EXPECT_EQ(complaint([](Radiance& r) { r.settings.clamp = "hard"; }),
               "settings/clamp: is hard, expected none, column or cluster");
-    EXPECT_EQ(complaint([](Radiance& r) { r.graph_vertices = 5; }), "vertices/L: has 6 rows, but the graph has 5 vertices");
+    EXPECT_EQ(complaint([](Radiance& r) { r.graph_vertices = 5; }),
+              "vertices/L: has 6 rows, but the graph has 5 vertices");
     EXPECT_EQ(complaint([](Radiance& r) { r.settings.reuse = "light"; }),
               "settings/reuse: is light, expected directions or points");
-    EXPECT_EQ(complaint([](Radiance& r) { r.settings.start = "noon"; }), "settings/start: is noon, expected paths or zero");
+    EXPECT_EQ(complaint([](Radiance& r) { r.settings.start = "noon"; }),
+              "settings/start: is noon, expected paths or zero");
 }
 
 TEST(Radiance, AGraphOrClustersAreNoRadiance) {

@@ -1,16 +1,19 @@
 // Names, types and shapes as y-tal 0.20 writes and reads them.
+#include "formats/tal_capture.h"
+
 #include <gtest/gtest.h>
 #include <unistd.h>
 
 #include "formats/io/hdf5_handle.h"
-#include "formats/tal_capture.h"
 
 namespace loom {
 namespace {
 
 class TalFile : public ::testing::Test {
   protected:
-    void SetUp() override { path_ = std::filesystem::temp_directory_path() / ("loom-tal-" + std::to_string(getpid()) + ".h5"); }
+    void SetUp() override {
+        path_ = std::filesystem::temp_directory_path() / ("loom-tal-" + std::to_string(getpid()) + ".h5");
+    }
     void TearDown() override { std::filesystem::remove(path_); }
 
     static TalCapture small(bool exhaustive) {

@@ -19,8 +19,8 @@ Image tiny_image() {
     image.provenance.inputs = {{"tiny scene.xml", "0123456789abcdef"}, {"sky.exr", "fedcba9876543210"}};
     image.provenance.plan = "method pt; layers albedo, normal, depth, variance";
     float value = 0.0f;
-    for (const char* name : {"R", "G", "B", "VarMean.R", "VarMean.G", "VarMean.B", "Albedo.R", "Albedo.G",
-                             "Albedo.B", "N.X", "N.Y", "N.Z", "Depth.Z"}) {
+    for (const char* name : {"R", "G", "B", "VarMean.R", "VarMean.G", "VarMean.B", "Albedo.R", "Albedo.G", "Albedo.B",
+                             "N.X", "N.Y", "N.Z", "Depth.Z"}) {
         for (float& x : image.add(name)) x = value += 0.01f;
     }
     return image;

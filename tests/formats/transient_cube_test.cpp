@@ -1,11 +1,12 @@
 // Transient cubes: written by rows and read again; merged with exact moments, unlike ones refused.
+#include "formats/transient_cube.h"
+
 #include <gtest/gtest.h>
 
 #include <filesystem>
 #include <random>
 
 #include "formats/io/error.h"
-#include "formats/transient_cube.h"
 #include "stages/core/app/report.h"
 #include "stages/inspect/inspect.h"
 #include "stages/merge/merge.h"
@@ -32,8 +33,8 @@ class TransientCubes : public testing::Test {
         return h;
     }
     /// The cube of samples [first, end) of every pixel and bin.
-    static void write(const fs::path& file, const std::vector<std::vector<float>>& samples, std::size_t first, std::size_t end,
-                      const TransientCubeHeader& h) {
+    static void write(const fs::path& file, const std::vector<std::vector<float>>& samples, std::size_t first,
+                      std::size_t end, const TransientCubeHeader& h) {
         const std::size_t n = samples[0].size(), n_pixels = 3 * 6;
         std::vector<float> mean(n), var(n), pixels(n_pixels);
         for (std::size_t i = 0; i < n; ++i) {
@@ -48,8 +49,8 @@ class TransientCubes : public testing::Test {
         TransientCubeWriter writer(file, h);
         const std::span<const float> m(mean), v(var), p(pixels);
         for (std::uint32_t y : {1u, 0u})
-            writer.write_rows(y, {m.subspan(y * n / 2, n / 2), v.subspan(y * n / 2, n / 2), p.subspan(y * 9, 9), p.subspan(y * 9, 9), p.subspan(y * 9, 9),
-                                  p.subspan(y * 9, 9)});
+            writer.write_rows(y, {m.subspan(y * n / 2, n / 2), v.subspan(y * n / 2, n / 2), p.subspan(y * 9, 9),
+                                  p.subspan(y * 9, 9), p.subspan(y * 9, 9), p.subspan(y * 9, 9)});
         writer.commit(Sync::no);
     }
     static std::vector<std::vector<float>> random_samples(std::size_t n) {
@@ -88,7 +89,8 @@ TEST_F(TransientCubes, MergedPartsAreTheCubeOfAllSamples) {
     write(folder / "b.h5", samples, 5, 8, header(3));
     write(folder / "c.h5", samples, 8, 9, header(1));
     merge({"a.h5", "b.h5", "c.h5"}, "merged.h5");
-    const TransientCube all = read_transient_cube(folder / "all.h5"), merged = read_transient_cube(folder / "merged.h5");
+    const TransientCube all = read_transient_cube(folder / "all.h5"),
+                        merged = read_transient_cube(folder / "merged.h5");
     EXPECT_EQ(merged.film.samples_per_pixel, 9u);
     EXPECT_EQ(merged.time.start_opl, 1.5);
     EXPECT_EQ(merged.provenance.inputs.size(), 3u);
@@ -97,7 +99,8 @@ TEST_F(TransientCubes, MergedPartsAreTheCubeOfAllSamples) {
         EXPECT_NEAR(merged.radiance[i], all.radiance[i], 3e-7f * all.radiance[i]);
         EXPECT_NEAR(merged.var_mean[i], all.var_mean[i], 1e-6f * all.var_mean[i]);
     }
-    for (const auto field : {&TransientCube::before, &TransientCube::after, &TransientCube::never, &TransientCube::steady})
+    for (const auto field :
+         {&TransientCube::before, &TransientCube::after, &TransientCube::never, &TransientCube::steady})
         for (std::size_t i = 0; i < 18; ++i) EXPECT_NEAR((merged.*field)[i], (all.*field)[i], 3e-7f * (all.*field)[i]);
 }
 
@@ -109,7 +112,8 @@ TEST_F(TransientCubes, UnlikePartsAreRefused) {
     TransientCubeHeader h = header(2);
     h.time.start_opl = 1.5000001;
     write(folder / "window.h5", samples, 2, 4, h);
-    EXPECT_NE(refusal({"a.h5", "window.h5"}).find("has bins of 0.25 m (gate 0.25) from 1.5000001, not of"), std::string::npos);
+    EXPECT_NE(refusal({"a.h5", "window.h5"}).find("has bins of 0.25 m (gate 0.25) from 1.5000001, not of"),
+              std::string::npos);
     h = header(2);
     h.response.pulse = "box";
     h.response.length_opl = 0.5;
@@ -144,12 +148,21 @@ TEST_F(TransientCubes, InspectSaysWhereTheLightIs) {
     TransientCubeWriter writer(folder / "cube.h5", h);
     const std::span<const float> m(mean), v(var), n(none), a(after), s(steady);
     for (std::uint32_t y : {0u, 1u})
-        writer.write_rows(y, {m.subspan(y * 36, 36), v.subspan(y * 36, 36), n.subspan(y * 9, 9), a.subspan(y * 9, 9), n.subspan(y * 9, 9), s.subspan(y * 9, 9)});
+        writer.write_rows(y, {m.subspan(y * 36, 36), v.subspan(y * 36, 36), n.subspan(y * 9, 9), a.subspan(y * 9, 9),
+                              n.subspan(y * 9, 9), s.subspan(y * 9, 9)});
     writer.commit(Sync::no);
     const std::string file = folder / "cube.h5", text = inspect::text_of(survey_file(file), file);
-    EXPECT_NE(text.find("3 x 2 pixels of 4 samples; 4 bins of 0.25 m from 1.5 to 2.5, counted from the camera\npulse: box, length 0.5 m\n"), std::string::npos) << text;
-    EXPECT_NE(text.find("(mean luminance), of it 75 % in the bins, 0 % before, 25 % after, 0 % never\n"), std::string::npos) << text;
-    EXPECT_NE(text.find("brightest bin: 4.5 at pixel 2:1, bin 3 (2.25 m); half of the light by 2.5 m; standard error of the sum 2 %\n"), std::string::npos) << text;
+    EXPECT_NE(text.find("3 x 2 pixels of 4 samples; 4 bins of 0.25 m from 1.5 to 2.5, counted from the camera\npulse: "
+                        "box, length 0.5 m\n"),
+              std::string::npos)
+        << text;
+    EXPECT_NE(text.find("(mean luminance), of it 75 % in the bins, 0 % before, 25 % after, 0 % never\n"),
+              std::string::npos)
+        << text;
+    EXPECT_NE(text.find("brightest bin: 4.5 at pixel 2:1, bin 3 (2.25 m); half of the light by 2.5 m; standard error "
+                        "of the sum 2 %\n"),
+              std::string::npos)
+        << text;
     EXPECT_NE(inspect::json_of(survey_file(file), file).find("\"share_inside\": 0.75"), std::string::npos);
 }
 

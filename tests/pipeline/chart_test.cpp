@@ -44,7 +44,8 @@ TEST_F(Compare, LimitsDecideTheExitCode) {
 // Break seen to fail: the checks left out; the errors are NaN then, with exit 0.
 TEST_F(Compare, RefusesValuesThatAreNotFinite) {
     const std::string with_pt2 = " " + in("bad.exr") + " -r " + in("pt2.exr");
-    for (const auto& [channel, samples, refused] : {std::tuple{"G", 4u, true}, {"VarMean.B", 4u, true}, {"VarMean.B", 1u, false}, {"Depth.Z", 4u, false}}) {
+    for (const auto& [channel, samples, refused] :
+         {std::tuple{"G", 4u, true}, {"VarMean.B", 4u, true}, {"VarMean.B", 1u, false}, {"Depth.Z", 4u, false}}) {
         Image image = read_image(in("pt1.exr"));
         image.samples = samples;
         image.add(channel)[3 * 16 + 5] = NAN, image.add(channel)[4 * 16 + 5] = INFINITY;
@@ -53,7 +54,11 @@ TEST_F(Compare, RefusesValuesThatAreNotFinite) {
         for (const std::string& order : {with_pt2, " " + in("pt2.exr") + " -r " + in("bad.exr")}) {
             const Outcome got = sh(stage("compare") + order);
             EXPECT_EQ(got.code, refused ? 2 : 0) << channel << got.err;
-            if (refused) EXPECT_NE(got.err.find(std::string("bad.exr: values that are NaN or infinite: 2 of ") + channel + " (first in pixel (5, 3))"), std::string::npos) << got.err;
+            if (refused)
+                EXPECT_NE(got.err.find(std::string("bad.exr: values that are NaN or infinite: 2 of ") + channel +
+                                       " (first in pixel (5, 3))"),
+                          std::string::npos)
+                    << got.err;
         }
     }
 }

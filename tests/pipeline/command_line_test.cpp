@@ -22,7 +22,8 @@ class CommandLine : public PipelineTest {
 };
 
 TEST_F(CommandLine, help_and_version) {
-    for (const char* name : {"trace", "cluster", "refine", "gather", "merge", "denoise", "inspect", "compare", "chart", "transient", "frames", "residual"}) {
+    for (const char* name : {"trace", "cluster", "refine", "gather", "merge", "denoise", "inspect", "compare", "chart",
+                             "transient", "frames", "residual"}) {
         const Outcome help = sh(stage(name) + " --help");
         EXPECT_EQ(help.code, 0) << name;
         EXPECT_NE(help.out.find("--quiet"), std::string::npos) << name;
@@ -112,8 +113,9 @@ TEST_F(CommandLine, failed_write_leaves_nothing) {
 // Seen to fail: exit 0 after a help that nobody received.
 TEST_F(CommandLine, answers_that_cannot_be_written_are_3) {
     ASSERT_EQ(sh(stage("trace") + " " + box + "-o " + in("x.exr")).code, 0);
-    for (const std::string& command : {stage("inspect") + " " + in("x.exr"), stage("inspect") + " " + in("x.exr") + " --json", stage("trace") + " --help",
-                                       stage("trace") + " --version", stage("trace") + " " + box + "--plan"}) {
+    for (const std::string& command :
+         {stage("inspect") + " " + in("x.exr"), stage("inspect") + " " + in("x.exr") + " --json",
+          stage("trace") + " --help", stage("trace") + " --version", stage("trace") + " " + box + "--plan"}) {
         const Outcome outcome = sh(command + " > /dev/full");
         EXPECT_EQ(outcome.code, 3) << command;
         EXPECT_NE(outcome.err.find("cannot write to the standard output"), std::string::npos) << outcome.err;
@@ -122,9 +124,11 @@ TEST_F(CommandLine, answers_that_cannot_be_written_are_3) {
 
 // Radiance that is finite, with a variance that is not.
 TEST_F(CommandLine, outputs_with_values_that_are_not_finite_are_3_and_kept) {
-    std::ofstream(folder / "bright.xml") << "<scene version='3.0.0'><sensor type='perspective'><film type='hdrfilm'><integer name='width' value='4'/>"
-                                            "<integer name='height' value='4'/></film></sensor><emitter type='constant'><rgb name='radiance' value='1e30'/></emitter>"
-                                            "<shape type='sphere'><point name='center' x='0' y='0' z='5'/></shape></scene>";
+    std::ofstream(folder / "bright.xml")
+        << "<scene version='3.0.0'><sensor type='perspective'><film type='hdrfilm'><integer name='width' value='4'/>"
+           "<integer name='height' value='4'/></film></sensor><emitter type='constant'><rgb name='radiance' "
+           "value='1e30'/></emitter>"
+           "<shape type='sphere'><point name='center' x='0' y='0' z='5'/></shape></scene>";
     const Outcome outcome = sh(stage("trace") + " " + in("bright.xml") + " --spp 4 -o " + in("x.exr"));
     EXPECT_EQ(outcome.code, 3);
     EXPECT_NE(outcome.err.find("VarMean.R, the first in pixel"), std::string::npos) << outcome.err;
@@ -136,22 +140,16 @@ TEST_F(CommandLine, outputs_with_values_that_are_not_finite_are_3_and_kept) {
 TEST_F(CommandLine, outputs_do_not_depend_on_place_or_threads) {
     fs::create_directories(folder / "else where");
     ASSERT_EQ(sh(stage("trace") + " " + box + "--spp 3 --threads 1 -o " + in("a.h5")).code, 0);
-    ASSERT_EQ(
-        sh(stage("trace") + " " + box + "--spp 3 --threads 2 --quiet -o '" + in("else where/b.h5") + "'")
-            .code,
-        0);
+    ASSERT_EQ(sh(stage("trace") + " " + box + "--spp 3 --threads 2 --quiet -o '" + in("else where/b.h5") + "'").code,
+              0);
     EXPECT_TRUE(bytes_of(folder / "a.h5") == bytes_of(folder / "else where/b.h5"));
     const std::string scene = "'" LOOM_SOURCE_DIR "/scenes/cornell-box.xml' -D resx=16 -D resy=16 ";
     ASSERT_EQ(sh(stage("trace") + " " + scene + "--spp 3 -o " + in("c.h5")).code, 0);
     EXPECT_TRUE(bytes_of(folder / "a.h5") == bytes_of(folder / "c.h5"));
     for (const int threads : {1, 2}) {
         const std::string n = std::to_string(threads);
-        ASSERT_EQ(
-            sh(stage("trace") + " " + box + "--spp 3 --threads " + n + " -o " + in("p" + n + ".exr")).code,
-            0);
-        ASSERT_EQ(
-            sh(stage("gather") + " " + in("a.h5") + " --threads " + n + " -o " + in("g" + n + ".exr")).code,
-            0);
+        ASSERT_EQ(sh(stage("trace") + " " + box + "--spp 3 --threads " + n + " -o " + in("p" + n + ".exr")).code, 0);
+        ASSERT_EQ(sh(stage("gather") + " " + in("a.h5") + " --threads " + n + " -o " + in("g" + n + ".exr")).code, 0);
     }
     EXPECT_TRUE(bytes_of(folder / "p1.exr") == bytes_of(folder / "p2.exr"));
     EXPECT_TRUE(bytes_of(folder / "g1.exr") == bytes_of(folder / "g2.exr"));

@@ -53,8 +53,8 @@ TEST_F(Denoise, outputs_do_not_depend_on_threads) {
     if (sh(stage("denoise") + " " + in("noisy.exr") + " --method oidn --plan").code == 0) methods.push_back("oidn");
     for (const std::string& method : methods) {
         for (const char* threads : {"1", "2"}) {
-            const Outcome outcome = sh(stage("denoise") + " " + in("noisy.exr") + " --method " + method + " --threads " +
-                                       threads + " -o " + in(method + threads + ".exr"));
+            const Outcome outcome = sh(stage("denoise") + " " + in("noisy.exr") + " --method " + method +
+                                       " --threads " + threads + " -o " + in(method + threads + ".exr"));
             EXPECT_EQ(outcome.code, 0) << outcome.err;
         }
         EXPECT_TRUE(bytes_of(folder / (method + "1.exr")) == bytes_of(folder / (method + "2.exr"))) << method;
@@ -72,12 +72,14 @@ TEST_F(Denoise, plan_says_what_is_missing_and_writes_nothing) {
     fs::rename(not_finite_name(folder / "bare.exr"), folder / "bare.exr");
     const std::vector<std::string> before = files();
     const Outcome one = sh(stage("denoise") + " " + in("one.exr") + " --method filter --plan");
-    EXPECT_EQ(one.out, "on: built-in filter, variance from neighbours, albedo, normal, depth; "
-                       "off: Open Image Denoise (not asked for), VarMean (one sample has none)\n");
+    EXPECT_EQ(one.out,
+              "on: built-in filter, variance from neighbours, albedo, normal, depth; "
+              "off: Open Image Denoise (not asked for), VarMean (one sample has none)\n");
     const Outcome nothing = sh(stage("denoise") + " " + in("bare.exr") + " --method filter --plan");
-    EXPECT_EQ(nothing.out, "on: built-in filter, variance from neighbours; off: Open Image Denoise (not asked for), VarMean "
-                           "(not in the image), albedo (not in the image), normal (not in the image), depth (not in the "
-                           "image)\n");
+    EXPECT_EQ(nothing.out,
+              "on: built-in filter, variance from neighbours; off: Open Image Denoise (not asked for), VarMean "
+              "(not in the image), albedo (not in the image), normal (not in the image), depth (not in the "
+              "image)\n");
     EXPECT_EQ(files(), before);
     const Outcome mended = sh(stage("denoise") + " " + in("bare.exr") + " --method filter -o " + in("clean.exr"));
     EXPECT_EQ(mended.code, 0);

@@ -2,7 +2,6 @@
 // command line.
 
 #include "formats/image.h"
-
 #include "tests/pipeline/process.h"
 
 namespace loom::pipeline {
@@ -11,8 +10,9 @@ namespace {
 class MakeEdit : public PipelineTest {
   protected:
     std::string edit(const std::string& out, const std::string& variables) const {
-        return "make -s edit BUILD='" + fs::path(LOOM_BIN_DIR).parent_path().string() + "' DEFINES='resx=24 resy=16' SPP=2 BASE_SPP=4 OUT=" +
-               (folder / out).string() + " BASE=" + (folder / "base").string() + " " + variables;
+        return "make -s edit BUILD='" + fs::path(LOOM_BIN_DIR).parent_path().string() +
+               "' DEFINES='resx=24 resy=16' SPP=2 BASE_SPP=4 OUT=" + (folder / out).string() +
+               " BASE=" + (folder / "base").string() + " " + variables;
     }
     std::string made(const std::string& out, const std::string& variables) const {
         const Outcome outcome = sh(edit(out, variables));
@@ -34,8 +34,10 @@ class MakeEdit : public PipelineTest {
 TEST_F(MakeEdit, edits_share_the_picture_before) {
     const std::string light = "NEW_DEFINES=light=20,10,5";
     const std::string first = made("a", light);
-    const auto base_time = fs::last_write_time(folder / "base/old.exr"), new_time = fs::last_write_time(folder / "a/new.exr");
-    for (const char* file : {"a/residual.exr", "a/residual.png", "a/new.png", "a/new.exr.cost.json"}) EXPECT_TRUE(fs::exists(folder / file)) << file;
+    const auto base_time = fs::last_write_time(folder / "base/old.exr"),
+               new_time = fs::last_write_time(folder / "a/new.exr");
+    for (const char* file : {"a/residual.exr", "a/residual.png", "a/new.png", "a/new.exr.cost.json"})
+        EXPECT_TRUE(fs::exists(folder / file)) << file;
     EXPECT_TRUE(first == made("a", light + " THREADS=1"));
     EXPECT_EQ(fs::last_write_time(folder / "a/new.exr"), new_time);
     // A second edit of the same scene, and the first with more samples.
@@ -48,13 +50,16 @@ TEST_F(MakeEdit, edits_share_the_picture_before) {
     made("a", light + " BASE_SPP=5");
     EXPECT_NE(fs::last_write_time(folder / "base/old.exr"), base_time);
 
-    const Image before = read_image(folder / "base/old.exr"), residual = read_image(folder / "a/residual.exr"), sum = read_image(folder / "a/new.exr");
+    const Image before = read_image(folder / "base/old.exr"), residual = read_image(folder / "a/residual.exr"),
+                sum = read_image(folder / "a/new.exr");
     EXPECT_EQ(sum.samples, before.samples + residual.samples);
     for (const char* channel : {"R", "G", "B", "VarMean.R", "VarMean.G", "VarMean.B"})
-        for (std::size_t i = 0; i < sum.n_pixels(); ++i) EXPECT_EQ(sum.find(channel)[i], before.find(channel)[i] + residual.find(channel)[i]) << channel;
+        for (std::size_t i = 0; i < sum.n_pixels(); ++i)
+            EXPECT_EQ(sum.find(channel)[i], before.find(channel)[i] + residual.find(channel)[i]) << channel;
 }
 
-// The residual without its noise: nobody knows its variance, and so neither that of the sum, to which no edit can be added.
+// The residual without its noise: nobody knows its variance, and so neither that of the sum, to which no edit can be
+// added.
 TEST_F(MakeEdit, of_a_denoised_residual) {
     const std::string light = "SPP=8 METHOD=correlated NEW_DEFINES=light=20,10,5";
     const std::string noisy = made("a", light);
@@ -63,8 +68,9 @@ TEST_F(MakeEdit, of_a_denoised_residual) {
         const std::string first = made("a", light + method), clean = made("d", light + method + " DENOISE=1");
         EXPECT_FALSE(first == clean);
         EXPECT_TRUE(clean == made("d", light + method + " DENOISE=1 THREADS=1"));
-        const Image before = read_image(folder / "base/old.exr"), found = read_image(folder / "a/residual.exr"), kept = read_image(folder / "d/noisy.exr"),
-                    residual = read_image(folder / "d/residual.exr"), sum = read_image(folder / "d/new.exr");
+        const Image before = read_image(folder / "base/old.exr"), found = read_image(folder / "a/residual.exr"),
+                    kept = read_image(folder / "d/noisy.exr"), residual = read_image(folder / "d/residual.exr"),
+                    sum = read_image(folder / "d/new.exr");
         EXPECT_TRUE(sum.find("VarMean.R").empty());
         EXPECT_TRUE(sum.ledger.empty());
         EXPECT_EQ(sum.scene, read_image(folder / "a/new.exr").scene);
@@ -89,13 +95,16 @@ TEST_F(MakeEdit, by_path_graphs) {
     const std::string first = made("g", light);
     const auto passes_time = fs::last_write_time(folder / "g/graph/new-0.exr");
     EXPECT_TRUE(first == made("g", light + " THREADS=1"));
-    for (const char* file : {"g/residual.exr", "g/residual.png", "g/new.png", "g/new.exr.cost.json"}) EXPECT_TRUE(fs::exists(folder / file)) << file;
+    for (const char* file : {"g/residual.exr", "g/residual.png", "g/new.png", "g/new.exr.cost.json"})
+        EXPECT_TRUE(fs::exists(folder / file)) << file;
     for (const auto& file : files()) EXPECT_FALSE(file.ends_with(".h5")) << file;
-    const Image before = read_image(folder / "base/old.exr"), residual = read_image(folder / "g/residual.exr"), sum = read_image(folder / "g/new.exr");
+    const Image before = read_image(folder / "base/old.exr"), residual = read_image(folder / "g/residual.exr"),
+                sum = read_image(folder / "g/new.exr");
     EXPECT_EQ(residual.samples, 8u);
     EXPECT_FALSE(residual.find("Blend.Path").empty());
     for (const char* channel : {"R", "G", "B", "VarMean.R"})
-        for (std::size_t i = 0; i < sum.n_pixels(); ++i) EXPECT_EQ(sum.find(channel)[i], before.find(channel)[i] + residual.find(channel)[i]) << channel;
+        for (std::size_t i = 0; i < sum.n_pixels(); ++i)
+            EXPECT_EQ(sum.find(channel)[i], before.find(channel)[i] + residual.find(channel)[i]) << channel;
     // Another way to merge them makes no pass anew.
     EXPECT_FALSE(first == made("g", light + " UNBIASED=1"));
     EXPECT_EQ(fs::last_write_time(folder / "g/graph/new-0.exr"), passes_time);
@@ -110,7 +119,8 @@ TEST_F(MakeEdit, by_path_graphs) {
         for (const float v : zero.find(channel)) ASSERT_EQ(v, 0.0f) << channel;
 }
 
-// Edits share the graph too; with the old picture's own samples the sum is the picture that these have in the new scene.
+// Edits share the graph too; with the old picture's own samples the sum is the picture that these have in the new
+// scene.
 TEST_F(MakeEdit, from_a_graph_of_the_scene_before) {
     const std::string light = "NEW_DEFINES=light=20,10,5 GRAPH=1";
     const std::string first = made("a", light);
@@ -118,36 +128,47 @@ TEST_F(MakeEdit, from_a_graph_of_the_scene_before) {
     EXPECT_TRUE(first == made("a", light + " THREADS=1"));
     made("b", "NEW_DEFINES=light=3 GRAPH=1");
     EXPECT_EQ(fs::last_write_time(folder / "base/graph.h5"), graph_time);
-    const Image before = read_image(folder / "base/old.exr"), residual = read_image(folder / "a/residual.exr"), sum = read_image(folder / "a/new.exr");
+    const Image before = read_image(folder / "base/old.exr"), residual = read_image(folder / "a/residual.exr"),
+                sum = read_image(folder / "a/new.exr");
     EXPECT_EQ(residual.samples, 2u);
     EXPECT_NE(residual.provenance.seed, before.provenance.seed);
     EXPECT_NE(residual.provenance.plan.find("; old graph: "), std::string::npos) << residual.provenance.plan;
     for (const char* channel : {"R", "G", "B", "VarMean.R"})
-        for (std::size_t i = 0; i < sum.n_pixels(); ++i) EXPECT_EQ(sum.find(channel)[i], before.find(channel)[i] + residual.find(channel)[i]) << channel;
+        for (std::size_t i = 0; i < sum.n_pixels(); ++i)
+            EXPECT_EQ(sum.find(channel)[i], before.find(channel)[i] + residual.find(channel)[i]) << channel;
     EXPECT_FALSE(first == made("a", light + " GRAPH_SEED=9"));
     // The chain of costs goes through the graph.
     const Outcome cost = sh(stage("compare") + " --quiet --cost " + in("a/new.exr"));
     EXPECT_EQ(cost.code, 0) << cost.err;
 
     made("same", "NEW_DEFINES=light=20,10,5 GRAPH=same");
-    ASSERT_EQ(sh(stage("trace") + " scenes/cornell-box.xml -D resx=24 -D resy=16 -D light=20,10,5 --spp 4 -o " + in("fresh.exr")).code, 0);
+    ASSERT_EQ(sh(stage("trace") + " scenes/cornell-box.xml -D resx=24 -D resy=16 -D light=20,10,5 --spp 4 -o " +
+                 in("fresh.exr"))
+                  .code,
+              0);
     const Image same = read_image(folder / "same/new.exr"), fresh = read_image(in("fresh.exr"));
     EXPECT_EQ(same.samples, 4u);
     EXPECT_TRUE(same.ledger.empty());
     EXPECT_EQ(same.scene.hash, fresh.scene.hash);
     EXPECT_EQ(sum.ledger.back().method, "old graph");
     // An edit after that, with a graph whose random numbers no link has.
-    const std::string later = "OLD_DEFINES=light=20,10,5 NEW_DEFINES=light=3 GRAPH=1 OLD_PICTURE=" + in("a/new.exr") + " BASE=" + in("base-2");
-    EXPECT_NE(sh(edit("later", later + " GRAPH_SEED=9")).err.find("has the random numbers of this residual"), std::string::npos);
+    const std::string later = "OLD_DEFINES=light=20,10,5 NEW_DEFINES=light=3 GRAPH=1 OLD_PICTURE=" + in("a/new.exr") +
+                              " BASE=" + in("base-2");
+    EXPECT_NE(sh(edit("later", later + " GRAPH_SEED=9")).err.find("has the random numbers of this residual"),
+              std::string::npos);
     made("later", later + " GRAPH_SEED=10");
     EXPECT_EQ(read_image(folder / "later/new.exr").ledger.size(), 3u);
     for (const char* channel : {"R", "G", "B", "VarMean.R", "VarMean.G", "VarMean.B"})
-        for (std::size_t i = 0; i < same.n_pixels(); ++i) EXPECT_NEAR(same.find(channel)[i], fresh.find(channel)[i], 1e-5 * (1 + fresh.find(channel)[i])) << channel;
+        for (std::size_t i = 0; i < same.n_pixels(); ++i)
+            EXPECT_NEAR(same.find(channel)[i], fresh.find(channel)[i], 1e-5 * (1 + fresh.find(channel)[i])) << channel;
 }
 
 TEST_F(MakeEdit, graphs_that_do_not_fit_are_refused) {
-    const std::string box = "scenes/cornell-box.xml -D resx=24 -D resy=16 ", o = " -o " + in("r.exr"), n = " --old " + in("old.exr") + " --new " + in("n.exr");
-    const auto trace = [&](const std::string& options, const std::string& file) { ASSERT_EQ(sh(stage("trace") + " " + box + options + " -o " + in(file)).code, 0); };
+    const std::string box = "scenes/cornell-box.xml -D resx=24 -D resy=16 ", o = " -o " + in("r.exr"),
+                      n = " --old " + in("old.exr") + " --new " + in("n.exr");
+    const auto trace = [&](const std::string& options, const std::string& file) {
+        ASSERT_EQ(sh(stage("trace") + " " + box + options + " -o " + in(file)).code, 0);
+    };
     trace("--spp 2", "old.exr");
     trace("--spp 2", "old.h5");
     trace("--spp 3", "more.h5");
@@ -169,13 +190,17 @@ TEST_F(MakeEdit, graphs_that_do_not_fit_are_refused) {
 
 TEST_F(MakeEdit, what_does_not_go_together_is_refused) {
     const std::string box = " scenes/cornell-box.xml -D resx=24 -D resy=16 --spp 2 --quiet ";
-    ASSERT_EQ(sh(stage("trace") + box + "-o " + in("a.exr") + " && " + stage("trace") + box + "--seed 1 -o " + in("b.exr")).code, 0);
+    ASSERT_EQ(
+        sh(stage("trace") + box + "-o " + in("a.exr") + " && " + stage("trace") + box + "--seed 1 -o " + in("b.exr"))
+            .code,
+        0);
     const auto refused = [&](const std::string& command, const std::string& message) {
         const Outcome outcome = sh(command);
         EXPECT_EQ(outcome.code, 2) << command;
         EXPECT_NE(outcome.err.find(message), std::string::npos) << command << "\n" << outcome.err;
     };
-    const std::string merge = stage("merge") + " " + in("a.exr") + " -o " + in("x.exr"), cluster = stage("cluster") + " " + in("a.h5");
+    const std::string merge = stage("merge") + " " + in("a.exr") + " -o " + in("x.exr"),
+                      cluster = stage("cluster") + " " + in("a.h5");
     refused(merge + " --minus " + in("b.exr"), "only the same random numbers have noise in common");
     refused(merge + " --minus " + in("a.exr") + " --minus " + in("b.exr"), "2 images for 1 parts");
     refused(merge + " --unbiased 1", "does not say what its paths alone know");
@@ -185,12 +210,17 @@ TEST_F(MakeEdit, what_does_not_go_together_is_refused) {
     EXPECT_FALSE(fs::exists(folder / "x.exr"));
     EXPECT_FALSE(fs::exists(folder / "x.h5"));
     ASSERT_EQ(sh(merge + " --minus " + in("a.exr")).code, 0);
-    refused(stage("residual") + " scenes/cornell-box.xml -D resx=24 -D resy=16 --old " + in("a.exr") + " --new " + in("n.exr") + " --residual " + in("x.exr"),
+    refused(stage("residual") + " scenes/cornell-box.xml -D resx=24 -D resy=16 --old " + in("a.exr") + " --new " +
+                in("n.exr") + " --residual " + in("x.exr"),
             "does not say how noisy it is");
 }
 
 TEST_F(MakeEdit, wrong_variables_are_refused) {
-    for (const char* wrong : {"METHOD=graph PASSES=1", "METHOD=graph K=0", "METHOD=graph UNBIASED=2", "METHOD=none", "GRAPH=2", "GRAPH=1 METHOD=independent", "SPP=0", "BASE_SPP=x", "OLD=missing.xml", "NEW=missing.xml", "OUT='two words'", "OLD_PICTURE=missing.exr", "OLD_PICTURE=LICENSE GRAPH=same", "OLD_PICTURE=LICENSE METHOD=graph", "OLD_PICTURE=LICENSE", "NEW_DEFINES=resx=25"}) {
+    for (const char* wrong :
+         {"METHOD=graph PASSES=1", "METHOD=graph K=0", "METHOD=graph UNBIASED=2", "METHOD=none", "GRAPH=2",
+          "GRAPH=1 METHOD=independent", "SPP=0", "BASE_SPP=x", "OLD=missing.xml", "NEW=missing.xml", "OUT='two words'",
+          "OLD_PICTURE=missing.exr", "OLD_PICTURE=LICENSE GRAPH=same", "OLD_PICTURE=LICENSE METHOD=graph",
+          "OLD_PICTURE=LICENSE", "NEW_DEFINES=resx=25"}) {
         const Outcome outcome = sh(edit("x", wrong));
         EXPECT_EQ(outcome.code, 2) << wrong << "\n" << outcome.err;
         EXPECT_EQ(outcome.out, "");
@@ -201,16 +231,24 @@ TEST_F(MakeEdit, plan_says_the_edit) {
     const std::string box = stage("residual") + " scenes/cornell-box.xml --quiet --plan";
     EXPECT_EQ(sh(box).out.substr(0, 16), "nothing differs\n");
     EXPECT_EQ(sh(box).code, 0);
-    EXPECT_EQ(sh(box + " --old-define light=1 --new-define light=2,2,2").out.substr(0, 61), "light changed: lamp: radiance (1, 1, 1) -> (2, 2, 2)\nshapes: ");
-    EXPECT_NE(sh(box + " --method independent").out.find("on: independent paths (different random numbers in the two scenes, as asked)"), std::string::npos);
+    EXPECT_EQ(sh(box + " --old-define light=1 --new-define light=2,2,2").out.substr(0, 61),
+              "light changed: lamp: radiance (1, 1, 1) -> (2, 2, 2)\nshapes: ");
+    EXPECT_NE(sh(box + " --method independent")
+                  .out.find("on: independent paths (different random numbers in the two scenes, as asked)"),
+              std::string::npos);
 }
 
 TEST_F(MakeEdit, wrong_command_lines_are_2) {
-    const std::string box = "scenes/cornell-box.xml -D resx=24 -D resy=16 --new-define light=3 ", o = " -o " + in("r.exr"), n = " --new " + in("n.exr");
+    const std::string box = "scenes/cornell-box.xml -D resx=24 -D resy=16 --new-define light=3 ",
+                      o = " -o " + in("r.exr"), n = " --new " + in("n.exr");
     ASSERT_EQ(sh(stage("trace") + " scenes/cornell-box.xml -D resx=24 -D resy=16 --spp 2 -o " + in("old.exr")).code, 0);
-    ASSERT_EQ(sh(stage("trace") + " scenes/cornell-box.xml -D resx=16 -D resy=24 --spp 2 -o " + in("tall.exr")).code, 0);
+    ASSERT_EQ(sh(stage("trace") + " scenes/cornell-box.xml -D resx=16 -D resy=24 --spp 2 -o " + in("tall.exr")).code,
+              0);
     ASSERT_EQ(sh(stage("trace") + " scenes/cornell-box.xml -D resx=24 -D resy=16 --spp 1 -o " + in("one.exr")).code, 0);
-    ASSERT_EQ(sh(stage("trace") + " scenes/cornell-box.xml -D resx=24 -D resy=16 -D light=9 --spp 2 -o " + in("light.exr")).code, 0);
+    ASSERT_EQ(
+        sh(stage("trace") + " scenes/cornell-box.xml -D resx=24 -D resy=16 -D light=9 --spp 2 -o " + in("light.exr"))
+            .code,
+        0);
     ASSERT_EQ(sh(stage("denoise") + " " + in("old.exr") + " -o " + in("clean.exr")).code, 0);
     const auto old = [&](const char* name) { return " --old " + in(name); };
     expect_refused("", "old");
@@ -223,21 +261,29 @@ TEST_F(MakeEdit, wrong_command_lines_are_2) {
     expect_refused(box + o + old("tall.exr") + n, "is 16 x 24, but the film of cornell-box.xml has 24 x 16 pixels");
     expect_refused(box + o + old("one.exr") + n, "does not say how noisy it is");
     expect_refused(box + o + old("light.exr") + n, "trace it again");
-    expect_refused(box + o + " --new-define resx=25", "the film's width is 25, not 24 as in the old scene, at scenes/cornell-box.xml:");
+    expect_refused(box + o + " --new-define resx=25",
+                   "the film's width is 25, not 24 as in the old scene, at scenes/cornell-box.xml:");
     EXPECT_EQ(sh(stage("residual") + " " + box + o + old("old.exr") + n + " --spp 2").code, 0);
 }
 
 // The picture of one technique is a part, and is never taken for the whole.
 TEST_F(MakeEdit, techniques_by_themselves) {
     const std::string box = "scenes/cornell-box.xml -D resx=24 -D resy=16 --spp 2 ";
-    const Outcome list = sh(stage("residual") + " --quiet scenes/movers.xml --new-define m1=1 --method dynamic --technique list");
-    EXPECT_EQ(list.out, "dynamic-from-emitter\ndynamic-two-ends\nghost-from-emitter\nghost-two-ends\nnew-place-from-sensor\nold-place-from-sensor\npath-tracing\n") << list.err;
+    const Outcome list =
+        sh(stage("residual") + " --quiet scenes/movers.xml --new-define m1=1 --method dynamic --technique list");
+    EXPECT_EQ(list.out,
+              "dynamic-from-emitter\ndynamic-two-ends\nghost-from-emitter\nghost-two-ends\nnew-place-from-sensor\nold-"
+              "place-from-sensor\npath-tracing\n")
+        << list.err;
     const std::string light = box + "--method dynamic --new-define light=3 ", part = light + "--technique path-tracing";
     ASSERT_EQ(sh(stage("trace") + " scenes/cornell-box.xml -D resx=24 -D resy=16 --spp 2 -o " + in("old.exr")).code, 0);
     ASSERT_EQ(sh(stage("residual") + " " + part + " -o " + in("part.exr")).code, 0);
     ASSERT_EQ(sh(stage("residual") + " " + part + " --raw -o " + in("raw.exr")).code, 0);
-    EXPECT_NE(read_image(in("part.exr")).provenance.plan.find("a part of it: only paths found by path-tracing, weighted"), std::string::npos);
-    EXPECT_NE(read_image(in("raw.exr")).provenance.plan.find("only paths found by path-tracing, raw"), std::string::npos);
+    EXPECT_NE(
+        read_image(in("part.exr")).provenance.plan.find("a part of it: only paths found by path-tracing, weighted"),
+        std::string::npos);
+    EXPECT_NE(read_image(in("raw.exr")).provenance.plan.find("only paths found by path-tracing, raw"),
+              std::string::npos);
     const std::string o = " -o " + in("x.exr"), n = " --old " + in("old.exr") + " --new " + in("n.exr");
     expect_refused(light + "--technique ghost-two-ends" + o, "--technique ghost-two-ends: this edit has path-tracing");
     expect_refused(part + n, "makes no picture of the new scene");
@@ -245,19 +291,24 @@ TEST_F(MakeEdit, techniques_by_themselves) {
     expect_refused(part + o + " --as-printed", "all techniques together");
     expect_refused(light + "--raw" + o, "is of the paths of one --technique");
     expect_refused(light + n + " --residual " + in("part.exr"), "has the paths of one technique");
-    const Outcome pictures = sh("make -s edit-techniques BUILD='" + fs::path(LOOM_BIN_DIR).parent_path().string() + "' DEFINES='resx=24 resy=16' SPP=2 NEW_DEFINES=light=3 OUT=" + in("t"));
-    EXPECT_EQ(pictures.out, in("t/techniques/path-tracing-weighted.png") + "\n" + in("t/techniques/path-tracing-raw.png") + "\n") << pictures.err;
+    const Outcome pictures = sh("make -s edit-techniques BUILD='" + fs::path(LOOM_BIN_DIR).parent_path().string() +
+                                "' DEFINES='resx=24 resy=16' SPP=2 NEW_DEFINES=light=3 OUT=" + in("t"));
+    EXPECT_EQ(pictures.out,
+              in("t/techniques/path-tracing-weighted.png") + "\n" + in("t/techniques/path-tracing-raw.png") + "\n")
+        << pictures.err;
 }
 
 // Passes of a residual merge into what one run gives.
 TEST_F(MakeEdit, passes_merge) {
-    const std::string box = stage("residual") + " scenes/cornell-box.xml -D resx=24 -D resy=16 --new-define light=3 --spp ";
+    const std::string box =
+        stage("residual") + " scenes/cornell-box.xml -D resx=24 -D resy=16 --new-define light=3 --spp ";
     ASSERT_EQ(sh(box + "8 -o " + in("whole.exr")).code, 0);
     ASSERT_EQ(sh(box + "4 -o " + in("a.exr") + " && " + box + "4 --first-sample 4 -o " + in("b.exr")).code, 0);
     ASSERT_EQ(sh(stage("merge") + " " + in("a.exr") + " " + in("b.exr") + " -o " + in("ab.exr")).code, 0);
     const Image whole = read_image(in("whole.exr")), merged = read_image(in("ab.exr"));
     for (const char* channel : {"R", "G", "B", "VarMean.R", "Albedo.R"})
-        for (std::size_t i = 0; i < whole.n_pixels(); ++i) EXPECT_NEAR(whole.find(channel)[i], merged.find(channel)[i], 1e-4) << channel << " " << i;
+        for (std::size_t i = 0; i < whole.n_pixels(); ++i)
+            EXPECT_NEAR(whole.find(channel)[i], merged.find(channel)[i], 1e-4) << channel << " " << i;
 }
 
 // A picture names the scene that it shows, whatever it was made by; a difference of pictures shows none.
@@ -281,7 +332,8 @@ TEST_F(MakeEdit, pictures_name_their_scene) {
     const std::string merge = stage("merge") + " --quiet ";
     run(merge + in("a0.exr") + " " + in("a1.exr") + " -o " + in("aa.exr"));
     run(merge + in("a0.exr") + " " + in("b1.exr") + " -o " + in("ab.exr"));
-    run(merge + in("b0.exr") + " " + in("b1.exr") + " --minus " + in("a0.exr") + " --minus " + in("a1.exr") + " -o " + in("minus.exr"));
+    run(merge + in("b0.exr") + " " + in("b1.exr") + " --minus " + in("a0.exr") + " --minus " + in("a1.exr") + " -o " +
+        in("minus.exr"));
     EXPECT_EQ(scene_of("aa.exr"), a);
     EXPECT_EQ(scene_of("ab.exr"), InputId());
     const Image minus = read_image(in("minus.exr"));
@@ -299,7 +351,8 @@ TEST_F(MakeEdit, edits_go_on_from_edits) {
     const std::string warm = "light=20,10,5", cold = "light=5,10,20";
     made("a", "METHOD=correlated NEW_DEFINES=" + warm);
     const auto base_time = fs::last_write_time(folder / "base/old.exr");
-    const std::string goes_on = "OLD_DEFINES=" + warm + " NEW_DEFINES=" + cold + " METHOD=dynamic OLD_PICTURE=" + in("a/new.exr");
+    const std::string goes_on =
+        "OLD_DEFINES=" + warm + " NEW_DEFINES=" + cold + " METHOD=dynamic OLD_PICTURE=" + in("a/new.exr");
     const std::string second = made("b", goes_on);
     EXPECT_TRUE(second == made("b", goes_on + " THREADS=1"));
     const auto made_at = fs::last_write_time(folder / "b/new.exr");
@@ -307,7 +360,8 @@ TEST_F(MakeEdit, edits_go_on_from_edits) {
     EXPECT_EQ(fs::last_write_time(folder / "b/new.exr"), made_at);
     EXPECT_EQ(fs::last_write_time(folder / "base/old.exr"), base_time);  // nothing but differences is traced
 
-    const Image first = read_image(in("base/old.exr")), middle = read_image(in("b/new.exr")), last = read_image(in("c/new.exr"));
+    const Image first = read_image(in("base/old.exr")), middle = read_image(in("b/new.exr")),
+                last = read_image(in("c/new.exr"));
     EXPECT_EQ(last.scene.hash, first.scene.hash);  // there and back again
     ASSERT_EQ(last.ledger.size(), 4u);
     EXPECT_TRUE(std::equal(middle.ledger.begin(), middle.ledger.end(), last.ledger.begin()));
@@ -327,19 +381,32 @@ TEST_F(MakeEdit, edits_go_on_from_edits) {
     EXPECT_EQ(residual.scene, InputId());
     ASSERT_EQ(residual.ledger.size(), 1u);
     EXPECT_EQ(residual.ledger[0], ledger[3]);
-    for (std::size_t i = 0; i < last.n_pixels(); ++i) EXPECT_EQ(last.find("G")[i], middle.find("G")[i] + residual.find("G")[i]);
+    for (std::size_t i = 0; i < last.n_pixels(); ++i)
+        EXPECT_EQ(last.find("G")[i], middle.find("G")[i] + residual.find("G")[i]);
 
     const std::string text = sh(stage("inspect") + " --quiet " + in("c/new.exr")).out;
-    EXPECT_NE(text.find("  link  method       per pixel     var_mean          sum    share  fresh spp        CPU  shows; edit\n     0"), std::string::npos) << text;
-    EXPECT_NE(text.find("cornell-box.xml; light changed: lamp: radiance (20, 10, 5) -> (5, 10, 20)\n"), std::string::npos) << text;
+    EXPECT_NE(text.find("  link  method       per pixel     var_mean          sum    share  fresh spp        CPU  "
+                        "shows; edit\n     0"),
+              std::string::npos)
+        << text;
+    EXPECT_NE(text.find("cornell-box.xml; light changed: lamp: radiance (20, 10, 5) -> (5, 10, 20)\n"),
+              std::string::npos)
+        << text;
     EXPECT_NE(sh(stage("inspect") + " --quiet --json " + in("c/new.exr")).out.find("\"fresh_spp\""), std::string::npos);
 
     // What is refused: the picture of another scene, a residual for a picture, a sum among passes.
-    const std::string box = "scenes/cornell-box.xml -D resx=24 -D resy=16 --spp 2 ", from_warm = box + "--old-define " + warm + " ", n = " --new " + in("n.exr");
-    expect_refused(box + "--new-define light=3 --old " + in("a/new.exr") + n, "an edit goes on from the new scene of the edit before, with its values");
-    expect_refused(box + "--new-define light=3 --old " + in("a/new.exr") + n, "is a picture of cornell-box.xml with content " + ledger[1].scene.hash + ", not of cornell-box.xml with these values, whose content is " + first.scene.hash);
-    expect_refused(box + "--new-define light=3 --old " + in("a/residual.exr") + n, "is a residual, not a picture of cornell-box.xml");
-    EXPECT_NE(sh(stage("merge") + " " + in("base/old.exr") + " " + in("a/new.exr") + " -o " + in("m.exr")).err.find("is a picture and an edit added to it"), std::string::npos);
+    const std::string box = "scenes/cornell-box.xml -D resx=24 -D resy=16 --spp 2 ",
+                      from_warm = box + "--old-define " + warm + " ", n = " --new " + in("n.exr");
+    expect_refused(box + "--new-define light=3 --old " + in("a/new.exr") + n,
+                   "an edit goes on from the new scene of the edit before, with its values");
+    expect_refused(box + "--new-define light=3 --old " + in("a/new.exr") + n,
+                   "is a picture of cornell-box.xml with content " + ledger[1].scene.hash +
+                       ", not of cornell-box.xml with these values, whose content is " + first.scene.hash);
+    expect_refused(box + "--new-define light=3 --old " + in("a/residual.exr") + n,
+                   "is a residual, not a picture of cornell-box.xml");
+    EXPECT_NE(sh(stage("merge") + " " + in("base/old.exr") + " " + in("a/new.exr") + " -o " + in("m.exr"))
+                  .err.find("is a picture and an edit added to it"),
+              std::string::npos);
     EXPECT_FALSE(fs::exists(folder / "m.exr"));
     // A picture from before pictures named their scene: loom-trace's is known by its input, others are taken on trust.
     Image old = read_image(in("a/new.exr"));
@@ -354,17 +421,22 @@ TEST_F(MakeEdit, edits_go_on_from_edits) {
     write_image(old, in("old.exr"));
     const Outcome on_trust = sh(stage("residual") + " " + box + "--new-define light=3 --old " + in("old.exr") + n);
     EXPECT_EQ(on_trust.code, 0);
-    EXPECT_NE(on_trust.err.find("does not name its scene; taken for a picture of cornell-box.xml"), std::string::npos) << on_trust.err;
+    EXPECT_NE(on_trust.err.find("does not name its scene; taken for a picture of cornell-box.xml"), std::string::npos)
+        << on_trust.err;
 
     // A residual made before has a seed of its own, and passes of it merge.
-    const std::string pass = stage("residual") + " --quiet " + from_warm + "--new-define light=3 --method correlated --seed ";
-    ASSERT_EQ(sh(pass + "0 -o " + in("r0.exr") + " && " + pass + "6 -o " + in("r6.exr") + " && " + pass + "6 --first-sample 2 -o " + in("r6b.exr") + " && " + stage("merge") +
-                 " --quiet " + in("r6.exr") + " " + in("r6b.exr") + " -o " + in("r.exr"))
+    const std::string pass =
+        stage("residual") + " --quiet " + from_warm + "--new-define light=3 --method correlated --seed ";
+    ASSERT_EQ(sh(pass + "0 -o " + in("r0.exr") + " && " + pass + "6 -o " + in("r6.exr") + " && " + pass +
+                 "6 --first-sample 2 -o " + in("r6b.exr") + " && " + stage("merge") + " --quiet " + in("r6.exr") + " " +
+                 in("r6b.exr") + " -o " + in("r.exr"))
                   .code,
               0);
     const std::string add = from_warm + "--new-define light=3 --old " + in("a/new.exr") + n + " --residual ";
-    expect_refused(add + in("r0.exr"), "its edit 1 (correlated) has the random numbers of this residual (correlated, seed 0)");
-    expect_refused(add + in("a/residual.exr"), "leads to cornell-box.xml with content " + ledger[1].scene.hash + ", not to cornell-box.xml");
+    expect_refused(add + in("r0.exr"),
+                   "its edit 1 (correlated) has the random numbers of this residual (correlated, seed 0)");
+    expect_refused(add + in("a/residual.exr"),
+                   "leads to cornell-box.xml with content " + ledger[1].scene.hash + ", not to cornell-box.xml");
     expect_refused(add + in("base/old.exr"), "is a picture of cornell-box.xml, not a residual");
     const Outcome added = sh(stage("residual") + " " + add + in("r.exr"));
     ASSERT_EQ(added.code, 0) << added.err;
@@ -379,27 +451,35 @@ TEST_F(MakeEdit, edits_go_on_from_edits) {
     EXPECT_NEAR(accumulated_var_mean(sum.ledger, 3), mean_var_mean(sum), 1e-5 * mean_var_mean(sum));
     // The bright lamp's noise stays when its light goes: a new base is proposed, with the numbers and the command.
     EXPECT_NE(added.err.find("less than half of the 4 that the chain began with"), std::string::npos) << added.err;
-    EXPECT_NE(added.err.find("re-base: loom-trace scenes/cornell-box.xml -D 'resx=24' -D 'resy=16' -D 'light=3' --spp 4 -o FRESH.exr"), std::string::npos) << added.err;
+    EXPECT_NE(
+        added.err.find(
+            "re-base: loom-trace scenes/cornell-box.xml -D 'resx=24' -D 'resy=16' -D 'light=3' --spp 4 -o FRESH.exr"),
+        std::string::npos)
+        << added.err;
 }
 
 TEST_F(MakeEdit, cost_of_graphs_has_a_row_per_edit) {
-    const std::string chart = "make -s chart-edit-cost BUILD='" + fs::path(LOOM_BIN_DIR).parent_path().string() + "' OUT=" + in("c") + " SIZE=24 SPP=2 REPLICATES=1 ROWS=";
+    const std::string chart = "make -s chart-edit-cost BUILD='" + fs::path(LOOM_BIN_DIR).parent_path().string() +
+                              "' OUT=" + in("c") + " SIZE=24 SPP=2 REPLICATES=1 ROWS=";
     const Outcome made = sh(chart + "'speck half'");
     ASSERT_EQ(made.code, 0) << made.err;
-    for (const char* text : {"| box | speck | ", "| box | half | ", "c/cost.png"}) EXPECT_NE(made.out.find(text), std::string::npos) << text << "\n" << made.out;
+    for (const char* text : {"| box | speck | ", "| box | half | ", "c/cost.png"})
+        EXPECT_NE(made.out.find(text), std::string::npos) << text << "\n" << made.out;
     EXPECT_TRUE(fs::exists(folder / "c/cost.svg"));
     EXPECT_NE(sh(chart + "nothing").code, 0);
 }
 
 // Breaks seen to fail: awk that only GNU's takes (mawk is Debian's).
 TEST_F(MakeEdit, table_has_a_row_per_method_and_is_made_once) {
-    const std::string table = "make -s table-edit BUILD='" + fs::path(LOOM_BIN_DIR).parent_path().string() + "' OUT=" + in("t") +
-                              " ROWS=blue METHODS='correlated dynamic' SPP=2 SPPS='2 4' REPLICATES=2 SIZE=24 REFERENCE_SPP=8 BASE_SPP=4";
+    const std::string table =
+        "make -s table-edit BUILD='" + fs::path(LOOM_BIN_DIR).parent_path().string() + "' OUT=" + in("t") +
+        " ROWS=blue METHODS='correlated dynamic' SPP=2 SPPS='2 4' REPLICATES=2 SIZE=24 REFERENCE_SPP=8 BASE_SPP=4";
     const Outcome first = sh(table);
     ASSERT_EQ(first.code, 0) << first.err;
     EXPECT_NE(first.out.find(in("t/table.tsv")), std::string::npos) << first.out;
     const std::string text = bytes_of(folder / "t/table.md");
-    for (const char* row : {"### Materials (Table 2)", "| blue | correlated | 2 |", "| blue | correlated | 4 |", "| blue | dynamic | 2 |", "| 8.5 |"})
+    for (const char* row : {"### Materials (Table 2)", "| blue | correlated | 2 |", "| blue | correlated | 4 |",
+                            "| blue | dynamic | 2 |", "| 8.5 |"})
         EXPECT_NE(text.find(row), std::string::npos) << row << "\n" << text;
     const auto made_at = fs::last_write_time(folder / "t/table.md");
     EXPECT_EQ(sh(table).code, 0);

@@ -49,8 +49,8 @@ class MakeImage : public PipelineTest {
 };
 
 TEST_F(MakeImage, front_door_prints_only_the_path) {
-    const Outcome outcome = sh("make -s image BUILD='" + fs::path(LOOM_BIN_DIR).parent_path().string() +
-                               "' " + small + "SPP=1 OUT=" + (folder / "x").string());
+    const Outcome outcome = sh("make -s image BUILD='" + fs::path(LOOM_BIN_DIR).parent_path().string() + "' " + small +
+                               "SPP=1 OUT=" + (folder / "x").string());
     EXPECT_EQ(outcome.code, 0) << outcome.err;
     EXPECT_EQ(outcome.out, (folder / "x/image.exr").string() + "\n");
 }
@@ -92,12 +92,16 @@ TEST_F(MakeImage, more_passes_keep_the_finished_ones) {
     EXPECT_TRUE(added == bytes_of(image("y", small + "SPP=1 PASSES=3")));
 }
 
-// How many further samples of direct light pay is measured, and is the same each time; none leave nothing to be blended.
+// How many further samples of direct light pay is measured, and is the same each time; none leave nothing to be
+// blended.
 TEST_F(MakeImage, direct_light_is_planned_from_the_passes) {
     int paid = 0, free = 0;
     for (const char* scene : {"cornell-box", "environment-map"}) {
-        const std::string variables = fmt::format("SCENE=scenes/{}.xml DEFINES='resx=24 resy=16' SPP=2 PASSES=4", scene), name = scene;
-        const fs::path exr = image(name + "-1", variables + " THREADS=1"), again = image(name + "-2", variables + " THREADS=2");
+        const std::string variables =
+                              fmt::format("SCENE=scenes/{}.xml DEFINES='resx=24 resy=16' SPP=2 PASSES=4", scene),
+                          name = scene;
+        const fs::path exr = image(name + "-1", variables + " THREADS=1"),
+                       again = image(name + "-2", variables + " THREADS=2");
         EXPECT_TRUE(bytes_of(exr) == bytes_of(again)) << scene;
         EXPECT_TRUE(up_to_date(name + "-1", variables));
         const fs::path work = folder / (name + "-1") / "pathgraph";
@@ -112,7 +116,8 @@ TEST_F(MakeImage, direct_light_is_planned_from_the_passes) {
     }
     EXPECT_EQ(paid, 1);
     EXPECT_EQ(free, 1);
-    const Outcome few = sh(stage("merge") + " --plan-direct " + (folder / "cornell-box-1/pathgraph/pass-0.exr").string());
+    const Outcome few =
+        sh(stage("merge") + " --plan-direct " + (folder / "cornell-box-1/pathgraph/pass-0.exr").string());
     EXPECT_EQ(few.code, 2);
     EXPECT_NE(few.err.find("only a blend takes direct light: 4 or more parts"), std::string::npos) << few.err;
 }
@@ -120,8 +125,7 @@ TEST_F(MakeImage, direct_light_is_planned_from_the_passes) {
 TEST_F(MakeImage, wrong_variables_are_refused) {
     for (const char* wrong : {"METHOD=none", "SPP=0", "SPP=x", "PASSES=0", "PASSES=1.5", "SCENE=missing.xml",
                               "OUT='two words'", "DEFINES=nobody=1"}) {
-        const Outcome outcome =
-            sh(still("x", "SCENE=scenes/cornell-box.xml " + std::string(wrong)) + " image");
+        const Outcome outcome = sh(still("x", "SCENE=scenes/cornell-box.xml " + std::string(wrong)) + " image");
         EXPECT_EQ(outcome.code, 2) << wrong << "\n" << outcome.err;
         EXPECT_EQ(outcome.out, "") << wrong;
         EXPECT_FALSE(fs::exists(folder / "x/image.exr")) << wrong;
@@ -136,16 +140,13 @@ TEST_F(MakeImage, graph_and_path_tracing_agree) {
         {"cornell-box", 1e-5f}, {"all-emitters", 5e-5f}, {"glossy-box", 3e-4f}};
     for (const auto& [scene, relative] : scenes) {
         SCOPED_TRACE(scene);
-        const std::string variables =
-            "SCENE=scenes/" + scene + ".xml DEFINES='resx=24 resy=16' SPP=4 PASSES=2 METHOD=";
-        expect_close(image(scene + "-graph", variables + "graph"), image(scene + "-pt", variables + "pt"),
-                     relative);
+        const std::string variables = "SCENE=scenes/" + scene + ".xml DEFINES='resx=24 resy=16' SPP=4 PASSES=2 METHOD=";
+        expect_close(image(scene + "-graph", variables + "graph"), image(scene + "-pt", variables + "pt"), relative);
     }
 }
 
 TEST_F(MakeImage, passes_add_up_to_one_run) {
-    expect_close(image("two", small + "METHOD=pt SPP=4 PASSES=2"), image("one", small + "METHOD=pt SPP=8"),
-                 1e-5f);
+    expect_close(image("two", small + "METHOD=pt SPP=4 PASSES=2"), image("one", small + "METHOD=pt SPP=8"), 1e-5f);
 }
 
 TEST_F(MakeImage, parallel_make_gives_the_same_bytes) {

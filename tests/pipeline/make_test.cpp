@@ -19,13 +19,15 @@ std::string quoted(const std::string& text) {
     return "'" + std::regex_replace(text, std::regex("'"), "'\\''") + "'";
 }
 
-std::string build_folder() { return fs::path(LOOM_BIN_DIR).parent_path().string(); }
+std::string build_folder() {
+    return fs::path(LOOM_BIN_DIR).parent_path().string();
+}
 
 /// A sky, and a mesh before it.
 std::string scene_of(const std::string& mesh, const std::string& more = "") {
     return R"(<scene version="3.0.0"><sensor type="perspective"><film type="hdrfilm"><integer name="width" value="8"/>
-<integer name="height" value="8"/></film></sensor><emitter type="constant"/>)" + more +
-           R"(<shape type="obj"><string name="filename" value=")" + mesh + R"("/></shape></scene>)";
+<integer name="height" value="8"/></film></sensor><emitter type="constant"/>)" +
+           more + R"(<shape type="obj"><string name="filename" value=")" + mesh + R"("/></shape></scene>)";
 }
 std::string triangle(double size) {
     return fmt::format("v {0} {0} 3\nv -{0} {0} 3\nv 0 -{0} 3\nf 1 2 3\n", size);
@@ -50,7 +52,8 @@ class MakeContents : public Make {
     void SetUp() override {
         Make::SetUp();
         write("a.obj", triangle(1));
-        write("part.xml", R"(<scene version="3.0.0"><emitter type="point"><rgb name="intensity" value="1"/></emitter></scene>)");
+        write("part.xml",
+              R"(<scene version="3.0.0"><emitter type="point"><rgb name="intensity" value="1"/></emitter></scene>)");
         write("s.xml", scene_of("a.obj", R"(<include filename="part.xml"/>)"));
     }
     std::string still_of(const std::string& out) const { return still(out, "METHOD=pt SPP=1 SCENE=" + in("s.xml")); }
@@ -101,7 +104,8 @@ TEST_F(MakeContents, decide_and_times_do_not) {
     EXPECT_TRUE(traces());
     EXPECT_TRUE(image() == anew());
     // An included file, and the scene itself.
-    write_unseen("part.xml", R"(<scene version="3.0.0"><emitter type="point"><rgb name="intensity" value="9"/></emitter></scene>)");
+    write_unseen("part.xml",
+                 R"(<scene version="3.0.0"><emitter type="point"><rgb name="intensity" value="9"/></emitter></scene>)");
     EXPECT_TRUE(traces());
     write_unseen("s.xml", scene_of("first.obj"));
     EXPECT_TRUE(traces());
@@ -118,12 +122,16 @@ TEST_F(MakeContents, decide_and_times_do_not) {
 TEST_F(MakeContents, of_path_graphs_cubes_and_edits) {
     const std::string picture = "SPP=1 PASSES=1 SCENE=" + in("s.xml");
     const std::string graph = still("g", picture) + " " + in("g/image.exr");
-    const std::string cube = "make -s -f pipelines/transient.mk BUILD=" + build_folder() + " PASSES=1 SPP=1 KEEP=0 BINS=4 START=0 WIDTH=1 PULSE=table TRANSIENT='--pulse-table " +
+    const std::string cube = "make -s -f pipelines/transient.mk BUILD=" + build_folder() +
+                             " PASSES=1 SPP=1 KEEP=0 BINS=4 START=0 WIDTH=1 PULSE=table TRANSIENT='--pulse-table " +
                              in("pulse.txt") + "' SCENE=" + in("s.xml") + " OUT=" + in("c") + " " + in("c/cube.h5");
-    const std::string edit = "make -s -f pipelines/edit.mk BUILD=" + build_folder() + " METHOD=correlated SPP=2 BASE_SPP=2 OLD=" + in("s.xml") + " NEW=" + in("new.xml") +
+    const std::string edit = "make -s -f pipelines/edit.mk BUILD=" + build_folder() +
+                             " METHOD=correlated SPP=2 BASE_SPP=2 OLD=" + in("s.xml") + " NEW=" + in("new.xml") +
                              " BASE=" + in("base") + " OUT=" + in("e") + " " + in("e/new.exr");
-    const std::string chain = "make -s -f pipelines/edit.mk BUILD=" + build_folder() + " METHOD=correlated SPP=2 OLD=" + in("new.xml") + " NEW=" + in("s.xml") +
-                              " OLD_PICTURE=" + quoted(in("before it.exr")) + " BASE=" + in("base") + " OUT=" + in("f") + " " + in("f/new.exr");
+    const std::string chain = "make -s -f pipelines/edit.mk BUILD=" + build_folder() +
+                              " METHOD=correlated SPP=2 OLD=" + in("new.xml") + " NEW=" + in("s.xml") +
+                              " OLD_PICTURE=" + quoted(in("before it.exr")) + " BASE=" + in("base") +
+                              " OUT=" + in("f") + " " + in("f/new.exr");
     const auto stale = [&](const std::string& make) { return sh(make + " -q").code != 0; };
     write("pulse.txt", "0 1\n1 1\n");
     write("b.obj", triangle(1.5));
@@ -161,7 +169,8 @@ TEST_F(MakeContents, are_in_a_stamp) {
     EXPECT_FALSE(fs::exists(folder / "x.stamp"));
     EXPECT_EQ(sh(stamp).code, 0);
     const std::string text = bytes_of(folder / "x.stamp");
-    for (const char* name : {"s.xml", "part.xml", "a.obj"}) EXPECT_NE(text.find(in(name) + "\n"), std::string::npos) << text;
+    for (const char* name : {"s.xml", "part.xml", "a.obj"})
+        EXPECT_NE(text.find(in(name) + "\n"), std::string::npos) << text;
     EXPECT_EQ(sh(stamp + " --check").code, 0);
     // A stamp that keeps its time is no news to make.
     const auto time = fs::last_write_time(folder / "x.stamp");
@@ -174,8 +183,10 @@ TEST_F(MakeContents, are_in_a_stamp) {
     EXPECT_EQ(sh(stamp + " " + in("part.xml") + " --check").code, 1);
     // Those of what is compared, and of a row of a table.
     fs::copy_file(LOOM_SOURCE_DIR "/tests/fixtures/image_1.0.exr", folder / "r.exr");
-    const std::string chart = "make -s -f pipelines/chart.mk BUILD=" + build_folder() + " OUT=" + in("chart") + " REFERENCE=" + in("r.exr") + " SCENE=" + in("s.xml") + " " + in("chart/given.stamp");
-    const std::string table = "make -s -f pipelines/table.mk BUILD=" + build_folder() + " OUT=" + in("table") + " SCENES=" + in("s.xml") + " " + in("table/s/inputs.stamp");
+    const std::string chart = "make -s -f pipelines/chart.mk BUILD=" + build_folder() + " OUT=" + in("chart") +
+                              " REFERENCE=" + in("r.exr") + " SCENE=" + in("s.xml") + " " + in("chart/given.stamp");
+    const std::string table = "make -s -f pipelines/table.mk BUILD=" + build_folder() + " OUT=" + in("table") +
+                              " SCENES=" + in("s.xml") + " " + in("table/s/inputs.stamp");
     for (const std::string& make : {chart, table}) {
         EXPECT_EQ(sh(make).code, 0) << make;
         EXPECT_EQ(sh(make + " -q").code, 0) << make;
@@ -195,10 +206,12 @@ TEST_F(Make, names_are_names) {
     const std::string odd = "a:b;c#d%e=f \"g\" 'h' `touch PWNED` *?[i]~\\j&k|l>m<n(o){p}!\t\xc3\xa4\xff";
     const std::string run = "\n\ttouch PWNED\nall: ;touch PWNED\n";
     const auto attribute = [](std::string text) {
-        const std::pair<char, const char*> entities[] = {{'&', "&amp;"}, {'<', "&lt;"}, {'>', "&gt;"}, {'"', "&quot;"}, {'\n', "&#10;"}, {'\t', "&#9;"}};
+        const std::pair<char, const char*> entities[] = {{'&', "&amp;"},  {'<', "&lt;"},   {'>', "&gt;"},
+                                                         {'"', "&quot;"}, {'\n', "&#10;"}, {'\t', "&#9;"}};
         std::string out;
         for (const char c : text) {
-            const auto entity = std::find_if(std::begin(entities), std::end(entities), [&](const auto& e) { return e.first == c; });
+            const auto entity =
+                std::find_if(std::begin(entities), std::end(entities), [&](const auto& e) { return e.first == c; });
             out += entity == std::end(entities) ? std::string(1, c) : entity->second;
         }
         return out;
@@ -209,10 +222,14 @@ TEST_F(Make, names_are_names) {
     write("textures/" + valid + run + ".ppm", "P6\n1 1\n255\n\x80\x80\x80");
     write(valid + ".obj", "v 1 1 3\nv -1 1 3\nv 0 -1 3\nvt 0 0\nf 1/1 2/1 3/1\n");
     std::string text = scene_of(attribute(valid) + ".obj");
-    text.replace(text.find("</shape>"), 0, R"(<bsdf type="diffuse"><texture type="bitmap" name="reflectance"><string name="filename" value="textures/)" + attribute(valid + run) + R"(.ppm"/></texture></bsdf>)");
+    text.replace(
+        text.find("</shape>"), 0,
+        R"(<bsdf type="diffuse"><texture type="bitmap" name="reflectance"><string name="filename" value="textures/)" +
+            attribute(valid + run) + R"(.ppm"/></texture></bsdf>)");
     for (const std::string& name : {odd, std::string("-x y  z")}) {
         write(name + ".xml", text);
-        const std::string make = "cd " + quoted(folder.string()) + " && make -s -C '" LOOM_SOURCE_DIR "' -f pipelines/still.mk BUILD=" + build_folder() +
+        const std::string make = "cd " + quoted(folder.string()) +
+                                 " && make -s -C '" LOOM_SOURCE_DIR "' -f pipelines/still.mk BUILD=" + build_folder() +
                                  " METHOD=pt SPP=1 OUT=" + in("x") + " SCENE=" + quoted(in(name + ".xml"));
         for (int run_idx = 0; run_idx < 2; ++run_idx) {
             const Outcome outcome = sh(make + " image");
@@ -221,17 +238,24 @@ TEST_F(Make, names_are_names) {
         }
         EXPECT_EQ(sh(make + " -q " + in("x/image.exr")).code, 0);
     }
-    for (const fs::path& place : {folder, folder / "textures", fs::path(LOOM_SOURCE_DIR)}) EXPECT_FALSE(fs::remove(place / "PWNED")) << place;
+    for (const fs::path& place : {folder, folder / "textures", fs::path(LOOM_SOURCE_DIR)})
+        EXPECT_FALSE(fs::remove(place / "PWNED")) << place;
     // A newline cannot stand in a line of make; a sign that make has for its own cannot stand in what it makes.
-    for (const auto& [variables, sign] : {std::pair{"SCENE='a\nb.xml'", "newline"}, std::pair{"SCENE='a$$b.xml'", "$"}, std::pair{"OUT=out/a:b", ":"}, std::pair{"OUT='a#b'", "#"},
-                                         std::pair{"OUT=a%b", "%"}, std::pair{"OUT='a;b'", ";"}, std::pair{"OUT=a=b", "="}, std::pair{"OUT='a b'", "blanks"}}) {
+    for (const auto& [variables, sign] :
+         {std::pair{"SCENE='a\nb.xml'", "newline"}, std::pair{"SCENE='a$$b.xml'", "$"}, std::pair{"OUT=out/a:b", ":"},
+          std::pair{"OUT='a#b'", "#"}, std::pair{"OUT=a%b", "%"}, std::pair{"OUT='a;b'", ";"},
+          std::pair{"OUT=a=b", "="}, std::pair{"OUT='a b'", "blanks"}}) {
         const Outcome outcome = sh("make -s -f pipelines/still.mk " + std::string(variables));
         EXPECT_EQ(outcome.code, 2) << variables;
-        EXPECT_NE(outcome.err.find(std::string("must not have ") + (std::string(sign) == "newline" ? "a newline" : sign)), std::string::npos) << outcome.err;
+        EXPECT_NE(
+            outcome.err.find(std::string("must not have ") + (std::string(sign) == "newline" ? "a newline" : sign)),
+            std::string::npos)
+            << outcome.err;
     }
 }
 
-// Every variable that a makefile of the project has from outside is in pipelines/variables.mk, which is included before any is used.
+// Every variable that a makefile of the project has from outside is in pipelines/variables.mk, which is included before
+// any is used.
 class MakeVariables : public Make {
   protected:
     static std::vector<std::string> makefiles() {
@@ -244,7 +268,8 @@ class MakeVariables : public Make {
     static std::string text_of(const std::string& name) { return bytes_of(fs::path(LOOM_SOURCE_DIR) / name); }
     /// The names of a kind: "files", "wholes", ... ; of all kinds for "kinds".
     std::vector<std::string> listed(const std::string& kind) const {
-        write("list.mk", "include pipelines/variables.mk\nall: ; @echo " + (kind == "kinds" ? "$(foreach k,$(kinds),$($(k)))" : "$(" + kind + ")"));
+        write("list.mk", "include pipelines/variables.mk\nall: ; @echo " +
+                             (kind == "kinds" ? "$(foreach k,$(kinds),$($(k)))" : "$(" + kind + ")"));
         std::istringstream words(sh("make -s -f " + in("list.mk")).out);
         return {std::istream_iterator<std::string>(words), {}};
     }
@@ -255,7 +280,8 @@ TEST_F(MakeVariables, are_all_listed_and_checked_first) {
     const std::set<std::string> known(all.begin(), all.end());
     ASSERT_GT(known.size(), 50u);
     // Parts of pipelines, which only these include.
-    const std::set<std::string> parts{"pipelines/variables.mk", "pipelines/words.mk", "pipelines/passes.mk", "pipelines/rows.mk", "pipelines/edit-graph.mk"};
+    const std::set<std::string> parts{"pipelines/variables.mk", "pipelines/words.mk", "pipelines/passes.mk",
+                                      "pipelines/rows.mk", "pipelines/edit-graph.mk"};
     const std::set<std::string> of_make{"MAKE", "MAKEFLAGS", "SHELL", "STAGES"};
     const std::regex reference(R"(\$\(([A-Z][A-Z_]*)\))"), documented(R"(^#? *([A-Z_]+) *\??=.*  ## )");
     for (const std::string& name : makefiles()) {
@@ -264,9 +290,11 @@ TEST_F(MakeVariables, are_all_listed_and_checked_first) {
         for (std::string line; std::getline(lines, line);) {
             if (line.starts_with("include pipelines/variables.mk")) checked = true;
             std::smatch match;
-            if (std::regex_search(line, match, documented)) EXPECT_TRUE(known.contains(match[1])) << name << ": " << line;
+            if (std::regex_search(line, match, documented))
+                EXPECT_TRUE(known.contains(match[1])) << name << ": " << line;
             if (line.starts_with("#")) continue;
-            for (auto at = std::sregex_iterator(line.begin(), line.end(), reference); at != std::sregex_iterator(); ++at) {
+            for (auto at = std::sregex_iterator(line.begin(), line.end(), reference); at != std::sregex_iterator();
+                 ++at) {
                 EXPECT_TRUE(checked) << name << ": used before it is checked: " << line;
                 EXPECT_TRUE(known.contains((*at)[1]) || of_make.contains((*at)[1])) << name << ": " << line;
             }
@@ -277,9 +305,12 @@ TEST_F(MakeVariables, are_all_listed_and_checked_first) {
 
 // Each variable with each value, by one shell: a line for each that is let through.
 TEST_F(MakeVariables, reach_no_shell_unchecked) {
-    write("all.mk", "include pipelines/variables.mk\n"
-                    "all: ; @echo $(foreach k,$(filter-out files commands,$(kinds)),$(foreach v,$($(k)),$($(v))))\n");
-    const std::vector<std::string> hostile = {"1; touch PWNED", "$(shell touch PWNED)", "`touch PWNED`", "1\ntouch PWNED", "a\" ; touch PWNED \"", "a'; touch PWNED '", "$$(touch PWNED)", "a=1&touch PWNED"};
+    write("all.mk",
+          "include pipelines/variables.mk\n"
+          "all: ; @echo $(foreach k,$(filter-out files commands,$(kinds)),$(foreach v,$($(k)),$($(v))))\n");
+    const std::vector<std::string> hostile = {"1; touch PWNED",  "$(shell touch PWNED)", "`touch PWNED`",
+                                              "1\ntouch PWNED",  "a\" ; touch PWNED \"", "a'; touch PWNED '",
+                                              "$$(touch PWNED)", "a=1&touch PWNED"};
     const std::vector<std::string> files = listed("files"), commands = listed("commands");
     EXPECT_EQ(commands, std::vector<std::string>{"LAUNCH"});  // a command by design
     std::string script;
@@ -289,7 +320,9 @@ TEST_F(MakeVariables, reach_no_shell_unchecked) {
         for (std::size_t i = 0; i < hostile.size(); ++i, ++n_runs)
             script += (i % 2 == 0 ? "make -s -f " + in("all.mk") + " " + quoted(variable + "=" + hostile[i])
                                   : "env " + quoted(variable + "=" + hostile[i]) + " make -s -f " + in("all.mk")) +
-                      " >/dev/null 2>" + in("said") + "; c=$?; grep -q '^pipelines/variables.mk:[0-9]*: \\*\\*\\* " + variable + "=' " + in("said") + " && [ $c = 2 ] || echo " + quoted(variable + " " + std::to_string(i)) + " $c\n";
+                      " >/dev/null 2>" + in("said") + "; c=$?; grep -q '^pipelines/variables.mk:[0-9]*: \\*\\*\\* " +
+                      variable + "=' " + in("said") + " && [ $c = 2 ] || echo " +
+                      quoted(variable + " " + std::to_string(i)) + " $c\n";
     }
     ASSERT_GT(n_runs, 300);
     write("script", script);
@@ -303,7 +336,8 @@ TEST_F(MakeVariables, reach_no_shell_unchecked) {
         for (const std::string& variable : files) {
             if (text.find("$(" + variable + ")") == std::string::npos) continue;
             for (const std::string& value : hostile) {
-                const Outcome outcome = sh("make -s -f " + pipeline + " BUILD=" + build_folder() + " OUT=" + in("out") + " " + quoted(variable + "=" + value));
+                const Outcome outcome = sh("make -s -f " + pipeline + " BUILD=" + build_folder() + " OUT=" + in("out") +
+                                           " " + quoted(variable + "=" + value));
                 EXPECT_EQ(outcome.code, 2) << pipeline << " " << variable << "=" << value << "\n" << outcome.err;
             }
         }
@@ -318,13 +352,20 @@ TEST_F(MakeVariables, reach_no_shell_unchecked) {
 }
 
 TEST_F(MakeVariables, keep_what_they_may_be) {
-    write("all.mk", "include pipelines/variables.mk\nSPP ?= 4\nTRACE ?= --x\nall: ; @printf '%s|' $(call quote,$(SCENE)) $(OUT) $(SPP) $(SPPS) $(SEED) $(START) $(call quote,$(DEFINES)) $(call quote,$(TRACE)) $(EXPOSURE)\n");
-    const auto values = [&](const std::string& variables) { return sh("make -s -f " + in("all.mk") + " " + variables).out; };
-    EXPECT_EQ(values(R"(SCENE="a  b's \"c\".xml" OUT=out/ä SPP=999999999 SPPS='1 4  16' SEED=0 THREADS=0 START=-1.5e3 DEFINES=' a=1  b=#ff0000,2 ' TRACE='--roulette off' EXPOSURE=-2)"),
-              "a  b's \"c\".xml|out/ä|999999999|1|4|16|0|-1.5e3|a=1 b=#ff0000,2|--roulette off|-2|");
+    write("all.mk",
+          "include pipelines/variables.mk\nSPP ?= 4\nTRACE ?= --x\nall: ; @printf '%s|' $(call quote,$(SCENE)) $(OUT) "
+          "$(SPP) $(SPPS) $(SEED) $(START) $(call quote,$(DEFINES)) $(call quote,$(TRACE)) $(EXPOSURE)\n");
+    const auto values = [&](const std::string& variables) {
+        return sh("make -s -f " + in("all.mk") + " " + variables).out;
+    };
+    EXPECT_EQ(
+        values(
+            R"(SCENE="a  b's \"c\".xml" OUT=out/ä SPP=999999999 SPPS='1 4  16' SEED=0 THREADS=0 START=-1.5e3 DEFINES=' a=1  b=#ff0000,2 ' TRACE='--roulette off' EXPOSURE=-2)"),
+        "a  b's \"c\".xml|out/ä|999999999|1|4|16|0|-1.5e3|a=1 b=#ff0000,2|--roulette off|-2|");
     // Nothing is not given, but for texts, of which it is the empty one.
     EXPECT_EQ(values("SCENE=-x.xml OUT= SPP= TRACE="), "./-x.xml|4|||");
-    for (const char* wrong : {"OUT=-x", "SPP=0", "SPP=01", "SPP=1.5", "SPP=1000000000", "SPPS='1 0'", "SEED=-1", "SEED=1234567890123456789", "KEEP=yes", "START=one", "DEFINES=a", "DEFINES==1"})
+    for (const char* wrong : {"OUT=-x", "SPP=0", "SPP=01", "SPP=1.5", "SPP=1000000000", "SPPS='1 0'", "SEED=-1",
+                              "SEED=1234567890123456789", "KEEP=yes", "START=one", "DEFINES=a", "DEFINES==1"})
         EXPECT_EQ(sh("make -s -f " + in("all.mk") + " " + wrong).code, 2) << wrong;
 }
 
@@ -337,8 +378,10 @@ class MakePackages : public Make {
         write("fake/sudo", "#!/bin/sh\necho 'sudo: command not found' >&2; exit 127\n");
         write("fake/apt-get", "#!/bin/sh\necho 'apt-get without root' >&2; exit 100\n");
         write("fake/cmake", "#!/bin/sh\necho 'cmake without packages' >&2; exit 1\n");
-        write("fake/dpkg-query", "#!/bin/sh\nshift 2; for p in \"$@\"; do case ' " + packages + " ' in *\" $p \"*) ;; *) echo \"installed $p\" ;; esac; done\n");
-        for (const char* name : {"id", "sudo", "apt-get", "cmake", "dpkg-query"}) fs::permissions(folder / "fake" / name, fs::perms::owner_all);
+        write("fake/dpkg-query", "#!/bin/sh\nshift 2; for p in \"$@\"; do case ' " + packages +
+                                     " ' in *\" $p \"*) ;; *) echo \"installed $p\" ;; esac; done\n");
+        for (const char* name : {"id", "sudo", "apt-get", "cmake", "dpkg-query"})
+            fs::permissions(folder / "fake" / name, fs::perms::owner_all);
         return "PATH=" + in("fake") + ":$PATH ";
     }
 };
@@ -346,10 +389,12 @@ class MakePackages : public Make {
 TEST_F(MakePackages, a_built_tree_needs_none) {
     const std::string path = without("ccache gnuplot-nox ninja-build ffmpeg");
     fs::remove(folder / "fake/cmake");
-    const Outcome outcome = sh(path + "make -s image BUILD=" + build_folder() + " METHOD=pt SPP=1 DEFINES='resx=8 resy=8' OUT=" + in("x"));
+    const Outcome outcome =
+        sh(path + "make -s image BUILD=" + build_folder() + " METHOD=pt SPP=1 DEFINES='resx=8 resy=8' OUT=" + in("x"));
     EXPECT_EQ(outcome.code, 0) << outcome.err;
     EXPECT_EQ(outcome.out, in("x/image.exr") + "\n");
-    for (const char* word : {"sudo", "installing", "apt-get"}) EXPECT_EQ(outcome.err.find(word), std::string::npos) << outcome.err;
+    for (const char* word : {"sudo", "installing", "apt-get"})
+        EXPECT_EQ(outcome.err.find(word), std::string::npos) << outcome.err;
 }
 
 TEST_F(MakePackages, what_is_missing_is_named) {
@@ -361,7 +406,8 @@ TEST_F(MakePackages, what_is_missing_is_named) {
         const Outcome outcome = sh(path + "make -s stages JOBS=1 BUILD=" + in(tree) + " </dev/null");
         EXPECT_EQ(outcome.code, 2);
         EXPECT_EQ(outcome.out, "");
-        for (const std::string& word : {std::string("libembree-dev"), std::string("rays and meshes"), std::string("apt-get install libembree-dev"), "cmake -S . -B " + in(tree)})
+        for (const std::string& word : {std::string("libembree-dev"), std::string("rays and meshes"),
+                                        std::string("apt-get install libembree-dev"), "cmake -S . -B " + in(tree)})
             EXPECT_NE(outcome.err.find(word), std::string::npos) << word << "\n" << outcome.err;
         EXPECT_EQ(outcome.err.find("command not found"), std::string::npos) << outcome.err;
         EXPECT_EQ(outcome.err.find("rays and meshes"), outcome.err.rfind("rays and meshes")) << outcome.err;

@@ -32,36 +32,45 @@ class PathGraphChain : public PipelineTest {
 
 TEST_F(PathGraphChain, files_of_different_graphs_are_refused) {
     const std::string h5 = " -o " + in("x.h5"), exr = " -o " + in("x.exr");
-    expect_refused(stage("refine") + " " + in("g1.h5") + " " + in("c2.h5") + h5, in("c2.h5") + ": made from g2.h5 (content ");
+    expect_refused(stage("refine") + " " + in("g1.h5") + " " + in("c2.h5") + h5,
+                   in("c2.h5") + ": made from g2.h5 (content ");
     expect_refused(stage("refine") + " " + in("g1.h5") + " " + in("c2.h5") + h5, "not from g1.h5 (content ");
     expect_refused(stage("refine") + " " + in("g1.h5") + " " + in("c2.h5") + h5, "run: loom-cluster g1.h5 -o ");
-    expect_refused(stage("gather") + " " + in("g1.h5") + " " + in("r2.h5") + exr, in("r2.h5") + ": made from g2.h5 (content ");
-    expect_refused(stage("gather") + " " + in("g1.h5") + " " + in("r2.h5") + exr, "run: loom-refine g1.h5 CLUSTERS -o ");
+    expect_refused(stage("gather") + " " + in("g1.h5") + " " + in("r2.h5") + exr,
+                   in("r2.h5") + ": made from g2.h5 (content ");
+    expect_refused(stage("gather") + " " + in("g1.h5") + " " + in("r2.h5") + exr,
+                   "run: loom-refine g1.h5 CLUSTERS -o ");
 }
 
 TEST_F(PathGraphChain, files_of_another_kind_are_refused) {
     const std::string h5 = " -o " + in("x.h5"), exr = " -o " + in("x.exr");
     expect_refused(stage("refine") + " " + in("g1.h5") + h5, "clusters: missing (made by loom-cluster)");
     expect_refused(stage("refine") + " " + in("g1.h5") + " " + in("r1.h5") + h5, "is a radiance, expected a clusters");
-    expect_refused(stage("refine") + " " + in("c1.h5") + " " + in("c1.h5") + h5, "is a clusters, expected a path_graph");
+    expect_refused(stage("refine") + " " + in("c1.h5") + " " + in("c1.h5") + h5,
+                   "is a clusters, expected a path_graph");
     expect_refused(stage("gather") + " " + in("g1.h5") + " " + in("c1.h5") + exr, "is a clusters, expected a radiance");
-    expect_refused(stage("gather") + " " + in("r1.h5") + " " + in("r1.h5") + exr, "is a radiance, expected a path_graph");
+    expect_refused(stage("gather") + " " + in("r1.h5") + " " + in("r1.h5") + exr,
+                   "is a radiance, expected a path_graph");
     expect_refused(stage("refine") + " " + in("g1.h5") + " " + in("c1.h5") + " --method west" + h5, "give no clusters");
     expect_refused(stage("refine") + " " + in("g1.h5") + " " + in("c1.h5") + " --epsilon 2" + h5, "--epsilon");
 }
 
 // What a subset is drawn from, and what its rays meet.
 TEST_F(PathGraphChain, subsets_ask_for_what_they_need) {
-    const std::string gather = stage("gather") + " " + in("g1.h5") + " " + in("r1.h5") + " ", exr = " -o " + in("x.exr");
+    const std::string gather = stage("gather") + " " + in("g1.h5") + " " + in("r1.h5") + " ",
+                      exr = " -o " + in("x.exr");
     const std::string box = " --scene scenes/cornell-box.xml -D resx=12 -D resy=9";
     expect_refused(gather + "--indirect subset" + exr, "clusters: missing (made by loom-cluster)");
     expect_refused(gather + in("c1.h5") + exr, "only subsets need clusters");
     expect_refused(gather + in("c2.h5") + " --direct subset" + exr, in("c2.h5") + ": made from g2.h5 (content ");
     expect_refused(gather + in("c1.h5") + " --indirect subset --occlusion" + exr, "--occlusion: needs --scene");
     expect_refused(gather + in("c1.h5") + " --indirect subset" + box + exr, "only --occlusion needs it");
-    expect_refused(gather + in("c1.h5") + " --direct subset --occlusion" + box + exr, "only --indirect subset has rays");
-    expect_refused(gather + in("c1.h5") + " --indirect subset --occlusion" + box + " -D rho=0.5" + exr, "scenes/cornell-box.xml");
-    expect_refused(gather + in("c1.h5") + " --indirect subset --occlusion --scene scenes/cornell-box.xml" + exr, "was traced in another scene, or with other -D values");
+    expect_refused(gather + in("c1.h5") + " --direct subset --occlusion" + box + exr,
+                   "only --indirect subset has rays");
+    expect_refused(gather + in("c1.h5") + " --indirect subset --occlusion" + box + " -D rho=0.5" + exr,
+                   "scenes/cornell-box.xml");
+    expect_refused(gather + in("c1.h5") + " --indirect subset --occlusion --scene scenes/cornell-box.xml" + exr,
+                   "was traced in another scene, or with other -D values");
 }
 
 // Clusters that no kernel has lanes for are legal files; refining them must not run over the lanes.
@@ -72,21 +81,35 @@ TEST_F(PathGraphChain, too_large_clusters_are_refused) {
 }
 
 TEST_F(PathGraphChain, bytes_do_not_depend_on_threads_or_place) {
-    for (const char* options : {"", " --start zero --iterations 3", " --clamp cluster", " --reuse points --clamp none", " --as-printed"}) {
+    for (const char* options :
+         {"", " --start zero --iterations 3", " --clamp cluster", " --reuse points --clamp none", " --as-printed"}) {
         for (const char* n : {"1", "2"}) {
             const std::string r = in("t") + n + ".h5";
-            ASSERT_EQ(sh(stage("refine") + " " + in("g1.h5") + " " + in("c1.h5") + options + " --threads " + n + " -o " + r).code, 0);
-            ASSERT_EQ(sh(stage("gather") + " " + in("g1.h5") + " " + r + " --estimates --threads " + n + " -o " + in("t") + n + ".exr").code, 0);
+            ASSERT_EQ(
+                sh(stage("refine") + " " + in("g1.h5") + " " + in("c1.h5") + options + " --threads " + n + " -o " + r)
+                    .code,
+                0);
+            ASSERT_EQ(sh(stage("gather") + " " + in("g1.h5") + " " + r + " --estimates --threads " + n + " -o " +
+                         in("t") + n + ".exr")
+                          .code,
+                      0);
             if (*n == '1') continue;
             EXPECT_TRUE(bytes_of(folder / "t1.h5") == bytes_of(folder / "t2.h5")) << options;
         }
         for (const char* n : {"1", "2"})
             ASSERT_EQ(sh(stage("gather") + " " + in("g1.h5") + " " + in("t2.h5") + " " + in("c1.h5") +
-                         " --direct subset --indirect subset --occlusion --scene scenes/cornell-box.xml -D resx=12 -D resy=9 --threads " + n + " -o " + in("s") + n + ".exr").code, 0);
+                         " --direct subset --indirect subset --occlusion --scene scenes/cornell-box.xml -D resx=12 -D "
+                         "resy=9 --threads " +
+                         n + " -o " + in("s") + n + ".exr")
+                          .code,
+                      0);
         EXPECT_TRUE(bytes_of(folder / "s1.exr") == bytes_of(folder / "s2.exr")) << options;
         fs::create_directories(folder / "elsewhere");
         fs::copy_file(folder / "t1.h5", folder / "elsewhere/t2.h5", fs::copy_options::overwrite_existing);
-        ASSERT_EQ(sh(stage("gather") + " " + in("g1.h5") + " " + in("elsewhere/t2.h5") + " --estimates --threads 1 -o " + in("elsewhere/t2.exr")).code, 0);
+        ASSERT_EQ(sh(stage("gather") + " " + in("g1.h5") + " " + in("elsewhere/t2.h5") +
+                     " --estimates --threads 1 -o " + in("elsewhere/t2.exr"))
+                      .code,
+                  0);
         EXPECT_TRUE(bytes_of(folder / "t2.exr") == bytes_of(folder / "elsewhere/t2.exr")) << options;
     }
 }

@@ -40,15 +40,13 @@ class PipelineTest : public testing::Test {
     void TearDown() override { fs::remove_all(folder); }
 
     /// A program of this build.
-    static std::string stage(const std::string& name) {
-        return (fs::path(LOOM_BIN_DIR) / ("loom-" + name)).string();
-    }
+    static std::string stage(const std::string& name) { return (fs::path(LOOM_BIN_DIR) / ("loom-" + name)).string(); }
 
     Outcome sh(const std::string& command) const {
         const fs::path err = folder / ".stderr";
         // The make that runs the tests must not reach into the makes of the tests.
-        const std::string whole = "cd '" LOOM_SOURCE_DIR "' && unset MAKEFLAGS MFLAGS MAKELEVEL && { " +
-                                  command + "; } 2>'" + err.string() + "'";
+        const std::string whole = "cd '" LOOM_SOURCE_DIR "' && unset MAKEFLAGS MFLAGS MAKELEVEL && { " + command +
+                                  "; } 2>'" + err.string() + "'";
         FILE* pipe = popen(whole.c_str(), "r");
         if (!pipe) throw std::runtime_error("cannot start a shell");
         Outcome outcome;

@@ -21,8 +21,8 @@ class Report : public PipelineTest {
         return sh(
             "chromium --headless --no-sandbox --disable-gpu --disable-dev-shm-usage --enable-logging=stderr "
             "--virtual-time-budget=10000 --user-data-dir='" +
-            (folder / "browser").string() + "' " + options + " 'file://" +
-            (folder / "r/report.html").string() + hash + "'");
+            (folder / "browser").string() + "' " + options + " 'file://" + (folder / "r/report.html").string() + hash +
+            "'");
     }
 };
 
@@ -31,8 +31,8 @@ TEST_F(Report, FromSceneToPage) {
     ASSERT_EQ(made.code, 0) << made.err;
     EXPECT_TRUE(made.out.ends_with((folder / "r/report.html").string() + "\n")) << made.out;
     const std::string page = bytes_of(folder / "r/report.html");
-    for (const char* part : {"Error against cost", "Where the time goes", "Bias and variance apart",
-                             "Convergence", "Plan and lineage", "pathgraph+K4", "loom-cluster"})
+    for (const char* part : {"Error against cost", "Where the time goes", "Bias and variance apart", "Convergence",
+                             "Plan and lineage", "pathgraph+K4", "loom-cluster"})
         EXPECT_NE(page.find(part), std::string::npos) << part;
     // The same files again: the same bytes.
     fs::remove(folder / "r/report.html");
@@ -41,17 +41,17 @@ TEST_F(Report, FromSceneToPage) {
     // Settings reach the method: K of the clusters, steps of the refinement.
     const std::string steps = bytes_of(folder / "r/iterations.tsv");
     EXPECT_NE(steps.find("\tpathgraph+K4\t6\t"), std::string::npos) << steps;
-    EXPECT_EQ(bytes_of(folder / "r/pathgraph+K4-4-0/pathgraph/cluster.parameters"), "--scene 'scenes/cornell-box.xml' -D 'resx=16' -D 'resy=16' --k 4\n");
+    EXPECT_EQ(bytes_of(folder / "r/pathgraph+K4-4-0/pathgraph/cluster.parameters"),
+              "--scene 'scenes/cornell-box.xml' -D 'resx=16' -D 'resy=16' --k 4\n");
 }
 
 // Paths that end after their first vertex have nothing to refine, one replicate has no spread: charts of
 // those say so or are left out, the rest is made.
 TEST_F(Report, WithoutStepsAndReplicates) {
-    const Outcome made =
-        sh("make -s -f pipelines/report.mk report BUILD='" + fs::path(LOOM_BIN_DIR).parent_path().string() +
-           "' OUT=" + (folder / "r").string() +
-           " SCENE=scenes/direct-sphere.xml DEFINES='resx=8 resy=8' REFERENCE_SPP=16 REPLICATES=1 "
-           "SPPS=1 METHODS='pt pathgraph'");
+    const Outcome made = sh("make -s -f pipelines/report.mk report BUILD='" +
+                            fs::path(LOOM_BIN_DIR).parent_path().string() + "' OUT=" + (folder / "r").string() +
+                            " SCENE=scenes/direct-sphere.xml DEFINES='resx=8 resy=8' REFERENCE_SPP=16 REPLICATES=1 "
+                            "SPPS=1 METHODS='pt pathgraph'");
     ASSERT_EQ(made.code, 0) << made.err;
     const std::string page = bytes_of(folder / "r/report.html");
     EXPECT_NE(page.find("No light is refined here"), std::string::npos);
@@ -68,14 +68,13 @@ TEST_F(Report, WrongSettingsAreRefused) {
 // the exposure's factor, and with both schemes of one colour.
 TEST_F(Report, WorksInABrowser) {
     if (std::getenv("LOOM_TEST_FULL") == nullptr) GTEST_SKIP() << "runs in make test-full";
-    if (sh("command -v chromium").code != 0)
-        GTEST_SKIP() << "chromium is not installed (Debian: apt install chromium)";
+    if (sh("command -v chromium").code != 0) GTEST_SKIP() << "chromium is not installed (Debian: apt install chromium)";
     const Outcome made = sh(report("METHODS='pt pathgraph'"));
     ASSERT_EQ(made.code, 0) << made.err;
     std::string paper[2];
     for (int light : {0, 1}) {
-        const Outcome shown = browse(
-            "--blink-settings=preferredColorScheme=" + std::to_string(light) + " --dump-dom", "#check");
+        const Outcome shown =
+            browse("--blink-settings=preferredColorScheme=" + std::to_string(light) + " --dump-dom", "#check");
         ASSERT_EQ(shown.code, 0) << shown.err;
         const auto attribute = [&](const std::string& name) {
             const std::size_t at = shown.out.find(name + "=\"");

@@ -13,8 +13,8 @@ namespace loom {
 namespace {
 
 /// A part whose own samples are exponentially distributed around 1 and its clusters gamma distributed (mean 1, less
-/// noise); `common` of the clusters' noise is that of the own samples. Every pixel alike, no emission; all light direct,
-/// or all indirect, whole paths then being the square of an exponential number.
+/// noise); `common` of the clusters' noise is that of the own samples. Every pixel alike, no emission; all light
+/// direct, or all indirect, whole paths then being the square of an exponential number.
 Image noise_part(std::uint32_t n, std::mt19937_64& random, double common, bool indirect = false) {
     Image image;
     image.width = image.height = n;
@@ -23,8 +23,10 @@ Image noise_part(std::uint32_t n, std::mt19937_64& random, double common, bool i
     std::exponential_distribution<double> exponential(1);
     std::gamma_distribution<double> gamma(8, 1.0 / 8);
     for (std::size_t i = 0; i < image.n_pixels(); ++i) {
-        const double a = exponential(random), b = (1 - common) * gamma(random) + common * a, p = 0.5 * sqr(exponential(random));
-        for (int c = 0; c < 3; ++c) own[3 * i + c] = float(a), cluster[3 * i + c] = float(b), path[3 * i + c] = float(p);
+        const double a = exponential(random), b = (1 - common) * gamma(random) + common * a,
+                     p = 0.5 * sqr(exponential(random));
+        for (int c = 0; c < 3; ++c)
+            own[3 * i + c] = float(a), cluster[3 * i + c] = float(b), path[3 * i + c] = float(p);
     }
     image.set_layer("", "RGB", cluster);
     image.set_layer("VarMean", "RGB", zero);
@@ -37,8 +39,8 @@ Image noise_part(std::uint32_t n, std::mt19937_64& random, double common, bool i
     return image;
 }
 
-// Weights that knew the noise they weigh would favour dark samples, and exponential noise is dark more often than bright.
-// Judged by Student's t over 32 blends of 40 x 40 pixels; a bias of 0.8 % would be seen in nine of ten runs.
+// Weights that knew the noise they weigh would favour dark samples, and exponential noise is dark more often than
+// bright. Judged by Student's t over 32 blends of 40 x 40 pixels; a bias of 0.8 % would be seen in nine of ten runs.
 // Break seen to fail: weights of each half applied to itself.
 TEST(Blend, OfNoiseIsUnbiased) {
     std::mt19937_64 random(7);
@@ -54,15 +56,16 @@ TEST(Blend, OfNoiseIsUnbiased) {
             }
             const Estimate e = estimate_of(means);
             const double alpha = sidak_alpha(9);
-            std::printf("    %zu parts, %s, %.1f in common: %.5f +- %.2g, mean weight %.3f\n", n_parts, indirect ? "indirect" : "direct", common, e.mean, e.se, estimate_of(weights).mean);
+            std::printf("    %zu parts, %s, %.1f in common: %.5f +- %.2g, mean weight %.3f\n", n_parts,
+                        indirect ? "indirect" : "direct", common, e.mean, e.se, estimate_of(weights).mean);
             EXPECT_GE(welch_p_value(e, {1, 0, INFINITY}), alpha);
             EXPECT_LE((student_critical(alpha, e.dof) + 1.28) * e.se, 0.008);
         }
 }
 
 // One path in 200 brings all light (squared error 50), so that most windows see none of it and clusters there look too
-// bright: what is rare must not be taken for bias. Breaks seen to fail: noise of the window alone (37; 12 where only whole
-// paths, 32 where only own samples are weighed so).
+// bright: what is rare must not be taken for bias. Breaks seen to fail: noise of the window alone (37; 12 where only
+// whole paths, 32 where only own samples are weighed so).
 TEST(Blend, DoesNotTakeRareLightForBias) {
     std::mt19937_64 random(15);
     std::bernoulli_distribution found(1.0 / 200);
@@ -74,7 +77,8 @@ TEST(Blend, DoesNotTakeRareLightForBias) {
             Image part = noise_part(96, random, 0, true);
             std::vector<float> rare(3 * part.n_pixels());
             for (const char* layer : {"IndirectPath", "IndirectOwn"}) {
-                for (std::size_t p = 0; p < rare.size(); p += 3) rare[p] = rare[p + 1] = rare[p + 2] = found(random) ? 200.0f : 0.0f;
+                for (std::size_t p = 0; p < rare.size(); p += 3)
+                    rare[p] = rare[p + 1] = rare[p + 2] = found(random) ? 200.0f : 0.0f;
                 part.set_layer(layer, "RGB", rare);
             }
             parts.push_back(std::move(part));
@@ -87,13 +91,15 @@ TEST(Blend, DoesNotTakeRareLightForBias) {
         }
         mean += mean_of(blend) / runs;
     }
-    std::printf("    squared error: blend %.4f, clusters %.4f; mean of the blend %.4f\n", blend_error, cluster_error, mean);
+    std::printf("    squared error: blend %.4f, clusters %.4f; mean of the blend %.4f\n", blend_error, cluster_error,
+                mean);
     EXPECT_LT(blend_error, 10 * cluster_error);
     EXPECT_NEAR(mean, 1, 0.01);
 }
 
-/// What the blend makes of clusters that are `bias` too bright where one in `rare` pixels of a part is hit by all the light, so that
-/// its noise hides much: mean of the blend, the share of pixels in which the test of bias refused it, and how many of these took
+/// What the blend makes of clusters that are `bias` too bright where one in `rare` pixels of a part is hit by all the
+/// light, so that its noise hides much: mean of the blend, the share of pixels in which the test of bias refused it,
+/// and how many of these took
 /// anything but the paths. in: common  clusters have one exponential number per 4 x 4 pixels
 struct Guarded {
     double mean = 0, refused = 0;
@@ -106,7 +112,8 @@ Guarded guarded(double bias, int rare, std::mt19937_64& random, bool test_bias =
     for (int i = 0; i < 4; ++i) {
         Image part = noise_part(96, random, 0, true);
         std::vector<float> path(3 * part.n_pixels()), shared = part.interleaved("IndirectCluster");
-        for (std::size_t p = 0; p < path.size(); p += 3) path[p] = path[p + 1] = path[p + 2] = found(random) ? float(rare) : 0.0f;
+        for (std::size_t p = 0; p < path.size(); p += 3)
+            path[p] = path[p + 1] = path[p + 2] = found(random) ? float(rare) : 0.0f;
         if (common) {
             std::vector<float> blocks(24 * 24);
             for (float& value : blocks) value = exponential(random);
@@ -118,17 +125,18 @@ Guarded guarded(double bias, int rare, std::mt19937_64& random, bool test_bias =
         part.set_layer("IndirectCluster", "RGB", shared);
         parts.push_back(std::move(part));
     }
-    const Image blend = merge::blend_images(4, [&](std::size_t i) { return parts[i]; }, nullptr, test_bias);
+    const Image blend = merge::blend_images(
+        4, [&](std::size_t i) { return parts[i]; }, nullptr, test_bias);
     Guarded g{mean_of(blend), mean_of(blend, "Blend.Distrust")};
     const auto distrust = blend.find("Blend.Distrust"), path = blend.find("Blend.Path");
     for (std::size_t p = 0; p < path.size(); ++p) g.n_refused_for_nothing += path[p] < distrust[p] - 1e-6f;
     return g;
 }
 
-// Bias that is left is no larger than what the test finds for sure, 0.33 sqrt(v / f), and a quarter, which the noise of the blend hides,
-// whatever the bias of the clusters; where there is none, refusals are rare, even where clusters are noisy. Breaks seen to fail:
-// noise of the window alone; odds of exp(-20) or exp(-1) instead of exp(-7); ten standard errors of the blend or none; no test
-// at all; refusals that change no weight.
+// Bias that is left is no larger than what the test finds for sure, 0.33 sqrt(v / f), and a quarter, which the noise of
+// the blend hides, whatever the bias of the clusters; where there is none, refusals are rare, even where clusters are
+// noisy. Breaks seen to fail: noise of the window alone; odds of exp(-20) or exp(-1) instead of exp(-7); ten standard
+// errors of the blend or none; no test at all; refusals that change no weight.
 TEST(Blend, LeavesNoBiasThatNoiseDoesNotExplain) {
     std::mt19937_64 random(21);
     double refused = 0;
@@ -136,7 +144,9 @@ TEST(Blend, LeavesNoBiasThatNoiseDoesNotExplain) {
         const double found = 0.33 * std::sqrt(rare - 1);
         for (const double bias : {0.0, -0.5, found / 2, found, 2 * found, 28.0}) {
             const Guarded g = guarded(bias, rare, random);
-            std::printf("    one in %d, clusters off by %+.2f: blend by %+.3f (found for sure: %.2f), refused in %.4f\n", rare, bias, g.mean - 1, found, g.refused);
+            std::printf(
+                "    one in %d, clusters off by %+.2f: blend by %+.3f (found for sure: %.2f), refused in %.4f\n", rare,
+                bias, g.mean - 1, found, g.refused);
             EXPECT_LT(std::abs(g.mean - 1), 1.25 * found);
             if (bias == 0) {
                 EXPECT_LT(g.refused, 0.002);
@@ -179,7 +189,8 @@ TEST(Blend, WithFurtherDirectLightIsUnbiasedAndTakesIt) {
         std::vector<Image> parts;
         for (int i = 0; i < 8; ++i) parts.push_back(noise_part(40, random, 0));
         const Image direct = direct_noise(40, 64, random);
-        const Image blend = merge::blend_images(8, [&](std::size_t i) { return parts[i]; }, &direct);
+        const Image blend = merge::blend_images(
+            8, [&](std::size_t i) { return parts[i]; }, &direct);
         means.push_back(mean_of(blend));
         weights.push_back(mean_of(blend, "Blend.Direct"));
     }
@@ -199,14 +210,16 @@ TEST(Blend, WithFurtherDirectLightIsUnbiasedAndTakesIt) {
         biased.back().set_layer("DirectCluster", "RGB", bright);
     }
     const Image direct = direct_noise(40, 64, random);
-    const Image blend = merge::blend_images(8, [&](std::size_t i) { return biased[i]; }, &direct);
+    const Image blend = merge::blend_images(
+        8, [&](std::size_t i) { return biased[i]; }, &direct);
     EXPECT_GT(mean_of(blend, "Blend.Direct"), 0.85);
     EXPECT_NEAR(mean_of(blend), 1, 0.08);
 }
 
-/// Parts whose clusters are hopeless for direct light (variance 1 of an own sample), whose other light has variance 1 however
-/// it is estimated.
-std::vector<Image> parts_of_unit_variance(std::size_t n_parts, double cluster_factor, bool indirect, std::mt19937_64& random) {
+/// Parts whose clusters are hopeless for direct light (variance 1 of an own sample), whose other light has variance 1
+/// however it is estimated.
+std::vector<Image> parts_of_unit_variance(std::size_t n_parts, double cluster_factor, bool indirect,
+                                          std::mt19937_64& random) {
     std::exponential_distribution<double> exponential(1);
     std::vector<Image> parts;
     for (std::size_t i = 0; i < n_parts; ++i) {
@@ -214,9 +227,11 @@ std::vector<Image> parts_of_unit_variance(std::size_t n_parts, double cluster_fa
         std::vector<float> direct = part.interleaved("DirectCluster"), other(direct.size()), all(direct.size(), 1.0f);
         for (float& value : direct) value *= float(cluster_factor);
         if (indirect)
-            for (std::size_t p = 0; p < other.size(); p += 3) other[p] = other[p + 1] = other[p + 2] = float(exponential(random));
+            for (std::size_t p = 0; p < other.size(); p += 3)
+                other[p] = other[p + 1] = other[p + 2] = float(exponential(random));
         part.set_layer("DirectCluster", "RGB", direct);
-        for (const char* layer : {"IndirectPath", "IndirectOwn", "IndirectCluster"}) part.set_layer(layer, "RGB", other);
+        for (const char* layer : {"IndirectPath", "IndirectOwn", "IndirectCluster"})
+            part.set_layer(layer, "RGB", other);
         part.set_layer("", "RGB", all);
         parts.push_back(std::move(part));
     }
@@ -229,11 +244,13 @@ std::vector<Image> parts_of_unit_variance(std::size_t n_parts, double cluster_fa
 TEST(DirectPlan, TakesAsManySamplesAsPay) {
     std::mt19937_64 random(13);
     const auto planned = [](const std::vector<Image>& parts, double cost) {
-        return merge::plan_direct(parts.size(), [&](std::size_t i) { return parts[i]; }, cost);
+        return merge::plan_direct(
+            parts.size(), [&](std::size_t i) { return parts[i]; }, cost);
     };
     const auto both = parts_of_unit_variance(8, 10, true, random);
     const merge::DirectPlan plan = planned(both, 1.0 / 16);
-    std::printf("    direct %.4f, with %llu further samples %.4f, indirect %.4f\n", plan.direct, static_cast<unsigned long long>(plan.samples), plan.direct_with, plan.indirect);
+    std::printf("    direct %.4f, with %llu further samples %.4f, indirect %.4f\n", plan.direct,
+                static_cast<unsigned long long>(plan.samples), plan.direct_with, plan.indirect);
     EXPECT_NEAR(plan.direct, 0.125 / 1.01, 0.01);
     EXPECT_NEAR(plan.indirect, 0.125 / 1.01, 0.01);
     EXPECT_NEAR(plan.direct_with, 1.0 / 32 / 1.01, 0.003);
@@ -251,13 +268,16 @@ TEST(DirectPlan, TakesAsManySamplesAsPay) {
 /// A lamp far above, small or large, and a board between it and the floor.
 std::unique_ptr<Scene> shadow(double lamp_half) {
     const std::string grey = R"(<bsdf type="diffuse"><rgb name="reflectance" value="0.7"/></bsdf>)";
-    return testing::load_inline({R"(type="perspective"><float name="fov" value="40"/><transform name="to_world"><lookat origin="1.5, -1.5, 1.5" target="0, 0, 0" up="0, 0, 1"/></transform>)",
-                                 R"(<shape type="rectangle"><transform name="to_world"><scale x="2" y="2"/></transform>)" + grey + R"(</shape>
-<shape type="rectangle"><transform name="to_world"><scale x="0.4" y="0.4"/><translate x="-0.3" y="0.3" z="0.3"/></transform><bsdf type="twosided">)" + grey + "</bsdf></shape>" +
-                                     fmt::format(R"(<shape type="rectangle"><transform name="to_world"><scale x="{0}" y="{0}"/><rotate x="1" angle="180"/>
+    return testing::load_inline(
+        {R"(type="perspective"><float name="fov" value="40"/><transform name="to_world"><lookat origin="1.5, -1.5, 1.5" target="0, 0, 0" up="0, 0, 1"/></transform>)",
+         R"(<shape type="rectangle"><transform name="to_world"><scale x="2" y="2"/></transform>)" + grey + R"(</shape>
+<shape type="rectangle"><transform name="to_world"><scale x="0.4" y="0.4"/><translate x="-0.3" y="0.3" z="0.3"/></transform><bsdf type="twosided">)" +
+             grey + "</bsdf></shape>" +
+             fmt::format(
+                 R"(<shape type="rectangle"><transform name="to_world"><scale x="{0}" y="{0}"/><rotate x="1" angle="180"/>
 <translate z="4"/></transform><bsdf type="diffuse"><rgb name="reflectance" value="0"/></bsdf><emitter type="area"><rgb name="radiance" value="{1}"/></emitter></shape>)",
-                                                 lamp_half, 10 / (lamp_half * lamp_half)),
-                                 32, 24, 5});
+                 lamp_half, 10 / (lamp_half * lamp_half)),
+         32, 24, 5});
 }
 
 // Sharing wins in a diffuse room; it is biased at the edge of a sharp shadow, where path tracing has hardly any noise;
@@ -268,7 +288,9 @@ TEST(Blend, IsHardlyWorseThanEither) {
         const char* name;
         std::unique_ptr<Scene> scene;
     };
-    Case cases[] = {{"room", testing::own_scene("cornell-box.xml", 32, 24)}, {"sharp shadow", shadow(0.01)}, {"soft shadow", shadow(0.5)}};
+    Case cases[] = {{"room", testing::own_scene("cornell-box.xml", 32, 24)},
+                    {"sharp shadow", shadow(0.01)},
+                    {"soft shadow", shadow(0.5)}};
     const int runs = full_run() ? 8 : 2;
     for (const Case& c : cases) {
         const auto reference = reference_of(*c.scene, full_run() ? 16384 : 1024);

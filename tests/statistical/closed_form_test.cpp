@@ -17,12 +17,14 @@ constexpr int n_comparisons = 64;  // in this file, rounded up
 struct Known {
     const char* scene;
     Defines defines;
-    double answer;        // of every pixel, all channels alike
-    std::uint64_t spp;    // per replicate
-    bool noisy = true;    // false: every sample is the answer, to rounding
+    double answer;      // of every pixel, all channels alike
+    std::uint64_t spp;  // per replicate
+    bool noisy = true;  // false: every sample is the answer, to rounding
 };
 
-void PrintTo(const Known& k, std::ostream* out) { *out << k.scene; }
+void PrintTo(const Known& k, std::ostream* out) {
+    *out << k.scene;
+}
 
 class ClosedForm : public testing::TestWithParam<Known> {};
 
@@ -51,22 +53,25 @@ TEST_P(ClosedForm, ImageMeanIsTheAnswer) {
     }
 }
 
-double furnace(double rho, int n) { return (1 - std::pow(rho, n)) / (1 - rho); }
+double furnace(double rho, int n) {
+    return (1 - std::pow(rho, n)) / (1 - rho);
+}
 
 INSTANTIATE_TEST_SUITE_P(
     Scenes, ClosedForm,
-    testing::Values(Known{"furnace.xml", {}, furnace(0.5, 6), 16},
-                    Known{"furnace.xml", {{"rho", "0.9"}, {"max_depth", "20"}}, furnace(0.9, 20), 64},
-                    Known{"furnace-box.xml", {}, furnace(0.5, 6), 16},
-                    Known{"furnace-box.xml", {{"rho", "0.8"}, {"max_depth", "-1"}}, 5.0, 64},
-                    Known{"furnace.xml", {{"max_depth", "1"}}, 1.0, 1, false},
-                    Known{"direct-directional.xml", {}, 0.5 * 5 * 0.8 / pi_double, 4, false},
-                    Known{"direct-point.xml", {}, 0.5 * 40 * 0.8 / (6.25 * pi_double), 4, false},
-                    Known{"direct-spot.xml", {}, 0.5 * 40 * 0.8 / (6.25 * pi_double), 4, false},
-                    Known{"direct-disk.xml", {}, 1.0, 64}, Known{"direct-sphere.xml", {}, 1.0, 64},
-                    Known{"direct-rectangle.xml", {}, 0.5 * 4 * 4 / pi_double * std::atan(std::sqrt(0.5)) / std::sqrt(2.0), 64},
-                    Known{"environment-sphere.xml", {}, 1.2, 64}, Known{"slab.xml", {}, 1.5, 16, false},
-                    Known{"mask.xml", {}, 0.85, 256}),
+    testing::Values(
+        Known{"furnace.xml", {}, furnace(0.5, 6), 16},
+        Known{"furnace.xml", {{"rho", "0.9"}, {"max_depth", "20"}}, furnace(0.9, 20), 64},
+        Known{"furnace-box.xml", {}, furnace(0.5, 6), 16},
+        Known{"furnace-box.xml", {{"rho", "0.8"}, {"max_depth", "-1"}}, 5.0, 64},
+        Known{"furnace.xml", {{"max_depth", "1"}}, 1.0, 1, false},
+        Known{"direct-directional.xml", {}, 0.5 * 5 * 0.8 / pi_double, 4, false},
+        Known{"direct-point.xml", {}, 0.5 * 40 * 0.8 / (6.25 * pi_double), 4, false},
+        Known{"direct-spot.xml", {}, 0.5 * 40 * 0.8 / (6.25 * pi_double), 4, false},
+        Known{"direct-disk.xml", {}, 1.0, 64}, Known{"direct-sphere.xml", {}, 1.0, 64},
+        Known{"direct-rectangle.xml", {}, 0.5 * 4 * 4 / pi_double* std::atan(std::sqrt(0.5)) / std::sqrt(2.0), 64},
+        Known{"environment-sphere.xml", {}, 1.2, 64}, Known{"slab.xml", {}, 1.5, 16, false},
+        Known{"mask.xml", {}, 0.85, 256}),
     [](const auto& info) { return test_name(fmt::format("{} {}", info.param.scene, info.index)); });
 
 TEST(ClosedFormPictures, MirrorCorridorIsBandsOfPowers) {
@@ -96,7 +101,9 @@ TEST(ClosedFormPictures, TextureLiesTheRightWayUp) {
             const char* rgb[] = {"R", "G", "B"};
             // Bilinear interpolation and noise blur the values; the centre of each texel is near its own.
             const std::uint32_t inside = n / 4;
-            if (inside > 2 && (x % inside == 0 || x % inside == inside - 1 || y % inside == 0 || y % inside == inside - 1)) continue;
+            if (inside > 2 &&
+                (x % inside == 0 || x % inside == inside - 1 || y % inside == 0 || y % inside == inside - 1))
+                continue;
             if (Le == 0) Le = r.mean.find("B")[y * n + x] / 0.4;
             for (int c = 0; c < 3; ++c)
                 EXPECT_NEAR(r.mean.find(rgb[c])[y * n + x], expected[c] * Le, 0.1 * Le) << x << ", " << y << ", " << c;

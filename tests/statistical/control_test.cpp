@@ -1,5 +1,5 @@
-// The old picture as control variate of the new one: unbiased, as noisy as it says, and no worse than either a fresh picture
-// or old plus residual.
+// The old picture as control variate of the new one: unbiased, as noisy as it says, and no worse than either a fresh
+// picture or old plus residual.
 
 #include "stages/residual/control.h"
 
@@ -23,7 +23,7 @@ struct ControlCase {
     const char* name;
     std::vector<std::string> both, edit;  // NAME=VALUE of scenes/edits.xml
     bool ordinary;
-    double gain_at_least;                 // variance of old plus residual over that of the controlled picture, after 64 samples
+    double gain_at_least;  // variance of old plus residual over that of the controlled picture, after 64 samples
 };
 
 SceneDescription description(std::vector<std::string> values) {
@@ -31,7 +31,8 @@ SceneDescription description(std::vector<std::string> values) {
     return read_scene((source_dir() / "scenes/edits.xml").string(), parse_defines(values));
 }
 
-/// Pictures of one kind: their regions, the variance between them and what they say of it, summed over pixels and channels.
+/// Pictures of one kind: their regions, the variance between them and what they say of it, summed over pixels and
+/// channels.
 struct Pictures {
     std::vector<RegionMeans> regions;
     std::vector<Moments> moments = std::vector<Moments>(3 * size * size);
@@ -60,9 +61,9 @@ struct Pictures {
 
 class ControlledPictures : public testing::TestWithParam<ControlCase> {};
 
-// Of independent samples, for stratified ones err less than their spread says. Breaks seen to fail: the covariance with the
-// other sign; the old picture's variance not multiplied by alpha^2; its variance taken from the pixel itself and not from
-// those around (biased).
+// Of independent samples, for stratified ones err less than their spread says. Breaks seen to fail: the covariance with
+// the other sign; the old picture's variance not multiplied by alpha^2; its variance taken from the pixel itself and
+// not from those around (biased).
 TEST_P(ControlledPictures, AreUnbiasedAndNoWorseThanEither) {
     const ControlCase& edited = GetParam();
     if (!edited.ordinary && !full_run()) GTEST_SKIP() << "in full runs";
@@ -116,11 +117,14 @@ TEST_P(ControlledPictures, AreUnbiasedAndNoWorseThanEither) {
             for (int region = 0; region < 1 + n_tiles * n_tiles; ++region) {
                 const Estimate ours = controlled.estimate(c, region), theirs = fresh.estimate(c, region);
                 EXPECT_GT(welch_p_value(ours, theirs), alpha)
-                    << fmt::format("base {} channel {} region {}: {:.5g} +- {:.2g}, fresh {:.5g} +- {:.2g}", base, c, region, ours.mean, ours.se, theirs.mean, theirs.se);
+                    << fmt::format("base {} channel {} region {}: {:.5g} +- {:.2g}, fresh {:.5g} +- {:.2g}", base, c,
+                                   region, ours.mean, ours.se, theirs.mean, theirs.se);
             }
         const double variance = controlled.variance(), of_fresh = fresh.variance(), of_sum = plain.variance();
-        fmt::print("{} on {} samples: variance {:.3g} (said {:.3g}); of a fresh picture {:.3g} times, of old plus residual {:.3g} times that\n", edited.name, base, variance,
-                   controlled.said, of_fresh / variance, of_sum / variance);
+        fmt::print(
+            "{} on {} samples: variance {:.3g} (said {:.3g}); of a fresh picture {:.3g} times, of old plus residual "
+            "{:.3g} times that\n",
+            edited.name, base, variance, controlled.said, of_fresh / variance, of_sum / variance);
         EXPECT_NEAR(variance / controlled.said, 1, base == 8 ? 0.25 : 0.15);  // of 8 samples, VarMean is a guess
         EXPECT_LT(variance, 1.15 * of_fresh);
         EXPECT_LT(variance, 1.05 * of_sum);
@@ -129,8 +133,10 @@ TEST_P(ControlledPictures, AreUnbiasedAndNoWorseThanEither) {
 }
 
 INSTANTIATE_TEST_SUITE_P(Edits, ControlledPictures,
-                         testing::Values(ControlCase{"darker", {}, {"light=3,3,3"}, true, 20}, ControlCase{"brighter", {}, {"light=40,30,10"}, false, 1},
-                                         ControlCase{"metal", {"floor=tile", "tall=metal"}, {"short=metal"}, false, 1}, ControlCase{"moved", {}, {"across=100"}, true, 1},
+                         testing::Values(ControlCase{"darker", {}, {"light=3,3,3"}, true, 20},
+                                         ControlCase{"brighter", {}, {"light=40,30,10"}, false, 1},
+                                         ControlCase{"metal", {"floor=tile", "tall=metal"}, {"short=metal"}, false, 1},
+                                         ControlCase{"moved", {}, {"across=100"}, true, 1},
                                          ControlCase{"nothing", {}, {}, false, 1.2}),
                          [](const auto& info) { return std::string(info.param.name); });
 

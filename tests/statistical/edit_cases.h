@@ -21,16 +21,20 @@ struct EditCase {
     Changes changes;
     Changes setting = {};  // in both scenes, made first
 };
-inline void PrintTo(const EditCase& edit, std::ostream* out) { *out << edit.name; }
+inline void PrintTo(const EditCase& edit, std::ostream* out) {
+    *out << edit.name;
+}
 
 /// One of the two scene files of an edit, for as long as it is needed: what is built from a description reads it again.
 class SceneFile {
   public:
     SceneFile(const EditCase& edit, bool after)
-        : file_(std::filesystem::temp_directory_path() / fmt::format("loom-edit-{}-{}-{}.xml", getpid(), edit.name, after ? "new" : "old")) {
+        : file_(std::filesystem::temp_directory_path() /
+                fmt::format("loom-edit-{}-{}-{}.xml", getpid(), edit.name, after ? "new" : "old")) {
         std::ifstream in(source_dir() / "scenes/cornell-box.xml");
         std::string text{std::istreambuf_iterator<char>(in), {}};
-        text.replace(text.rfind("</scene>"), 8, "<emitter type=\"constant\"><rgb name=\"radiance\" value=\"0.2\"/></emitter></scene>");
+        text.replace(text.rfind("</scene>"), 8,
+                     "<emitter type=\"constant\"><rgb name=\"radiance\" value=\"0.2\"/></emitter></scene>");
         change(text, edit.setting);
         if (after) change(text, edit.changes);
         std::ofstream(file_) << text;
@@ -39,7 +43,9 @@ class SceneFile {
     SceneFile(const SceneFile&) = delete;
     SceneFile& operator=(const SceneFile&) = delete;
 
-    SceneDescription read() const { return read_scene(file_.string(), {{"resx", std::to_string(edit_size)}, {"resy", std::to_string(edit_size)}}); }
+    SceneDescription read() const {
+        return read_scene(file_.string(), {{"resx", std::to_string(edit_size)}, {"resy", std::to_string(edit_size)}});
+    }
 
   private:
     static void change(std::string& text, const EditCase::Changes& changes) {

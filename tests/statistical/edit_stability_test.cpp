@@ -1,5 +1,5 @@
-// Edits that are hard on residuals: METHODS, stress scenes of [RP]. Dynamic paths and what the pilot chooses have the mean of
-// correlated paths; how much noise each has beside them is printed. `make stability` runs them at full length.
+// Edits that are hard on residuals: METHODS, stress scenes of [RP]. Dynamic paths and what the pilot chooses have the
+// mean of correlated paths; how much noise each has beside them is printed. `make stability` runs them at full length.
 
 #include <fmt/format.h>
 #include <gtest/gtest.h>
@@ -14,12 +14,19 @@ namespace {
 
 constexpr int regions = 1 + n_tiles * n_tiles;
 
-std::string place(double x, double y, double z) { return fmt::format("<translate x=\"{}\" y=\"{}\" z=\"{}\"/>", x, y, z); }
-const std::string short_place = place(0.36, -0.72, 0.3), short_moved = place(-0.1, -0.72, 0.4), short_size = "<scale x=\"0.28\" y=\"0.28\" z=\"0.28\"/>", end = "</scene>";
+std::string place(double x, double y, double z) {
+    return fmt::format("<translate x=\"{}\" y=\"{}\" z=\"{}\"/>", x, y, z);
+}
+const std::string short_place = place(0.36, -0.72, 0.3), short_moved = place(-0.1, -0.72, 0.4),
+                  short_size = "<scale x=\"0.28\" y=\"0.28\" z=\"0.28\"/>", end = "</scene>";
 
-std::string size(double s) { return fmt::format("<scale x=\"{0}\" y=\"{0}\" z=\"{0}\"/>", s); }
+std::string size(double s) {
+    return fmt::format("<scale x=\"{0}\" y=\"{0}\" z=\"{0}\"/>", s);
+}
 std::string sphere(const char* id, const std::string& centre, double radius, const char* bsdf) {
-    return fmt::format(R"(<shape type="sphere" id="{}"><point name="center" value="{}"/><float name="radius" value="{}"/>{}</shape>)", id, centre, radius, bsdf);
+    return fmt::format(
+        R"(<shape type="sphere" id="{}"><point name="center" value="{}"/><float name="radius" value="{}"/>{}</shape>)",
+        id, centre, radius, bsdf);
 }
 constexpr const char* white = R"(<ref id="white"/>)";
 constexpr const char* pane = R"(<bsdf type="thindielectric"/>)";
@@ -27,24 +34,37 @@ constexpr const char* pane = R"(<bsdf type="thindielectric"/>)";
 std::string sixty_four(double shift) {
     std::string all;
     for (int i = 0; i < 64; ++i)
-        all += sphere(fmt::format("s{}", i).c_str(), fmt::format("{}, {}, {}", -0.75 + 0.5 * (i % 4) + shift, -0.8 + 0.4 * (i / 4 % 4), -0.7 + 0.45 * (i / 16)), 0.07, white);
+        all += sphere(
+            fmt::format("s{}", i).c_str(),
+            fmt::format("{}, {}, {}", -0.75 + 0.5 * (i % 4) + shift, -0.8 + 0.4 * (i / 4 % 4), -0.7 + 0.45 * (i / 16)),
+            0.07, white);
     return all + end;
 }
 std::string shell(double x) {  // around the box, the camera and all
-    return R"(<shape type="cube" id="shell"><boolean name="flip_normals" value="true"/><transform name="to_world"><scale value="6"/>)" + place(x, 0, 0) + R"(</transform><ref id="white"/></shape></scene>)";
+    return R"(<shape type="cube" id="shell"><boolean name="flip_normals" value="true"/><transform name="to_world"><scale value="6"/>)" +
+           place(x, 0, 0) + R"(</transform><ref id="white"/></shape></scene>)";
 }
 
 const std::vector<EditCase>& edits() {
-    const std::string bulb = R"(<emitter type="point"><point name="position" x="0.5" y="0.5" z="0.5"/><rgb name="intensity" value="2"/></emitter>)";
+    const std::string bulb =
+        R"(<emitter type="point"><point name="position" x="0.5" y="0.5" z="0.5"/><rgb name="intensity" value="2"/></emitter>)";
     const std::string mirror = R"(</transform><bsdf type="conductor"><string name="material" value="Ag"/></bsdf>)";
     const std::string end_of_tall = place(-0.33, -0.42, -0.35) + "\n        </transform>\n        <ref id=\"white\"/>";
-    const std::string ball_low = sphere("ball", "0.2, -0.6, 0.7", 0.012, white), ball_moved = sphere("ball", "0.2, -0.4, 0.7", 0.012, white);
-    const std::string shade = sphere("shade", "0, 0.75, 0", 0.6, pane), shade_moved = sphere("shade", "0.06, 0.75, 0", 0.6, pane);
+    const std::string ball_low = sphere("ball", "0.2, -0.6, 0.7", 0.012, white),
+                      ball_moved = sphere("ball", "0.2, -0.4, 0.7", 0.012, white);
+    const std::string shade = sphere("shade", "0, 0.75, 0", 0.6, pane),
+                      shade_moved = sphere("shade", "0.06, 0.75, 0", 0.6, pane);
     static const std::vector<EditCase> all = {
         {"fills_the_view", {{place(0, 0, 3), place(0.1, 0, 3)}}, {{short_place, place(0, 0, 3)}}},
-        {"unseen_but_shadowing", {{place(0, 0.82, 0.3), place(0.2, 0.82, 0.3)}}, {{"value=\"34\"", "value=\"18\""}, {short_size, size(0.12)}, {short_place, place(0, 0.82, 0.3)}}},
-        {"ghost_inside_a_box", {{place(-0.33, -0.42, -0.35), short_place}}, {{short_size, size(0.12)}, {short_place, place(-0.33, -0.42, -0.35)}}},
-        {"coplanar", {{place(0.72, -0.72, 0.3), place(0.72, -0.72, 0.2)}}, {{"angle=\"-16\"", "angle=\"0\""}, {short_place, place(0.72, -0.72, 0.3)}}},
+        {"unseen_but_shadowing",
+         {{place(0, 0.82, 0.3), place(0.2, 0.82, 0.3)}},
+         {{"value=\"34\"", "value=\"18\""}, {short_size, size(0.12)}, {short_place, place(0, 0.82, 0.3)}}},
+        {"ghost_inside_a_box",
+         {{place(-0.33, -0.42, -0.35), short_place}},
+         {{short_size, size(0.12)}, {short_place, place(-0.33, -0.42, -0.35)}}},
+        {"coplanar",
+         {{place(0.72, -0.72, 0.3), place(0.72, -0.72, 0.2)}},
+         {{"angle=\"-16\"", "angle=\"0\""}, {short_place, place(0.72, -0.72, 0.3)}}},
         {"sixty_four_movers", {{sixty_four(0), sixty_four(0.05)}}, {{end, sixty_four(0)}}},
         {"tiny", {{ball_low, ball_moved}}, {{end, ball_low + end}}},
         {"around_the_camera", {{shell(0), shell(2.5)}}, {{end, shell(0)}}},
@@ -52,7 +72,9 @@ const std::vector<EditCase>& edits() {
         {"beside_a_mirror", {{short_place, short_moved}}, {{end_of_tall, place(-0.33, -0.42, -0.35) + mirror}}},
         {"by_a_point_light", {{short_place, place(0.5, -0.2, 0.5)}}, {{"14, 11.5, 8", "0.2"}, {end, bulb + end}}},
         {"light_removed_and_box_moved", {{bulb, ""}, {short_place, short_moved}}, {{end, bulb + end}}},
-        {"many_bounces", {{short_place, short_moved}}, {{"0.72, 0.70, 0.66", "0.95"}, {"name=\"max_depth\" value=\"17\"", "name=\"max_depth\" value=\"200\""}}},
+        {"many_bounces",
+         {{short_place, short_moved}},
+         {{"0.72, 0.70, 0.66", "0.95"}, {"name=\"max_depth\" value=\"17\"", "name=\"max_depth\" value=\"200\""}}},
     };
     return all;
 }
@@ -92,8 +114,11 @@ std::vector<std::string> differing(const Residuals& ours, const Residuals& their
             theirs.spread_of(c, region, expected);
             mean.mean *= scale;
             mean.se *= scale;
-            if (const double p = welch_p_value(mean, expected); p < alpha && std::abs(mean.mean - expected.mean) > rounding)
-                out.push_back(fmt::format("\n  channel {} region {}: {:.5g} +- {:.2g}, correlated {:.5g} +- {:.2g}, p = {:.1g}", c, region, mean.mean, mean.se, expected.mean, expected.se, p));
+            if (const double p = welch_p_value(mean, expected);
+                p < alpha && std::abs(mean.mean - expected.mean) > rounding)
+                out.push_back(
+                    fmt::format("\n  channel {} region {}: {:.5g} +- {:.2g}, correlated {:.5g} +- {:.2g}, p = {:.1g}",
+                                c, region, mean.mean, mean.se, expected.mean, expected.se, p));
         }
     return out;
 }
@@ -102,7 +127,9 @@ std::vector<std::string> differing(const Residuals& ours, const Residuals& their
 std::vector<EditCase> asked() {
     std::vector<EditCase> some;
     for (const EditCase& edit : edits())
-        if (full_run() || edit.name == "ghost_inside_a_box" || edit.name == "coplanar" || edit.name == "around_the_light" || edit.name == "many_bounces") some.push_back(edit);
+        if (full_run() || edit.name == "ghost_inside_a_box" || edit.name == "coplanar" ||
+            edit.name == "around_the_light" || edit.name == "many_bounces")
+            some.push_back(edit);
     return some;
 }
 
@@ -113,7 +140,8 @@ Residuals correlated_of(const EditedScenes& scenes, int replicates, std::uint64_
         PathOptions path = options_of(*scenes.new_scene);
         path.seed = 1000 + i;
         Counts counts;
-        return render_residual({*scenes.old_scene, *scenes.new_scene}, Method::correlated, path, {0, spp, 1}, report, counts);
+        return render_residual({*scenes.old_scene, *scenes.new_scene}, Method::correlated, path, {0, spp, 1}, report,
+                               counts);
     });
 }
 
@@ -130,7 +158,8 @@ TEST_P(EditStress, HasTheMeanOfCorrelatedPaths) {
     const double alpha = sidak_alpha(int(edits().size()) * 3 * 3 * regions);
     bool swapped_sign_seen = false;
     const auto check = [&](const char* what, std::uint64_t at_spp) {
-        const Residuals ours = replicated(replicates, [&](std::uint64_t i) { return scenes.dynamic(options, 7000 + i, at_spp); });
+        const Residuals ours =
+            replicated(replicates, [&](std::uint64_t i) { return scenes.dynamic(options, 7000 + i, at_spp); });
         const auto failures = differing(ours, correlated, alpha);
         EXPECT_TRUE(failures.empty()) << what << fmt::format("{}", fmt::join(failures, ""));
         swapped_sign_seen |= !differing(ours, correlated, alpha, -1).empty();
@@ -145,10 +174,11 @@ TEST_P(EditStress, HasTheMeanOfCorrelatedPaths) {
     EXPECT_TRUE(swapped_sign_seen);
 }
 
-INSTANTIATE_TEST_SUITE_P(Stability, EditStress, testing::ValuesIn(asked()), [](const auto& info) { return info.param.name; });
+INSTANTIATE_TEST_SUITE_P(Stability, EditStress, testing::ValuesIn(asked()),
+                         [](const auto& info) { return info.param.name; });
 
-// Where methods switch over: just below and at the samples that a pilot takes, and shapes that hardly move, whose old and
-// new place lie in one.
+// Where methods switch over: just below and at the samples that a pilot takes, and shapes that hardly move, whose old
+// and new place lie in one.
 TEST(StabilityEdit, SwitchesOverWithoutASeam) {
     const int replicates = full_run() ? 32 : 20;
     const double alpha = sidak_alpha(6 * 3 * regions);
@@ -157,13 +187,15 @@ TEST(StabilityEdit, SwitchesOverWithoutASeam) {
         DynamicOptions options;
         options.pairs.limits.d_min = 0.01f * scenes.new_scene->radius;
         options.pilot = pilot;
-        const Residuals ours = replicated(replicates, [&](std::uint64_t i) { return scenes.dynamic(options, 7000 + i, spp); });
+        const Residuals ours =
+            replicated(replicates, [&](std::uint64_t i) { return scenes.dynamic(options, 7000 + i, spp); });
         const Residuals correlated = correlated_of(scenes, replicates, full_run() ? 64 : 4);
         const auto failures = differing(ours, correlated, alpha);
         EXPECT_TRUE(failures.empty()) << edit.name << " " << spp << fmt::format("{}", fmt::join(failures, ""));
         Estimate mean;
         ours.spread_of(1, 0, mean);
-        fmt::print("{}, {} at --spp {}: image mean {:.3g} +- {:.1g}\n", edit.name, pilot ? "auto" : "dynamic", spp, mean.mean, mean.se);
+        fmt::print("{}, {} at --spp {}: image mean {:.3g} +- {:.1g}\n", edit.name, pilot ? "auto" : "dynamic", spp,
+                   mean.mean, mean.se);
     };
     const EditCase moved{"moved", {{short_place, short_moved}}};
     compare(moved, true, least_spp - 1);

@@ -13,7 +13,8 @@ namespace loom {
 namespace {
 
 std::unique_ptr<Scene> own_scene(const char* name, int width, int height) {
-    return load_scene(source_dir() / "scenes" / name, {{"resx", std::to_string(width)}, {"resy", std::to_string(height)}});
+    return load_scene(source_dir() / "scenes" / name,
+                      {{"resx", std::to_string(width)}, {"resy", std::to_string(height)}});
 }
 
 /// Root mean square difference over the root mean square; the difference itself where all is 0.
@@ -81,9 +82,10 @@ TEST_P(GraphAgainstImage, BatchEqualsPathsOneByOne) {
         EXPECT_EQ(bare[i].L, results[i].L);
         const float scale = std::max(max_channel(one.L), 0.01f);
         const Spectrum d = one.L - results[i].L;
-        const bool same = std::abs(d.r) <= 1e-3f * scale && std::abs(d.g) <= 1e-3f * scale && std::abs(d.b) <= 1e-3f * scale &&
-                          record.paths[0].n_vertices == records.paths[i].n_vertices &&
-                          record.paths[0].n_light_edges == records.paths[i].n_light_edges && one.n_rays == results[i].n_rays;
+        const bool same = std::abs(d.r) <= 1e-3f * scale && std::abs(d.g) <= 1e-3f * scale &&
+                          std::abs(d.b) <= 1e-3f * scale && record.paths[0].n_vertices == records.paths[i].n_vertices &&
+                          record.paths[0].n_light_edges == records.paths[i].n_light_edges &&
+                          one.n_rays == results[i].n_rays;
         differ += !same;
     }
     EXPECT_LE(differ, 2);
@@ -108,8 +110,9 @@ TEST_P(SamplersAndRoulettes, SameImageMeanAndTiles) {
         Roulette roulette;
         int rr_depth;
     };
-    for (const Variant v : {Variant{SamplerKind::sobol, Roulette::albedo, 5}, Variant{SamplerKind::sobol, Roulette::throughput, 1},
-                            Variant{SamplerKind::independent, Roulette::albedo, 1}}) {
+    for (const Variant v :
+         {Variant{SamplerKind::sobol, Roulette::albedo, 5}, Variant{SamplerKind::sobol, Roulette::throughput, 1},
+          Variant{SamplerKind::independent, Roulette::albedo, 1}}) {
         path.sampler = v.sampler;
         path.roulette = v.roulette;
         path.rr_depth = v.rr_depth;
@@ -118,14 +121,15 @@ TEST_P(SamplersAndRoulettes, SameImageMeanAndTiles) {
         for (int c = 0; c < 3; ++c)
             for (int region = 0; region < 65; ++region) {
                 const Estimate a = reference.estimate(c, region), b = other.estimate(c, region);
-                EXPECT_GE(welch_p_value(a, b), alpha) << fmt::format("region {} channel {}: {:.6g} +- {:.2g}, {:.6g} +- {:.2g}",
-                                                                     region, c, a.mean, a.se, b.mean, b.se);
+                EXPECT_GE(welch_p_value(a, b), alpha) << fmt::format(
+                    "region {} channel {}: {:.6g} +- {:.2g}, {:.6g} +- {:.2g}", region, c, a.mean, a.se, b.mean, b.se);
             }
     }
 }
 
 INSTANTIATE_TEST_SUITE_P(Scenes, SamplersAndRoulettes,
-                         testing::Values("cornell-box.xml", "glossy-box.xml", "all-emitters.xml", "environment-map.xml"),
+                         testing::Values("cornell-box.xml", "glossy-box.xml", "all-emitters.xml",
+                                         "environment-map.xml"),
                          [](const auto& info) { return test_name(info.param); });
 
 TEST(Noise, ClaimedVarianceIsTheSpreadBetweenReplicates) {

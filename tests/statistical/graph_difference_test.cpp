@@ -61,11 +61,13 @@ Image correlated(const Pair& scenes, std::uint64_t seed, std::uint64_t spp) {
     PathOptions path = options_of(scenes.after);
     path.seed = seed;
     residual::Counts counts;
-    return residual::render_residual({scenes.before, scenes.after}, residual::Method::correlated, path, {0, spp, 0}, report, counts);
+    return residual::render_residual({scenes.before, scenes.after}, residual::Method::correlated, path, {0, spp, 0},
+                                     report, counts);
 }
 
 /// Comparisons of image mean and tiles whose means differ.
-std::vector<std::string> differing(const std::vector<RegionMeans>& a, const std::vector<RegionMeans>& b, double* seen = nullptr) {
+std::vector<std::string> differing(const std::vector<RegionMeans>& a, const std::vector<RegionMeans>& b,
+                                   double* seen = nullptr) {
     const int n = 3 * (1 + n_tiles * n_tiles);
     const double alpha = sidak_alpha(n);
     std::vector<std::string> failures;
@@ -76,9 +78,11 @@ std::vector<std::string> differing(const std::vector<RegionMeans>& a, const std:
             for (const RegionMeans& m : b) y.push_back(m[c][region]);
             const Estimate ours = estimate_of(x), theirs = estimate_of(y);
             if (const double p = welch_p_value(ours, theirs); p < alpha)
-                failures.push_back(fmt::format("\n  region {} channel {}: {:.5g} +- {:.2g}, correlated paths {:.5g} +- {:.2g}, p = {:.2g}", region, c, ours.mean, ours.se,
-                                               theirs.mean, theirs.se, p));
-            if (seen && c == 1 && region == 0) *seen = (student_critical(alpha, 2 * replicates - 2) + 1.28) * std::hypot(ours.se, theirs.se);
+                failures.push_back(fmt::format(
+                    "\n  region {} channel {}: {:.5g} +- {:.2g}, correlated paths {:.5g} +- {:.2g}, p = {:.2g}", region,
+                    c, ours.mean, ours.se, theirs.mean, theirs.se, p));
+            if (seen && c == 1 && region == 0)
+                *seen = (student_critical(alpha, 2 * replicates - 2) + 1.28) * std::hypot(ours.se, theirs.se);
         }
     return failures;
 }
@@ -86,11 +90,13 @@ std::vector<std::string> differing(const std::vector<RegionMeans>& a, const std:
 // Through the whole chain, to the last bit, whatever the scene has. Breaks seen to fail: cuts through
 // vertices of one place (off_ties left out); different random numbers.
 TEST(GraphDifference, OfTheSameSceneTwiceIsZero) {
-    for (const char* name : {"cornell-box.xml", "glossy-box.xml", "all-emitters.xml", "textured.xml", "environment-map.xml"}) {
+    for (const char* name :
+         {"cornell-box.xml", "glossy-box.xml", "all-emitters.xml", "textured.xml", "environment-map.xml"}) {
         const auto before = testing::own_scene(name, 24, 16), after = testing::own_scene(name, 24, 16);
         const Image difference = pass_of({*before, *after}, 7, 16, 2);
         EXPECT_TRUE(difference.find("VarMean.R").empty());
-        for (const char* layer : {"", "Emitted.", "DirectOwn.", "DirectCluster.", "IndirectPath.", "IndirectOwn.", "IndirectCluster."})
+        for (const char* layer :
+             {"", "Emitted.", "DirectOwn.", "DirectCluster.", "IndirectPath.", "IndirectOwn.", "IndirectCluster."})
             for (const char* c : {"R", "G", "B"})
                 for (float v : difference.find(std::string(layer) + c)) ASSERT_EQ(v, 0.0f) << name << " " << layer << c;
     }
@@ -120,22 +126,25 @@ TEST(GraphDifference, HasLittleBiasAndLessNoiseThanCorrelatedPaths) {
         bias2 += (std::pow(graph[k].mean - truth[k], 2) - graph[k].var_mean()) / double(graph.size());
         scale2 += truth[k] * truth[k] / double(graph.size());
     }
-    fmt::print("variance of correlated paths over that of graphs {:.2f}; bias^2 {:.3g}, variance of a pass {:.3g}, mean square of the difference {:.3g}\n",
-               path_var / graph_var, bias2, graph_var, scale2);
+    fmt::print(
+        "variance of correlated paths over that of graphs {:.2f}; bias^2 {:.3g}, variance of a pass {:.3g}, mean "
+        "square of the difference {:.3g}\n",
+        path_var / graph_var, bias2, graph_var, scale2);
     EXPECT_GT(path_var / graph_var, 2);
     EXPECT_LT(bias2, 0.12 * scale2);
 }
 
-// Two passes of four correct all four. Clusters of 256 of some 5000 vertices, whose bias must show where it is left, and
-// be gone with two levels. Power: printed; the bias of the image mean that is seen in nine of ten runs. Break seen to
-// fail, besides the one made here (nothing corrected): B subtracted in full from the corrected parts.
+// Two passes of four correct all four. Clusters of 256 of some 5000 vertices, whose bias must show where it is left,
+// and be gone with two levels. Power: printed; the bias of the image mean that is seen in nine of ten runs. Break seen
+// to fail, besides the one made here (nothing corrected): B subtracted in full from the corrected parts.
 TEST(TwoLevels, LeaveNoBias) {
     const auto before = box_moved(0), after = box_moved(-0.46);
     const Pair scenes{*before, *after};
     std::vector<RegionMeans> two_level(replicates), one_level(replicates), paths(replicates);
     for (int i = 0; i < replicates; ++i) {
         std::vector<Image> passes;
-        for (int k = 0; k < 4; ++k) passes.push_back(pass_of(scenes, std::uint64_t(100 + 4 * i + k), 256, full_run() ? 8 : 1));
+        for (int k = 0; k < 4; ++k)
+            passes.push_back(pass_of(scenes, std::uint64_t(100 + 4 * i + k), 256, full_run() ? 8 : 1));
         const auto part = [&](std::size_t k) { return passes[k]; };
         two_level[std::size_t(i)] = region_means(merge::two_level_image(4, 2, part));
         one_level[std::size_t(i)] = region_means(merge::average_images(4, part));

@@ -1,4 +1,6 @@
 // Captures around a corner: against closed forms, another renderer, and themselves.
+#include "stages/core/scene/nlos.h"
+
 #include <fmt/format.h>
 #include <gtest/gtest.h>
 
@@ -6,7 +8,6 @@
 #include <numeric>
 
 #include "formats/io/hdf5_handle.h"
-#include "stages/core/scene/nlos.h"
 #include "stages/core/stats/chi_square.h"
 #include "stages/transient/transient.h"
 #include "tests/statistical/support.h"
@@ -26,7 +27,8 @@ struct Around {
     int max_depth = 4;
     bool laser_sampling = true, hidden_sampling = true;
     std::string integrator;  // further parameters
-    std::string hidden = R"(<shape type="rectangle"><transform name="to_world"><rotate y="1" angle="180"/><translate z="1"/></transform>
+    std::string hidden =
+        R"(<shape type="rectangle"><transform name="to_world"><rotate y="1" angle="180"/><translate z="1"/></transform>
         <bsdf type="diffuse"><rgb name="reflectance" value="1, 1, 1"/></bsdf></shape>)";
     std::string target = "0, 0, 0";
     double fov = 0.2;
@@ -48,8 +50,8 @@ std::unique_ptr<Scene> load(const Around& s) {
 <integer name="width" value="{}"/><integer name="height" value="{}"/><integer name="temporal_bins" value="{}"/>
 <float name="bin_width_opl" value="{}"/><float name="start_opl" value="0"/><boolean name="exhaustive_scan" value="{}"/>
 <integer name="laser_scan_width" value="{}"/><integer name="laser_scan_height" value="{}"/><rfilter type="box"/></film></sensor></shape></scene>)",
-        s.max_depth, s.laser_sampling, s.hidden_sampling, s.capture, s.integrator, s.hidden, s.irradiance, s.fov, s.target, s.wall, s.res, s.res,
-        s.bins, s.width, s.capture == "exhaustive", s.laser_res, s.laser_res);
+        s.max_depth, s.laser_sampling, s.hidden_sampling, s.capture, s.integrator, s.hidden, s.irradiance, s.fov,
+        s.target, s.wall, s.res, s.res, s.bins, s.width, s.capture == "exhaustive", s.laser_res, s.laser_res);
     auto scene = load_scene(file);
     std::filesystem::remove(file);
     return scene;
@@ -58,8 +60,8 @@ std::unique_ptr<Scene> load(const Around& s) {
 /// One channel of a cube.
 struct Bins {
     std::size_t n_pixels = 0, n_bins = 0;
-    std::vector<double> mean, var;       // [pixel, bin]
-    std::vector<double> steady, outside; // [pixel]
+    std::vector<double> mean, var;        // [pixel, bin]
+    std::vector<double> steady, outside;  // [pixel]
     double total() const { return std::accumulate(mean.begin(), mean.end(), 0.0); }
 };
 
@@ -82,7 +84,8 @@ Bins bins_of(const PathGraph& graph, const TransientFilm& film, int channel = 0)
                               take(rows.radiance, out.mean);
                               take(rows.var_mean, out.var);
                               take(rows.steady, out.steady);
-                              for (std::size_t i = channel; i < rows.steady.size(); i += 3) out.outside.push_back(rows.before[i] + rows.after[i] + rows.never[i]);
+                              for (std::size_t i = channel; i < rows.steady.size(); i += 3)
+                                  out.outside.push_back(rows.before[i] + rows.after[i] + rows.never[i]);
                           });
     return out;
 }
@@ -109,7 +112,9 @@ Estimate total_of(const Scene& scene, std::uint64_t spp, LaserSpot spot = LaserS
     return estimate_of(totals);
 }
 
-std::string text(const Estimate& e) { return fmt::format("{:.6g} +- {:.2g}", e.mean, e.se); }
+std::string text(const Estimate& e) {
+    return fmt::format("{:.6g} +- {:.2g}", e.mean, e.se);
+}
 
 /// A relative bias of this size would have been seen in nine of ten runs.
 double seen_bias(const Estimate& a, const Estimate& b) {
@@ -151,7 +156,9 @@ double lit(double lx, double ly, double irradiance = 1) {
     return irradiance * laser_z / (d2 * std::sqrt(d2));  // E / pi
 }
 /// 1 / (pi r^4): two cosines of 1 / r each.
-double hop(double r2) { return 1 / (pi_double * r2 * r2); }
+double hop(double r2) {
+    return 1 / (pi_double * r2 * r2);
+}
 
 template <class Visit>
 void over_plane(int cells, Visit&& visit) {
@@ -159,7 +166,9 @@ void over_plane(int cells, Visit&& visit) {
     for (int j = 0; j < cells; ++j)
         for (int i = 0; i < cells; ++i) visit(-1 + (i + 0.5) * h, -1 + (j + 0.5) * h, h * h);
 }
-double grid(int i, int n) { return 2 * (i + 0.5) / n - 1; }
+double grid(int i, int n) {
+    return 2 * (i + 0.5) / n - 1;
+}
 
 /// Of a sensor and a laser point; calls bin(opl, value).
 template <class Bin>
@@ -196,10 +205,12 @@ TEST_P(PlaneOracle, BinsAndSumAgreeWithMitransient) {
     const Reference reference = read_reference(shared_dir() / "oracles" / "transient" / (name + "_ref.h5"));
     expect_equal_bins(trace_bins(*scene, full_run() ? 65536 : 4096), reference.mean, reference.var);
     const bool single = std::string(GetParam()) == "single";
-    expect_equal(total_of(*scene, full_run() ? 8192 : 1024), {single ? 23.0879 : 24.2622, single ? 0.0036 : 0.0093, INFINITY}, 0.015);
+    expect_equal(total_of(*scene, full_run() ? 8192 : 1024),
+                 {single ? 23.0879 : 24.2622, single ? 0.0036 : 0.0093, INFINITY}, 0.015);
 }
 
-INSTANTIATE_TEST_SUITE_P(Captures, PlaneOracle, ::testing::Values("single", "confocal"), [](const auto& info) { return std::string(info.param); });
+INSTANTIATE_TEST_SUITE_P(Captures, PlaneOracle, ::testing::Values("single", "confocal"),
+                         [](const auto& info) { return std::string(info.param); });
 
 // Break seen to fail: the way from the laser to its spot left out where all segments count.
 TEST(Nlos, PlaneIsItsIntegralBinByBin) {
@@ -218,10 +229,13 @@ TEST(Nlos, PlaneIsItsIntegralBinByBin) {
                     const double sx = grid(i, setup.res), sy = grid(j, setup.res);
                     const bool confocal = setup.capture == "confocal";
                     const double lx = confocal ? sx : 0.3, ly = confocal ? sy : -0.4;
-                    const auto away = [](double x, double y) { return std::sqrt(sqr(x - laser_x) + sqr(y) + sqr(laser_z)); };
+                    const auto away = [](double x, double y) {
+                        return std::sqrt(sqr(x - laser_x) + sqr(y) + sqr(laser_z));
+                    };
                     const double further = all_segments ? away(sx, sy) + away(lx, ly) : 0;
                     plane_pair(sx, sy, lx, ly, 600, [&](double opl, double value) {
-                        if (const auto k = std::size_t((opl + further) / setup.width); k < std::size_t(setup.bins)) mean[std::size_t(j * setup.res + i) * setup.bins + k] += value;
+                        if (const auto k = std::size_t((opl + further) / setup.width); k < std::size_t(setup.bins))
+                            mean[std::size_t(j * setup.res + i) * setup.bins + k] += value;
                     });
                 }
             SCOPED_TRACE(setup.capture + (all_segments ? ", all segments" : ""));
@@ -231,8 +245,8 @@ TEST(Nlos, PlaneIsItsIntegralBinByBin) {
         }
 }
 
-// Sums over all points, bins and three channels, as the tests of the TAL tools have them (a fixed seed there: 72.7698 and
-// 11781.94). Break seen to fail: the laser aimed at the sensor's point in an exhaustive capture.
+// Sums over all points, bins and three channels, as the tests of the TAL tools have them (a fixed seed there: 72.7698
+// and 11781.94). Break seen to fail: the laser aimed at the sensor's point in an exhaustive capture.
 TEST(Nlos, SumsAreThoseOfTal) {
     Around setup;
     setup.capture = "confocal";
@@ -274,9 +288,11 @@ TEST(Nlos, ExhaustivePairsAreTheirIntegralsAndSumToSteady) {
     std::vector<double> mean(81 * std::size_t(setup.bins));
     for (int s = 0; s < 9; ++s)
         for (int l = 0; l < 9; ++l)
-            plane_pair(grid(s % 3, 3), grid(s / 3, 3), grid(l % 3, 3), grid(l / 3, 3), 600, [&](double opl, double value) {
-                if (const auto k = std::size_t(opl / setup.width); k < std::size_t(setup.bins)) mean[std::size_t(s * 9 + l) * setup.bins + k] += value;
-            });
+            plane_pair(grid(s % 3, 3), grid(s / 3, 3), grid(l % 3, 3), grid(l / 3, 3), 600,
+                       [&](double opl, double value) {
+                           if (const auto k = std::size_t(opl / setup.width); k < std::size_t(setup.bins))
+                               mean[std::size_t(s * 9 + l) * setup.bins + k] += value;
+                       });
     expect_equal_bins(ours, mean, {});
     for (std::size_t pixel = 0; pixel < 81; ++pixel) {
         double sum = ours.outside[pixel];
@@ -287,8 +303,9 @@ TEST(Nlos, ExhaustivePairsAreTheirIntegralsAndSumToSteady) {
 
 constexpr const char* white = R"(<bsdf type="diffuse"><rgb name="reflectance" value="1, 1, 1"/></bsdf>)";
 std::string panel(double half, double x, double y, double z) {
-    return fmt::format(R"(<shape type="rectangle"><transform name="to_world"><scale value="{}"/><rotate y="1" angle="180"/><translate x="{}" y="{}" z="{}"/></transform>{}</shape>)",
-                       half, x, y, z, white);
+    return fmt::format(
+        R"(<shape type="rectangle"><transform name="to_world"><scale value="{}"/><rotate y="1" angle="180"/><translate x="{}" y="{}" z="{}"/></transform>{}</shape>)",
+        half, x, y, z, white);
 }
 
 // A plane that another hides from every point of the wall brings nothing. By area alone, without a look at what lies
@@ -298,7 +315,8 @@ TEST(Nlos, HiddenLayersDoNotCountTwice) {
     setup.hidden = panel(1, 0, 0, 1) + panel(1, 0, 0, 1.5);
     double front = 0;
     for (int j = 0; j < 16; ++j)
-        for (int i = 0; i < 16; ++i) plane_pair(grid(i, 16), grid(j, 16), 0, 0, 200, [&](double, double value) { front += value; });
+        for (int i = 0; i < 16; ++i)
+            plane_pair(grid(i, 16), grid(j, 16), 0, 0, 200, [&](double, double value) { front += value; });
     EXPECT_NEAR(front, 23.0847, 0.001);
     expect_equal(total_of(*load(setup), full_run() ? 8192 : 1024), {front, 0, INFINITY}, 0.015);
 
@@ -310,8 +328,8 @@ TEST(Nlos, HiddenLayersDoNotCountTwice) {
     expect_equal(with, total_of(*load(setup), full_run() ? 32768 : 4096), 0.03);
 }
 
-// All that a path can do: balls, disks, boxes, metal, light that returns by the wall. Breaks seen to fail: no look at what
-// lies before a hidden point; a density without the BSDF's.
+// All that a path can do: balls, disks, boxes, metal, light that returns by the wall. Breaks seen to fail: no look at
+// what lies before a hidden point; a density without the BSDF's.
 TEST(Nlos, HiddenSamplingOnOrOffMakesNoDifference) {
     Around setup;
     setup.res = 4;
@@ -325,7 +343,7 @@ TEST(Nlos, HiddenSamplingOnOrOffMakesNoDifference) {
         <shape type="cube"><transform name="to_world"><scale value="0.15"/><rotate y="1" angle="30"/><translate x="0.6" y="-0.3" z="0.7"/></transform>
             <bsdf type="roughconductor"><float name="alpha" value="0.3"/></bsdf></shape>
         <shape type="sphere"><point name="center" x="-0.6" y="0.5" z="0.6"/><float name="radius" value="0.15"/><bsdf type="dielectric"/></shape>)",
-                                                       white);
+                                                        white);
     for (const char* options : {R"(<boolean name="nlos_hidden_geometry_sampling_do_rroulette" value="true"/>)",
                                 R"(<boolean name="nlos_hidden_geometry_sampling_includes_relay_wall" value="true"/>)",
                                 R"(<integer name="nlos_hidden_geometry_sampling_max_depth" value="1"/>)", ""}) {
@@ -375,8 +393,10 @@ TEST(Nlos, FilteredDepthsAddUp) {
     for (int depth = 2; depth <= 6; ++depth) {
         setup.integrator = fmt::format(R"(<integer name="filter_depth" value="{}"/>)", depth);
         const double one = total_of(*load(setup), 1 << 10, LaserSpot::unit_area, 2).mean;
-        if (depth < 4 || depth == 5) EXPECT_EQ(one, 0) << depth;
-        else EXPECT_GT(one, 0) << depth;
+        if (depth < 4 || depth == 5)
+            EXPECT_EQ(one, 0) << depth;
+        else
+            EXPECT_GT(one, 0) << depth;
         sum += one;
     }
     EXPECT_NEAR(sum, all, 1e-5 * all);

@@ -43,12 +43,14 @@ inline double mean_of(const Image& image, const char* channel = "G", Window w = 
     const auto values = image.find(channel);
     double sum = 0, n = 0;
     for (std::uint32_t y = w.y0; y < std::min(w.y1, image.height); ++y)
-        for (std::uint32_t x = w.x0; x < std::min(w.x1, image.width); ++x, ++n) sum += values[std::size_t(y) * image.width + x];
+        for (std::uint32_t x = w.x0; x < std::min(w.x1, image.width); ++x, ++n)
+            sum += values[std::size_t(y) * image.width + x];
     return sum / n;
 }
 
 /// value(pass) of so many passes: its mean and the standard error of that.
-inline Estimate estimate_over_passes(const Scene& scene, const Recipe& recipe, int passes, const std::function<double(const Pass&)>& value) {
+inline Estimate estimate_over_passes(const Scene& scene, const Recipe& recipe, int passes,
+                                     const std::function<double(const Pass&)>& value) {
     std::vector<double> values;
     for (int i = 0; i < passes; ++i) values.push_back(value(make_pass(scene, 5000 + std::uint64_t(i), recipe)));
     return estimate_of(values);
@@ -91,14 +93,16 @@ inline std::vector<double> reference_of(const Scene& scene, std::uint64_t spp) {
     app::Report report;
     report.set_quiet(true);
     trace::Counts counts;
-    return doubles_of(trace::render_image(scene, testing::path_options(scene, 77, SamplerKind::sobol), {0, spp, 0}, report, counts));
+    return doubles_of(
+        trace::render_image(scene, testing::path_options(scene, 77, SamplerKind::sobol), {0, spp, 0}, report, counts));
 }
 
 /// Errors of many passes against a reference: blended, the mean of the clusters, the mean of the paths.
 struct Errors {
     double blend = 0, cluster = 0, paths = 0;
 };
-inline Errors errors_of(const Scene& scene, std::uint64_t first_seed, int passes, Recipe recipe, const std::vector<double>& reference) {
+inline Errors errors_of(const Scene& scene, std::uint64_t first_seed, int passes, Recipe recipe,
+                        const std::vector<double>& reference) {
     recipe.gather.estimates = true;
     std::vector<Image> parts;
     MeanImage cluster, paths;
@@ -109,7 +113,8 @@ inline Errors errors_of(const Scene& scene, std::uint64_t first_seed, int passes
         parts.push_back(std::move(pass.image));
     }
     const Image blend = merge::blend_images(parts.size(), [&](std::size_t i) { return parts[i]; });
-    return {rel_mse(doubles_of(blend), reference), rel_mse(cluster.mean(), reference), rel_mse(paths.mean(), reference)};
+    return {rel_mse(doubles_of(blend), reference), rel_mse(cluster.mean(), reference),
+            rel_mse(paths.mean(), reference)};
 }
 
 }  // namespace loom

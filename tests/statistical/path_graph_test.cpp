@@ -19,12 +19,17 @@ void expect_mean(const Estimate& e, const Estimate& answer, double visible, cons
     const double alpha = sidak_alpha(n_comparisons);
     std::printf("    %s: %.6g +- %.2g, should be %.6g +- %.2g\n", what.c_str(), e.mean, e.se, answer.mean, answer.se);
     if (std::abs(e.mean - answer.mean) < 2e-5 * answer.mean) return;  // free of noise: rounding
-    EXPECT_GE(welch_p_value(e, answer), alpha) << fmt::format("{}: {:.7g} +- {:.2g} instead of {:.7g}", what, e.mean, e.se, answer.mean);
+    EXPECT_GE(welch_p_value(e, answer), alpha)
+        << fmt::format("{}: {:.7g} +- {:.2g} instead of {:.7g}", what, e.mean, e.se, answer.mean);
     EXPECT_LE((student_critical(alpha, e.dof) + 1.28) * std::hypot(e.se, answer.se), visible * answer.mean) << what;
 }
-Estimate known(double answer) { return {answer, 0, INFINITY}; }
+Estimate known(double answer) {
+    return {answer, 0, INFINITY};
+}
 
-double green(const Pass& pass) { return mean_of(pass.image); }
+double green(const Pass& pass) {
+    return mean_of(pass.image);
+}
 
 /// Means of the clusters' images and of the paths' images of the same passes, which share much of their noise.
 struct Compared {
@@ -39,8 +44,8 @@ Compared clusters_and_paths(const Scene& scene, const Recipe& recipe, int passes
         difference.push_back(clusters.back() - paths.back());
     }
     const Compared c{estimate_of(clusters), estimate_of(paths), estimate_of(difference)};
-    std::printf("    clusters %.5f +- %.2g, paths %.5f +- %.2g, difference %.5f +- %.2g\n", c.clusters.mean, c.clusters.se, c.paths.mean,
-                c.paths.se, c.difference.mean, c.difference.se);
+    std::printf("    clusters %.5f +- %.2g, paths %.5f +- %.2g, difference %.5f +- %.2g\n", c.clusters.mean,
+                c.clusters.se, c.paths.mean, c.paths.se, c.difference.mean, c.difference.se);
     return c;
 }
 
@@ -71,17 +76,20 @@ TEST(FailedTechniques, AttemptsCountNotSuccesses) {
     EXPECT_GT(printed.mean - 5 * printed.se, 1.5 * 0.4);
 }
 
-/// Strips of two materials, 2 pixels wide, in a tent of lamps: no technique ever fails, but vertices of one cluster have
-/// densities of their own.
+/// Strips of two materials, 2 pixels wide, in a tent of lamps: no technique ever fails, but vertices of one cluster
+/// have densities of their own.
 std::unique_ptr<Scene> two_materials() {
     std::string body = R"(<bsdf type="diffuse" id="a"><rgb name="reflectance" value="0.8"/></bsdf>
 <bsdf type="roughconductor" id="b"><float name="alpha" value="0.25"/><string name="material" value="Ag"/></bsdf>)";
     for (int i = 0; i < 8; ++i)
-        body += fmt::format(R"(<shape type="rectangle"><transform name="to_world"><scale x="0.00625" y="0.05"/><translate x="{}"/></transform><ref id="{}"/></shape>)",
-                            0.0125 * (i + 0.5) - 0.05, i % 2 ? "b" : "a");
+        body += fmt::format(
+            R"(<shape type="rectangle"><transform name="to_world"><scale x="0.00625" y="0.05"/><translate x="{}"/></transform><ref id="{}"/></shape>)",
+            0.0125 * (i + 0.5) - 0.05, i % 2 ? "b" : "a");
     const char* lamp = R"(<shape type="rectangle"><transform name="to_world"><scale x="{0}" y="{1}"/>{2}</transform>
 <bsdf type="diffuse"><rgb name="reflectance" value="0"/></bsdf><emitter type="area"><rgb name="radiance" value="1"/></emitter></shape>)";
-    const auto add = [&](const char* x, const char* y, const char* moves) { body += fmt::format(fmt::runtime(lamp), x, y, moves); };
+    const auto add = [&](const char* x, const char* y, const char* moves) {
+        body += fmt::format(fmt::runtime(lamp), x, y, moves);
+    };
     add("5", "5", R"(<rotate x="1" angle="180"/><translate z="5"/>)");
     add("2.5", "5", R"(<rotate y="1" angle="-90"/><translate x="5" z="2.5"/>)");
     add("2.5", "5", R"(<rotate y="1" angle="90"/><translate x="-5" z="2.5"/>)");
@@ -105,14 +113,17 @@ TEST(DirectWeights, PooledDensitiesAreAPartition) {
     EXPECT_GT(std::abs(printed.mean - path.mean) - 5 * std::hypot(printed.se, path.se), 0.005 * path.mean);
 }
 
-double furnace(double rho, int n) { return (1 - std::pow(rho, n)) / (1 - rho); }
+double furnace(double rho, int n) {
+    return (1 - std::pow(rho, n)) / (1 - rho);
+}
 
 // Where light is the same everywhere, nothing that neighbours take over is wrong: no bias is left to excuse.
 TEST(SharedClosedForm, FurnaceWithDepthLimit) {
     const auto scene = testing::own_scene("furnace-box.xml", 16, 16);
     Recipe recipe;
     recipe.spp = 4;
-    expect_mean(estimate_over_passes(*scene, recipe, replicates, green), known(furnace(0.5, 6)), 0.01, "furnace, 6 vertices");
+    expect_mean(estimate_over_passes(*scene, recipe, replicates, green), known(furnace(0.5, 6)), 0.01,
+                "furnace, 6 vertices");
 }
 
 // The light that a vertex's own continuation brings has one bounce less to go. Break seen to fail: the radiance of all
@@ -122,7 +133,8 @@ TEST(SharedClosedForm, FurnaceWithDepthLimitByOwnSamples) {
     Recipe recipe;
     recipe.spp = 16;
     recipe.gather.indirect = gather::Source::own;
-    expect_mean(estimate_over_passes(*scene, recipe, replicates, green), known(furnace(0.5, 6)), 0.005, "furnace, 6 vertices, own samples");
+    expect_mean(estimate_over_passes(*scene, recipe, replicates, green), known(furnace(0.5, 6)), 0.005,
+                "furnace, 6 vertices, own samples");
 }
 
 // Break seen to fail: densities without roulette's q.
@@ -153,11 +165,12 @@ TEST(SharedMean, CornellBoxWithinOnePercent) {
     EXPECT_LT(2 * c.difference.se, 0.01 * c.paths.mean);
 }
 
-// A floor with a coat like a mirror beside a bright wall: what its diffuse part takes in is shared all the same, and the
-// coat loses nothing. Break seen to fail: vertices with a narrow coat in no cluster (errors alike).
+// A floor with a coat like a mirror beside a bright wall: what its diffuse part takes in is shared all the same, and
+// the coat loses nothing. Break seen to fail: vertices with a narrow coat in no cluster (errors alike).
 TEST(SharedMean, NarrowCoatSharesDiffuseLight) {
     const auto scene = testing::load_inline({R"(type="perspective"><float name="fov" value="50"/>
-<transform name="to_world"><lookat origin="0, -2, 1.5" target="0, 0, 0" up="0, 0, 1"/></transform>)", R"(
+<transform name="to_world"><lookat origin="0, -2, 1.5" target="0, 0, 0" up="0, 0, 1"/></transform>)",
+                                             R"(
 <shape type="rectangle"><bsdf type="roughplastic"><float name="alpha" value="0.01"/><rgb name="diffuse_reflectance" value="0.6"/></bsdf></shape>
 <shape type="rectangle"><transform name="to_world"><rotate x="1" angle="90"/><translate y="1" z="1"/></transform>
   <bsdf type="twosided"><bsdf type="diffuse"><rgb name="reflectance" value="0.8"/></bsdf></bsdf></shape>
@@ -173,16 +186,18 @@ TEST(SharedMean, NarrowCoatSharesDiffuseLight) {
 }
 
 // A ball of frosted glass in a furnace. Radiance grows by eta^2 where light leaves glass; a clamp that took that for
-// divergence left it dark. Within 4 %: neighbours on a curved surface may look into the other medium along one direction.
+// divergence left it dark. Within 4 %: neighbours on a curved surface may look into the other medium along one
+// direction.
 TEST(SharedMean, FrostedGlassKeepsItsLight) {
-    const auto scene = testing::load_inline({R"(type="perspective"><float name="fov" value="25"/>
+    const auto scene =
+        testing::load_inline({R"(type="perspective"><float name="fov" value="25"/>
 <transform name="to_world"><lookat origin="0, 0, 1.9" target="0, 0, 0" up="0, 1, 0"/></transform>)",
-                                             R"(<shape type="cube"><transform name="to_world"><scale x="2" y="2" z="2"/></transform>
+                              R"(<shape type="cube"><transform name="to_world"><scale x="2" y="2" z="2"/></transform>
 <boolean name="flip_normals" value="true"/><bsdf type="diffuse"><rgb name="reflectance" value="0.8"/></bsdf>
 <emitter type="area"><rgb name="radiance" value="1"/></emitter></shape>
 <shape type="sphere"><float name="radius" value="0.5"/><bsdf type="roughdielectric"><float name="alpha" value="0.3"/>
 <float name="int_ior" value="1.5"/><float name="ext_ior" value="1"/></bsdf></shape>)",
-                                             32, 32, -1});
+                              32, 32, -1});
     for (const refine::Clamp clamp : {refine::Clamp::column, refine::Clamp::cluster}) {
         Recipe recipe;
         recipe.refine.clamp = clamp;
@@ -194,11 +209,12 @@ TEST(SharedMean, FrostedGlassKeepsItsLight) {
     }
 }
 
-// A path that must end at a mirror says nothing of what the mirror shows: for the floor before it, whose own paths may go on,
-// it is no technique. Breaks seen to fail: ends not told apart,
+// A path that must end at a mirror says nothing of what the mirror shows: for the floor before it, whose own paths may
+// go on, it is no technique. Breaks seen to fail: ends not told apart,
 // or the density of all techniques (either -3.6 % and -2.8 %).
 TEST(SharedMean, MirrorWherePathsMustEnd) {
-    for (const char* floor : {R"(<bsdf type="diffuse"><rgb name="reflectance" value="0.8"/></bsdf>)", R"(<bsdf type="roughplastic"><float name="alpha" value="0.3"/></bsdf>)"}) {
+    for (const char* floor : {R"(<bsdf type="diffuse"><rgb name="reflectance" value="0.8"/></bsdf>)",
+                              R"(<bsdf type="roughplastic"><float name="alpha" value="0.3"/></bsdf>)"}) {
         const auto scene = testing::load_inline({R"(type="perspective"><float name="fov" value="40"/>
 <transform name="to_world"><lookat origin="0, -4, 2" target="0, 0, 0.3" up="0, 0, 1"/></transform>)",
                                                  std::string(R"(<shape type="rectangle">)") + floor + R"(</shape>
@@ -208,7 +224,8 @@ TEST(SharedMean, MirrorWherePathsMustEnd) {
         Recipe recipe;
         recipe.spp = 4;
         const Compared c = clusters_and_paths(*scene, recipe, full_run() ? 256 : 48, {8, 12, 24, 24});
-        std::printf("    clusters above paths by %+.2f +- %.2f %%\n", 100 * c.difference.mean / c.paths.mean, 100 * c.difference.se / c.paths.mean);
+        std::printf("    clusters above paths by %+.2f +- %.2f %%\n", 100 * c.difference.mean / c.paths.mean,
+                    100 * c.difference.se / c.paths.mean);
         EXPECT_LT(std::abs(c.difference.mean), 0.003 * c.paths.mean + 3 * c.difference.se);
         EXPECT_LT(3 * c.difference.se, 0.005 * c.paths.mean);
     }
@@ -217,23 +234,27 @@ TEST(SharedMean, MirrorWherePathsMustEnd) {
 /// A floor that a lamp reaches only by way of the ceiling, and boards close over it: who sees which point of the
 /// ceiling changes from pixel to pixel.
 std::unique_ptr<Scene> slats() {
-    const std::string white = R"(<bsdf type="twosided"><bsdf type="diffuse"><rgb name="reflectance" value="0.8"/></bsdf></bsdf>)";
+    const std::string white =
+        R"(<bsdf type="twosided"><bsdf type="diffuse"><rgb name="reflectance" value="0.8"/></bsdf></bsdf>)";
     std::string boards;
     for (int i = 0; i < 4; ++i)
-        boards += fmt::format(R"(<shape type="rectangle"><transform name="to_world"><scale x="0.08" y="1"/><translate x="{}" z="0.15"/></transform>{}</shape>)",
-                              0.4 * i - 0.6, white);
-    return testing::load_inline({R"(type="orthographic"><float name="near_clip" value="0.01"/>
+        boards += fmt::format(
+            R"(<shape type="rectangle"><transform name="to_world"><scale x="0.08" y="1"/><translate x="{}" z="0.15"/></transform>{}</shape>)",
+            0.4 * i - 0.6, white);
+    return testing::load_inline(
+        {R"(type="orthographic"><float name="near_clip" value="0.01"/>
 <transform name="to_world"><scale x="0.8" y="0.8"/><lookat origin="0, 0, 0.1" target="0, 0, 0" up="0, 1, 0"/></transform>)",
-                                 R"(<shape type="rectangle"><transform name="to_world"><scale x="1" y="1"/></transform>)" + white + R"(</shape>
-<shape type="rectangle"><transform name="to_world"><scale x="1" y="1"/><rotate x="1" angle="180"/><translate z="0.6"/></transform>)" + white + "</shape>" + boards + R"(
+         R"(<shape type="rectangle"><transform name="to_world"><scale x="1" y="1"/></transform>)" + white + R"(</shape>
+<shape type="rectangle"><transform name="to_world"><scale x="1" y="1"/><rotate x="1" angle="180"/><translate z="0.6"/></transform>)" +
+             white + "</shape>" + boards + R"(
 <shape type="rectangle"><transform name="to_world"><scale x="0.2" y="0.2"/><translate z="0.4"/></transform>
 <bsdf type="diffuse"><rgb name="reflectance" value="0"/></bsdf><emitter type="area"><rgb name="radiance" value="10"/></emitter></shape>)",
-                                 32, 32, 3});
+         32, 32, 3});
 }
 
 // Continuations reconnected with occlusion rays: the mean is that of the paths, whose own radiance is gathered here.
-// A bias of 1 % would be seen in nine of ten runs. Breaks seen to fail: members taken to see the vertex's own sample (darker, as densities without visibility are), no
-// ray to the members' samples, M p_i without its M.
+// A bias of 1 % would be seen in nine of ten runs. Breaks seen to fail: members taken to see the vertex's own sample
+// (darker, as densities without visibility are), no ray to the members' samples, M p_i without its M.
 TEST(SubsetGather, WithOcclusionRaysIsUnbiasedGivenTheRadiance) {
     const auto scene = slats();
     for (const std::uint32_t members : {3u, 15u}) {
@@ -254,7 +275,8 @@ TEST(SubsetGather, WithOcclusionRaysIsUnbiasedGivenTheRadiance) {
 
 // All members of the cluster are the cluster: what loom-refine has added up, evaluated again.
 TEST(SubsetGather, OfAllMembersIsTheCluster) {
-    for (const auto& [name, reuse] : {std::pair{"cornell-box.xml", Reuse::directions}, {"glossy-box.xml", Reuse::points}}) {
+    for (const auto& [name, reuse] :
+         {std::pair{"cornell-box.xml", Reuse::directions}, {"glossy-box.xml", Reuse::points}}) {
         const auto scene = testing::own_scene(name, 24, 18);
         const PathGraph graph = testing::trace_graph(*scene, testing::path_options(*scene, 5), 2);
         const Clusters clusters = testing::clusters_of(graph, 16);
@@ -271,14 +293,16 @@ TEST(SubsetGather, OfAllMembersIsTheCluster) {
         const auto expected = doubles_of(gather::gathered_image(graph, radiance, {}, 0));
         const auto found = doubles_of(gather::gathered_image(graph, radiance, subset, 0, {&clusters}));
         double sum = 0, difference = 0;
-        for (std::size_t i = 0; i < found.size(); ++i) sum += expected[i], difference += std::abs(found[i] - expected[i]);
+        for (std::size_t i = 0; i < found.size(); ++i)
+            sum += expected[i], difference += std::abs(found[i] - expected[i]);
         std::printf("    relative difference %.1e\n", difference / sum);
         EXPECT_LT(difference, 1e-4 * sum);
     }
 }
 
 /// Correlation of the errors of horizontal neighbours, over passes and pixels of luminance above nothing.
-double neighbour_correlation(const std::vector<std::vector<double>>& images, std::uint32_t width, std::uint32_t height) {
+double neighbour_correlation(const std::vector<std::vector<double>>& images, std::uint32_t width,
+                             std::uint32_t height) {
     const std::size_t n = images[0].size();
     std::vector<double> mean(n), variance(n);
     for (const auto& image : images)
@@ -302,14 +326,16 @@ double neighbour_correlation(const std::vector<std::vector<double>>& images, std
 TEST(NeighbourPixels, ErrorsAfterTheFinalGatherAreNearlyIndependent) {
     const auto scene = testing::own_scene("cornell-box.xml", 32, 32);
     std::vector<std::vector<double>> of_paths, of_own, of_clusters, of_subsets;
-    gather::GatherOptions own{gather::Source::own, gather::Source::own}, subset{gather::Source::own, gather::Source::subset};
+    gather::GatherOptions own{gather::Source::own, gather::Source::own},
+        subset{gather::Source::own, gather::Source::subset};
     for (std::uint64_t seed = 300; seed < (full_run() ? 700 : 340); ++seed) {
         const PathGraph graph = testing::trace_graph(*scene, testing::path_options(*scene, seed), 1);
         const Clusters clusters = testing::clusters_of(graph, 16, seed);
         const Radiance radiance = testing::radiance_of(graph, clusters);
         of_paths.push_back(doubles_of(gather::path_traced_image(graph, 0)));
         of_own.push_back(doubles_of(gather::gathered_image(graph, radiance, own, 0)));
-        of_subsets.push_back(doubles_of(gather::gathered_image(graph, radiance, subset, 0, {&clusters, nullptr, seed})));
+        of_subsets.push_back(
+            doubles_of(gather::gathered_image(graph, radiance, subset, 0, {&clusters, nullptr, seed})));
         of_clusters.push_back(doubles_of(gather::gathered_image(graph, radiance, {}, 0)));
     }
     const double path = neighbour_correlation(of_paths, 32, 32), gathered = neighbour_correlation(of_own, 32, 32),

@@ -80,12 +80,13 @@ TEST_P(RenderOracle, PixelsImageMeanAndTilesAgree) {
             const double relative = level[region][c] > 0 ? off / level[region][c] : 0;
             if (region > 0) worst_tile = std::max(worst_tile, se > 0 ? off / se : 0);
             EXPECT_TRUE(off <= 5 * se || relative <= 0.002)
-                << (region == 0 ? std::string("image mean") : fmt::format("tile ({}, {})", (region - 1) % 8, (region - 1) / 8))
+                << (region == 0 ? std::string("image mean")
+                                : fmt::format("tile ({}, {})", (region - 1) % 8, (region - 1) / 8))
                 << " channel " << c << ": off by " << 100 * relative << " %, " << off / se << " standard errors";
         }
     RecordProperty("share_of_pixels", std::to_string(share));
-    std::printf("    pixels that pass %.5f; image mean off by %+.4f %% %+.4f %% %+.4f %%; largest tile %.1f SE\n", share,
-                100 * difference[0][0] / level[0][0], 100 * difference[0][1] / level[0][1],
+    std::printf("    pixels that pass %.5f; image mean off by %+.4f %% %+.4f %% %+.4f %%; largest tile %.1f SE\n",
+                share, 100 * difference[0][0] / level[0][0], 100 * difference[0][1] / level[0][1],
                 100 * difference[0][2] / level[0][2], worst_tile);
     if (HasFailure()) {
         const auto out = source_dir() / "out" / "test-failures";

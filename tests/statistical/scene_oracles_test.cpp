@@ -67,8 +67,8 @@ TEST_P(SceneOracle, ImageMeanAndTilesAgree) {
     }
     if (s.means_within > 0) return;
     // 21 files, 3 channels, 65 regions.
-    const std::string failures =
-        judge_regions(ours, means, se, 21 * 3 * 65, fmt::format("{}-{}", s.name, std::filesystem::path(s.file).stem().string()));
+    const std::string failures = judge_regions(
+        ours, means, se, 21 * 3 * 65, fmt::format("{}-{}", s.name, std::filesystem::path(s.file).stem().string()));
     EXPECT_TRUE(failures.empty()) << failures;
 }
 

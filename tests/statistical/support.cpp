@@ -12,7 +12,9 @@
 
 namespace loom {
 
-std::filesystem::path source_dir() { return LOOM_SOURCE_DIR; }
+std::filesystem::path source_dir() {
+    return LOOM_SOURCE_DIR;
+}
 
 std::filesystem::path shared_dir() {
     const auto dir = source_dir() / ".." / "shared";
@@ -116,10 +118,11 @@ std::string judge_regions(const Replicates& ours, const RegionMeans& reference, 
             const Estimate theirs{reference[c][region], reference_se[c][region], INFINITY};
             const double p = welch_p_value(mine, theirs);
             if (p >= alpha) continue;
-            failures += fmt::format("\n  {} channel {}: ours {:.7g} +- {:.2g}, reference {:.7g} +- {:.2g}, p = {:.2g}",
-                                    region == 0 ? std::string("image mean")
-                                                : fmt::format("tile ({}, {})", (region - 1) % n_tiles, (region - 1) / n_tiles),
-                                    c, mine.mean, mine.se, theirs.mean, theirs.se, p);
+            failures +=
+                fmt::format("\n  {} channel {}: ours {:.7g} +- {:.2g}, reference {:.7g} +- {:.2g}, p = {:.2g}",
+                            region == 0 ? std::string("image mean")
+                                        : fmt::format("tile ({}, {})", (region - 1) % n_tiles, (region - 1) / n_tiles),
+                            c, mine.mean, mine.se, theirs.mean, theirs.se, p);
         }
     if (!failures.empty()) {
         const auto dir = source_dir() / "out" / "test-failures";

@@ -34,8 +34,8 @@ struct Replicates {
     Image mean;                        // over all replicates, VarMean from their spread
     std::vector<RegionMeans> regions;  // by replicate
     Estimate estimate(int channel, int region) const;
-    double spread_per_pixel = 0;  // sum over pixels and channels of the variance between replicates
-    double claimed_per_pixel = 0; // sum of var_mean as the images claim it, mean over replicates
+    double spread_per_pixel = 0;   // sum over pixels and channels of the variance between replicates
+    double claimed_per_pixel = 0;  // sum of var_mean as the images claim it, mean over replicates
 };
 /// in:  first_seed  of the replicates' seeds, one after the other
 Replicates trace_replicates(const Scene& scene, const PathOptions& path, std::uint64_t spp, int replicates,

@@ -2,8 +2,8 @@
 //
 // The raw picture of a family, each path over the density of its own technique alone, has the mean
 //   sum over scenes +-  integral of f(p) n(p) dp,   n: from how many places of p the technique starts.
-// The reference is path tracing: camera paths by next-event estimation and by hits, times n. Nothing of it has been found
-// by the technique; n is counted from vertices and crossings by the text of [RP].
+// The reference is path tracing: camera paths by next-event estimation and by hits, times n. Nothing of it has been
+// found by the technique; n is counted from vertices and crossings by the text of [RP].
 
 #include <gtest/gtest.h>
 #include <tbb/parallel_for.h>
@@ -20,19 +20,29 @@ const char* const rgb[] = {"R", "G", "B"};
 
 constexpr const char* short_place = "<translate x=\"0.36\" y=\"-0.72\" z=\"0.3\"/>";
 constexpr const char* short_moved = "<translate x=\"-0.1\" y=\"-0.72\" z=\"0.4\"/>";
-constexpr const char* end_of_tall = "<translate x=\"-0.33\" y=\"-0.42\" z=\"-0.35\"/>\n        </transform>\n        <ref id=\"white\"/>";
-constexpr const char* tall_of_metal = "<translate x=\"-0.33\" y=\"-0.42\" z=\"-0.35\"/></transform><bsdf type=\"roughconductor\"><string name=\"material\" value=\"Au\"/>"
-                                      "<float name=\"alpha\" value=\"0.2\"/></bsdf>";
-constexpr const char* ball = "<shape type=\"sphere\" id=\"ball\"><point name=\"center\" x=\"0.3\" y=\"-0.1\" z=\"0.3\"/><float name=\"radius\" value=\"0.25\"/>"
-                             "<bsdf type=\"dielectric\"/></shape></scene>";
-constexpr const char* bulb = "<emitter type=\"point\"><point name=\"position\" x=\"0.5\" y=\"0.5\" z=\"0.5\"/><rgb name=\"intensity\" value=\"0.4\"/></emitter></scene>";
+constexpr const char* end_of_tall =
+    "<translate x=\"-0.33\" y=\"-0.42\" z=\"-0.35\"/>\n        </transform>\n        <ref id=\"white\"/>";
+constexpr const char* tall_of_metal =
+    "<translate x=\"-0.33\" y=\"-0.42\" z=\"-0.35\"/></transform><bsdf type=\"roughconductor\"><string "
+    "name=\"material\" value=\"Au\"/>"
+    "<float name=\"alpha\" value=\"0.2\"/></bsdf>";
+constexpr const char* ball =
+    "<shape type=\"sphere\" id=\"ball\"><point name=\"center\" x=\"0.3\" y=\"-0.1\" z=\"0.3\"/><float name=\"radius\" "
+    "value=\"0.25\"/>"
+    "<bsdf type=\"dielectric\"/></shape></scene>";
+constexpr const char* bulb =
+    "<emitter type=\"point\"><point name=\"position\" x=\"0.5\" y=\"0.5\" z=\"0.5\"/><rgb name=\"intensity\" "
+    "value=\"0.4\"/></emitter></scene>";
 
 const std::vector<EditCase>& edits() {
     static const std::vector<EditCase> all = {
         {"metal", {{end_of_tall, tall_of_metal}}},
         {"moved_by_metal", {{short_place, short_moved}}, {{end_of_tall, tall_of_metal}}},
         {"glass", {{"</scene>", ball}}},
-        {"several", {{short_place, "<translate x=\"0.1\" y=\"-0.72\" z=\"0.4\"/>"}, {"angle=\"18\"", "angle=\"50\""}, {"0.60, 0.08, 0.06", "0.1, 0.1, 0.6"}}},
+        {"several",
+         {{short_place, "<translate x=\"0.1\" y=\"-0.72\" z=\"0.4\"/>"},
+          {"angle=\"18\"", "angle=\"50\""},
+          {"0.60, 0.08, 0.06", "0.1, 0.1, 0.6"}}},
         {"bulb", {{short_place, short_moved}}, {{"</scene>", bulb}}},
     };
     return all;
@@ -48,23 +58,29 @@ int n_places(Technique technique, Site site, const DynamicScene& side, const Ful
     const bool lit = !specular(m - 1), seen = !specular(0);  // can be joined to a light, to the sensor
     int n = 0;
     switch (technique) {
-        case Technique::dynamic_from_emitter: return lit && seen ? dynamic(m - 1) : 0;
-        case Technique::dynamic_from_sensor: return lit && m > 1 ? dynamic(0) : 0;
+        case Technique::dynamic_from_emitter:
+            return lit && seen ? dynamic(m - 1) : 0;
+        case Technique::dynamic_from_sensor:
+            return lit && m > 1 ? dynamic(0) : 0;
         case Technique::dynamic_two_ends:
             for (int i = 1; i + 1 < m; ++i) n += dynamic(i);
             return lit && seen ? n : 0;
-        case Technique::ghost_from_emitter: return seen && !(p.light.delta && !lit) ? crossings(m) : 0;
-        case Technique::ghost_from_sensor: return lit ? crossings(0) : 0;
+        case Technique::ghost_from_emitter:
+            return seen && !(p.light.delta && !lit) ? crossings(m) : 0;
+        case Technique::ghost_from_sensor:
+            return lit ? crossings(0) : 0;
         case Technique::ghost_two_ends:
             for (int i = 1; i < m; ++i) n += crossings(i);
             return lit && seen ? n : 0;
-        case Technique::path_tracing: break;  // none in this scene
+        case Technique::path_tracing:
+            break;  // none in this scene
     }
     return 0;
 }
 
 /// The difference of all paths times their number of places, by camera paths: one picture per family.
-std::vector<RegionMeans> by_camera(const EditedScenes& scenes, const DynamicScenes& sides, const std::vector<Family>& families, std::uint64_t seed, std::uint64_t spp) {
+std::vector<RegionMeans> by_camera(const EditedScenes& scenes, const DynamicScenes& sides,
+                                   const std::vector<Family>& families, std::uint64_t seed, std::uint64_t spp) {
     PathOptions options = options_of(*scenes.new_scene);
     std::vector<Image> images(families.size());
     for (Image& image : images) {
@@ -84,7 +100,8 @@ std::vector<RegionMeans> by_camera(const EditedScenes& scenes, const DynamicScen
                     if (!(e.camera_density > 0)) return;
                     const Radiance value = e.F * ((is_new ? 1 : -1) / e.camera_density / double(spp));
                     for (std::size_t f = 0; f < families.size(); ++f)
-                        if (const int n = n_places(is_new ? families[f].in_new : families[f].in_old, is_new ? families[f].site_new : families[f].site_old, side, p))
+                        if (const int n = n_places(is_new ? families[f].in_new : families[f].in_old,
+                                                   is_new ? families[f].site_new : families[f].site_old, side, p))
                             sums[f] += value * double(n);
                 });
             };
@@ -100,10 +117,11 @@ std::vector<RegionMeans> by_camera(const EditedScenes& scenes, const DynamicScen
 
 class EachTechnique : public testing::TestWithParam<EditCase> {};
 
-// Power: at most a factor of 1.76 between the two, for most families 1.1 to 1.3, is seen in nine of ten runs (full: with 8 times the samples);
-// that half of each is seen is tested. Breaks seen to fail, each in all edits that have the family: density of dynamic from emitter doubled; the
-// cosine of the sensor's segment dropped in dynamic from sensor, that of the direction in dynamic two ends, the ghost's in ghost
-// from emitter and ghost from sensor, the vertex's in ghost two ends.
+// Power: at most a factor of 1.76 between the two, for most families 1.1 to 1.3, is seen in nine of ten runs (full:
+// with 8 times the samples); that half of each is seen is tested. Breaks seen to fail, each in all edits that have the
+// family: density of dynamic from emitter doubled; the cosine of the sensor's segment dropped in dynamic from sensor,
+// that of the direction in dynamic two ends, the ghost's in ghost from emitter and ghost from sensor, the vertex's in
+// ghost two ends.
 TEST_P(EachTechnique, HasTheMeanOfThePathsThatItCanFind) {
     const EditedScenes scenes = edited(GetParam());
     const DynamicScenes sides(*scenes.old_scene, *scenes.new_scene, scenes.edit);
@@ -125,7 +143,8 @@ TEST_P(EachTechnique, HasTheMeanOfThePathsThatItCanFind) {
     const double alpha = sidak_alpha(int(edits().size()) * 9 * 3 * regions);
     for (std::size_t f = 0; f < n_families; ++f) {
         SCOPED_TRACE(families[f].name);
-        const auto estimate = [&](const std::vector<std::vector<RegionMeans>>& all, int c, int region, double scale = 1) {
+        const auto estimate = [&](const std::vector<std::vector<RegionMeans>>& all, int c, int region,
+                                  double scale = 1) {
             std::vector<double> values;
             for (const auto& means : all) values.push_back(scale * means[f][std::size_t(c)][std::size_t(region)]);
             return estimate_of(values);
@@ -135,7 +154,8 @@ TEST_P(EachTechnique, HasTheMeanOfThePathsThatItCanFind) {
             for (int region = 0; region < regions; ++region) {
                 const Estimate mean = estimate(ours, c, region), expected = estimate(reference, c, region);
                 EXPECT_GT(welch_p_value(mean, expected), alpha)
-                    << fmt::format("channel {} region {}: {:.6g} +- {:.2g}, camera paths {:.6g} +- {:.2g}", c, region, mean.mean, mean.se, expected.mean, expected.se);
+                    << fmt::format("channel {} region {}: {:.6g} +- {:.2g}, camera paths {:.6g} +- {:.2g}", c, region,
+                                   mean.mean, mean.se, expected.mean, expected.se);
                 const double error = std::hypot(mean.se, expected.se);
                 if (error > 0 && std::abs(expected.mean) / error > largest) {
                     largest = std::abs(expected.mean) / error;
@@ -143,14 +163,18 @@ TEST_P(EachTechnique, HasTheMeanOfThePathsThatItCanFind) {
                 }
             }
         const double critical = student_critical(alpha, 2 * replicates - 2);
-        if (largest > 0) fmt::print("{} {}: a factor of {:.2f} is seen in nine of ten runs\n", GetParam().name, families[f].name, 1 + (critical + 1.28) / largest);
+        if (largest > 0)
+            fmt::print("{} {}: a factor of {:.2f} is seen in nine of ten runs\n", GetParam().name, families[f].name,
+                       1 + (critical + 1.28) / largest);
         if (largest > 0) EXPECT_LT(seen, alpha) << "half of it is not seen";
         // All paths by way of a smooth ball are specular where this one begins.
-        if (!(largest > 0)) EXPECT_EQ(std::string(families[f].name) + " of " + GetParam().name, "dynamic-from-emitter of glass");
+        if (!(largest > 0))
+            EXPECT_EQ(std::string(families[f].name) + " of " + GetParam().name, "dynamic-from-emitter of glass");
     }
 }
 
-INSTANTIATE_TEST_SUITE_P(Edits, EachTechnique, testing::ValuesIn(edits()), [](const auto& info) { return info.param.name; });
+INSTANTIATE_TEST_SUITE_P(Edits, EachTechnique, testing::ValuesIn(edits()),
+                         [](const auto& info) { return info.param.name; });
 
 }  // namespace
 }  // namespace loom::residual

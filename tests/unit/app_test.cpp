@@ -53,8 +53,8 @@ struct Tried {
         for (std::string& word : words) argv.push_back(word.data());
         testing::internal::CaptureStdout();
         testing::internal::CaptureStderr();
-        code = command_line.execute(static_cast<int>(argv.size()), argv.data(),
-                                    [&] { return body(command_line.report); });
+        code =
+            command_line.execute(static_cast<int>(argv.size()), argv.data(), [&] { return body(command_line.report); });
         err = testing::internal::GetCapturedStderr();
         out = testing::internal::GetCapturedStdout();
         command = command_line.report.command();
@@ -123,14 +123,13 @@ TEST_F(App, wrong_command_lines_are_2_and_run_nothing) {
 
 TEST_F(App, messages_name_the_flag_and_the_range) {
     EXPECT_NE(Tried({scene, "--spp", "0"}).err.find("--spp: 0 is not in 1 to 65536"), std::string::npos);
-    EXPECT_NE(
-        Tried({scene, "--roulette", "none"}).err.find("--roulette: 'none' is not one of albedo|throughput"),
-        std::string::npos);
+    EXPECT_NE(Tried({scene, "--roulette", "none"}).err.find("--roulette: 'none' is not one of albedo|throughput"),
+              std::string::npos);
 }
 
 TEST_F(App, values_arrive) {
-    const Tried run({"-Dresx=4", "-D", "resy=8", scene, "--seed", "18446744073709551615", "--exposure",
-                     "-1.5", "--max-depth=7", "--plan", "--roulette", "throughput"});
+    const Tried run({"-Dresx=4", "-D", "resy=8", scene, "--seed", "18446744073709551615", "--exposure", "-1.5",
+                     "--max-depth=7", "--plan", "--roulette", "throughput"});
     ASSERT_EQ(run.code, 0) << run.err;
     EXPECT_EQ(run.options.defines, (std::vector<std::string>{"resx=4", "resy=8"}));
     EXPECT_EQ(run.options.seed, 18446744073709551615u);
@@ -250,7 +249,8 @@ TEST_F(App, usage_counts) {
 // Break seen to fail: every occurrence replaced.
 TEST_F(App, commands_of_parts) {
     const std::string command = "loom-cluster a.h5 b.h5 --k 8 --seed 3";
-    EXPECT_EQ(command_of_part(command, {{" a.h5 b.h5", " b.h5"}, {" --seed 3", " --seed 4"}, {" --with c.h5", ""}}), "loom-cluster b.h5 --k 8 --seed 4");
+    EXPECT_EQ(command_of_part(command, {{" a.h5 b.h5", " b.h5"}, {" --seed 3", " --seed 4"}, {" --with c.h5", ""}}),
+              "loom-cluster b.h5 --k 8 --seed 4");
     EXPECT_EQ(command_of_part("loom-x 1 1", {{" 1", ""}}), "loom-x 1");
 }
 

@@ -41,8 +41,7 @@ std::vector<Include> includes() {
                 ++number;
                 std::smatch match;
                 if (!std::regex_search(line, match, pattern)) continue;
-                found.push_back(
-                    {fs::relative(entry.path(), root).string(), match[2], match[1] == "\"", number});
+                found.push_back({fs::relative(entry.path(), root).string(), match[2], match[1] == "\"", number});
             }
         }
     }
@@ -83,8 +82,8 @@ const std::map<std::string, std::set<std::string>>& arrows() {
         {"core/sampling", with(formats, {"core/math"})},
         {"core/scattering", with(formats, {"core/math", "core/sampling"})},
         {"core/scene", with(formats, {"core/math", "core/sampling", "core/scattering", "core/app"})},
-        {"core/transport", with(formats, {"core/math", "core/sampling", "core/scattering", "core/scene",
-                                          "core/app", "core/stats"})},
+        {"core/transport",
+         with(formats, {"core/math", "core/sampling", "core/scattering", "core/scene", "core/app", "core/stats"})},
         {"core/stats", with(formats, {"core/math"})},
         {"core/app", formats},
         {"core/table", {"formats/io"}},
@@ -155,12 +154,10 @@ TEST(Arrows, libraries_stay_in_their_rooms) {
 
 TEST(Arrows, core_has_no_main) {
     const std::regex pattern(R"(^int main\s*\()");
-    for (const auto& entry :
-         fs::recursive_directory_iterator(fs::path(LOOM_SOURCE_DIR) / "stages" / "core")) {
+    for (const auto& entry : fs::recursive_directory_iterator(fs::path(LOOM_SOURCE_DIR) / "stages" / "core")) {
         if (entry.path().extension() != ".cpp") continue;
         std::ifstream in(entry.path());
-        for (std::string line; std::getline(in, line);)
-            EXPECT_FALSE(std::regex_search(line, pattern)) << entry.path();
+        for (std::string line; std::getline(in, line);) EXPECT_FALSE(std::regex_search(line, pattern)) << entry.path();
     }
 }
 

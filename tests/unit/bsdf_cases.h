@@ -37,8 +37,7 @@ inline std::vector<BsdfCase> bsdf_cases() {
         cases.push_back({std::move(name), m});
     };
     add("diffuse", BsdfKind::diffuse, [](BsdfModel&) {});
-    add("diffuse two-sided mask", BsdfKind::diffuse,
-        [](BsdfModel& m) { m.two_sided = true, m.opacity = 0.6f; });
+    add("diffuse two-sided mask", BsdfKind::diffuse, [](BsdfModel& m) { m.two_sided = true, m.opacity = 0.6f; });
     add("conductor", BsdfKind::conductor, [](BsdfModel&) {});
     add("dielectric", BsdfKind::dielectric, [](BsdfModel&) {});
     add("dielectric inverted", BsdfKind::dielectric, [](BsdfModel& m) { m.int_ior = 1, m.ext_ior = 1.5f; });
@@ -47,8 +46,7 @@ inline std::vector<BsdfCase> bsdf_cases() {
     });
     add("thin_dielectric", BsdfKind::thin_dielectric, [](BsdfModel&) {});
     add("plastic", BsdfKind::plastic, [](BsdfModel&) {});
-    add("plastic nonlinear two-sided", BsdfKind::plastic,
-        [](BsdfModel& m) { m.nonlinear = true, m.two_sided = true; });
+    add("plastic nonlinear two-sided", BsdfKind::plastic, [](BsdfModel& m) { m.nonlinear = true, m.two_sided = true; });
     add("null", BsdfKind::null, [](BsdfModel&) {});
     for (const float alpha : {0.0f, 0.2f, 0.5f})
         add("rough_diffuse " + std::to_string(alpha), BsdfKind::rough_diffuse,
@@ -62,9 +60,7 @@ inline std::vector<BsdfCase> bsdf_cases() {
     for (const Microfacet distribution : {Microfacet::ggx, Microfacet::beckmann}) {
         const std::string type = distribution == Microfacet::ggx ? " ggx " : " beckmann ";
         for (const auto& [u, v] : {std::pair{0.05f, 0.05f}, {0.1f, 0.3f}, {0.4f, 0.4f}, {1.0f, 1.0f}}) {
-            const auto rough = [=](BsdfModel& m) {
-                m.distribution = distribution, m.alpha_u = u, m.alpha_v = v;
-            };
+            const auto rough = [=](BsdfModel& m) { m.distribution = distribution, m.alpha_u = u, m.alpha_v = v; };
             const std::string alphas = type + std::to_string(u) + " " + std::to_string(v);
             add("rough_conductor" + alphas, BsdfKind::rough_conductor, rough);
             add("rough_dielectric" + alphas, BsdfKind::rough_dielectric, rough);

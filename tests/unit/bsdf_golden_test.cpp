@@ -92,8 +92,7 @@ TEST(BsdfGolden, ValuesOfMitsuba3) {
         prepare(model);
         const BsdfValue<float> v = f_cos_pdf(Bsdf<float>(model), g.wo, g.wi);
         for (int c = 0; c < 3; ++c)
-            EXPECT_NEAR(v.f_cos[c], g.f_cos[c], 1e-4f * g.f_cos[c])
-                << "row " << &g - golden << " channel " << c;
+            EXPECT_NEAR(v.f_cos[c], g.f_cos[c], 1e-4f * g.f_cos[c]) << "row " << &g - golden << " channel " << c;
     }
 }
 
@@ -263,16 +262,14 @@ TEST(BsdfGolden, RoughDiffuseAtNormalIncidence) {
     BsdfModel model = golden_model(BsdfKind::rough_diffuse);
     const Vector3f z{0, 0, 1}, wi = direction(0.7f);
     model.alpha_u = 0;
-    EXPECT_NEAR(f_cos_pdf(Bsdf<float>(model), direction(0.3f, 2.0f), wi).f_cos.r, 0.5 / pi_double * 0.7,
-                1e-6);
+    EXPECT_NEAR(f_cos_pdf(Bsdf<float>(model), direction(0.3f, 2.0f), wi).f_cos.r, 0.5 / pi_double * 0.7, 1e-6);
     model.alpha_u = 0.4f;
     const double s2 = 0.5 * 0.4 * 0.4;
     const double c1 = 1 - 0.5 * s2 / (s2 + 0.33), c4 = 0.17 * s2 / (s2 + 0.13);
     EXPECT_NEAR(f_cos_pdf(Bsdf<float>(model), z, wi).f_cos.r, (0.5 * c1 + 0.25 * c4) / pi_double * 0.7, 1e-6);
     // Seen against the light at a grazing angle it is brighter than Lambert's, with the light darker.
     const double back = f_cos_pdf(Bsdf<float>(model), direction(0.3f), direction(0.3f)).f_cos.r;
-    const double forward =
-        f_cos_pdf(Bsdf<float>(model), direction(0.3f), direction(0.3f, 0.7f + 3.14159f)).f_cos.r;
+    const double forward = f_cos_pdf(Bsdf<float>(model), direction(0.3f), direction(0.3f, 0.7f + 3.14159f)).f_cos.r;
     EXPECT_GT(back, 0.5 / pi_double * 0.3);
     EXPECT_LT(forward, back);
 }

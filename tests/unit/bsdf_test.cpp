@@ -49,8 +49,7 @@ TEST_P(BsdfInvariants, ReflectsNoMoreThanItGets) {
     BsdfModel model = GetParam().model;
     if (model.kind == BsdfKind::conductor || model.kind == BsdfKind::rough_conductor)
         model.eta_c = Spectrum(0.0f), model.k_c = Spectrum(1.0f);
-    if (model.kind == BsdfKind::diffuse || model.kind == BsdfKind::plastic ||
-        model.kind == BsdfKind::rough_plastic)
+    if (model.kind == BsdfKind::diffuse || model.kind == BsdfKind::plastic || model.kind == BsdfKind::rough_plastic)
         model.diffuse = Spectrum(1.0f);
     const Bsdf<float> bsdf(model);
     const bool exact = model.kind != BsdfKind::rough_diffuse && model.kind != BsdfKind::phong &&
@@ -85,8 +84,7 @@ TEST_P(BsdfInvariants, WeightIsValueOverDensity) {
     for (int i = 0; i < 50000; ++i) {
         const Draw draw(SamplerKind::independent, 3, i);
         // Half of the directions within 12 degrees of grazing.
-        const float cos =
-            (i % 2 ? 0.2f : 1.0f) * (1 - draw.v.x) * (transmits(model) && draw.v.y < 0.5f ? -1 : 1);
+        const float cos = (i % 2 ? 0.2f : 1.0f) * (1 - draw.v.x) * (transmits(model) && draw.v.y < 0.5f ? -1 : 1);
         const Vector3f wo = direction(cos, 6 * draw.v.y);
         const BsdfSample<float> s = sample(bsdf, wo, draw.u_lobe, draw.u);
         if (s.lobe == Lobe::none) {
@@ -115,9 +113,9 @@ TEST_P(BsdfInvariants, WeightIsValueOverDensity) {
     }
 }
 
-// Over a bright base, at grazing wo, weights of rough plastics exceed 1: what one microfacet reflects, F(wo.h), is up to
-// twice the mean that the choice of lobes knows. No choice of lobes that does not know h can mend it: neither the exact
-// G1 in the value (1.54 for 1.53) nor the lobes' energies by quadrature (1.66) does. Clamped by path graphs.
+// Over a bright base, at grazing wo, weights of rough plastics exceed 1: what one microfacet reflects, F(wo.h), is up
+// to twice the mean that the choice of lobes knows. No choice of lobes that does not know h can mend it: neither the
+// exact G1 in the value (1.54 for 1.53) nor the lobes' energies by quadrature (1.66) does. Clamped by path graphs.
 TEST(Bsdf, RoughPlasticOverABrightBaseWeighsAtMostItsFresnelSpread) {
     for (const Microfacet distribution : {Microfacet::ggx, Microfacet::beckmann})
         for (const float alpha : {0.05f, 0.1f, 0.4f}) {
@@ -153,8 +151,7 @@ TEST(Bsdf, OneSidedKindsAreBlackFromBehindAndTwoSidedOnesAlike) {
             const Bsdf<float> bsdf(model);
             const Vector3f wo = direction(0.6f), wi = direction(0.4f, 3.5f);
             const Vector3f wo_behind{wo.x, wo.y, -wo.z}, wi_behind{wi.x, wi.y, -wi.z};
-            const BsdfValue<float> front = f_cos_pdf(bsdf, wo, wi),
-                                   behind = f_cos_pdf(bsdf, wo_behind, wi_behind);
+            const BsdfValue<float> front = f_cos_pdf(bsdf, wo, wi), behind = f_cos_pdf(bsdf, wo_behind, wi_behind);
             EXPECT_EQ(behind.f_cos, two_sided ? front.f_cos : Spectrum()) << c.name;
             EXPECT_EQ(behind.pdf_w, two_sided ? front.pdf_w : 0) << c.name;
             EXPECT_EQ(f_cos_pdf(bsdf, wo, wi_behind).f_cos, Spectrum()) << c.name;

@@ -30,7 +30,8 @@ TEST(ChainOfEdits, EveryEditHasItsOwnSeed) {
 }
 
 TEST(ChainOfEdits, TheSameRandomNumbersTwiceAreRefused) {
-    const Ledger ledger = {link("", 64, 3, 1, 64), link("correlated", 8, 4, 0.1, 64), link(differences_method, 8, 5, 0.1, 0)};
+    const Ledger ledger = {link("", 64, 3, 1, 64), link("correlated", 8, 4, 0.1, 64),
+                           link(differences_method, 8, 5, 0.1, 0)};
     EXPECT_NO_THROW(check_numbers({}, "correlated", 3));
     EXPECT_NO_THROW(check_numbers(ledger, "correlated", 3));  // those of loom-trace are others
     EXPECT_NO_THROW(check_numbers(ledger, "correlated", 5));

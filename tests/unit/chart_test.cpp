@@ -174,7 +174,8 @@ TEST(Chart, LinearAxisAndCommand) {
     EXPECT_EQ(commands.find("Pareto"), std::string::npos);
 }
 
-// Columns of which neither is bought with the other: logarithmic axes and slopes, no front, and a key that lies on no curve.
+// Columns of which neither is bought with the other: logarithmic axes and slopes, no front, and a key that lies on no
+// curve.
 TEST(Chart, NoFrontWhereNothingIsTraded) {
     Options options;
     const auto curves = curves_of(two_methods(0), "cpu_s", "relmse", "method");

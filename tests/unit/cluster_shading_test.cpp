@@ -33,12 +33,15 @@ PathGraph make_graph_of_all_bsdfs() {
     PathGraph g;
     auto& m = g.materials;
     std::vector<std::uint8_t> kind, distribution, two_sided, nonlinear, sample_visible, textured;
-    std::vector<float> int_ior, ext_ior, opacity, alpha, exponent, diffuse, specular, transmittance, eta_c, k_c, fdr_int, fdr_ext, table;
+    std::vector<float> int_ior, ext_ior, opacity, alpha, exponent, diffuse, specular, transmittance, eta_c, k_c,
+        fdr_int, fdr_ext, table;
     struct {
         std::vector<std::uint16_t> material;
         std::vector<float> alpha, fdr_int, fdr_ext, table;
     } coats;
-    const auto add_rgb = [](std::vector<float>& column, const Spectrum& s) { column.insert(column.end(), {s.r, s.g, s.b}); };
+    const auto add_rgb = [](std::vector<float>& column, const Spectrum& s) {
+        column.insert(column.end(), {s.r, s.g, s.b});
+    };
     std::vector<float> p, wo, q;
     std::vector<std::int16_t> ns, ng, n_side, tangent;
     std::vector<std::uint16_t> material, flags;
@@ -55,7 +58,8 @@ PathGraph make_graph_of_all_bsdfs() {
             m.id.push_back(c.name);
             kind.push_back(std::uint8_t(b.kind));
             distribution.push_back(std::uint8_t(b.distribution));
-            two_sided.push_back(b.two_sided), nonlinear.push_back(b.nonlinear), sample_visible.push_back(b.sample_visible);
+            two_sided.push_back(b.two_sided), nonlinear.push_back(b.nonlinear),
+                sample_visible.push_back(b.sample_visible);
             textured.push_back(variant == 1 ? 127 : 0);
             int_ior.push_back(b.int_ior), ext_ior.push_back(b.ext_ior), opacity.push_back(b.opacity);
             alpha.insert(alpha.end(), {b.alpha_u, b.alpha_v});
@@ -69,7 +73,8 @@ PathGraph make_graph_of_all_bsdfs() {
                     coats.material.push_back(std::uint16_t(i));
                     coats.alpha.push_back(0.2f + 0.4f * step);
                     coats.fdr_int.push_back(0.6f + 0.1f * step), coats.fdr_ext.push_back(0.1f - 0.05f * step);
-                    for (int k = 0; k < n_transmittance; ++k) coats.table.push_back(0.2f + 0.1f * step + 0.01f * float(k));
+                    for (int k = 0; k < n_transmittance; ++k)
+                        coats.table.push_back(0.2f + 0.1f * step + 0.01f * float(k));
                 }
 
             Numbers n(i);
@@ -82,10 +87,11 @@ PathGraph make_graph_of_all_bsdfs() {
             add_code(ng, normal), add_code(n_side, normal), add_code(ns, variant == 2 ? bumped : normal);
             add_code(tangent, Framef(Normal3f(variant == 2 ? bumped : normal)).s);
             material.push_back(std::uint16_t(i));
-            flags.push_back(flags_with_ending(std::uint16_t(i % 5 == 0   ? vertex_flag::attempted_nee
-                                                            : i % 7 == 0 ? vertex_flag::attempted_bsdf
-                                                                         : vertex_flag::attempted_nee | vertex_flag::attempted_bsdf),
-                                              Ending::escaped));
+            flags.push_back(flags_with_ending(
+                std::uint16_t(i % 5 == 0   ? vertex_flag::attempted_nee
+                              : i % 7 == 0 ? vertex_flag::attempted_bsdf
+                                           : vertex_flag::attempted_nee | vertex_flag::attempted_bsdf),
+                Ending::escaped));
             q.push_back(i % 3 == 0 ? 1.0f : 0.2f + 0.7f * n.u());
             for (auto* column : {&v_diffuse, &v_specular, &v_transmittance})
                 for (int channel = 0; channel < 3; ++channel) column->push_back(half_from_float(n.u()));
@@ -100,7 +106,8 @@ PathGraph make_graph_of_all_bsdfs() {
     m.opacity = opacity, m.alpha = alpha, m.exponent = exponent, m.diffuse = diffuse, m.specular = specular;
     m.transmittance = transmittance, m.eta_c = eta_c, m.k_c = k_c, m.fdr_int = fdr_int, m.fdr_ext = fdr_ext;
     m.external_transmittance = table;
-    g.coats.material = coats.material, g.coats.alpha = coats.alpha, g.coats.fdr_int = coats.fdr_int, g.coats.fdr_ext = coats.fdr_ext;
+    g.coats.material = coats.material, g.coats.alpha = coats.alpha, g.coats.fdr_int = coats.fdr_int,
+    g.coats.fdr_ext = coats.fdr_ext;
     g.coats.external_transmittance = coats.table;
     auto& v = g.vertices;
     v.p = p, v.wo = wo, v.ns = ns, v.ng = ng, v.n_side = n_side, v.tangent = tangent, v.material = material;
@@ -177,7 +184,8 @@ void fill(ClusterColumns& c, const GraphReader& reader, const std::vector<Shadin
         const Bsdf<float>& b = at.bsdf;
         c.diffuse_r[l] = b.diffuse.r, c.diffuse_g[l] = b.diffuse.g, c.diffuse_b[l] = b.diffuse.b;
         c.specular_r[l] = b.specular.r, c.specular_g[l] = b.specular.g, c.specular_b[l] = b.specular.b;
-        c.transmittance_r[l] = b.transmittance.r, c.transmittance_g[l] = b.transmittance.g, c.transmittance_b[l] = b.transmittance.b;
+        c.transmittance_r[l] = b.transmittance.r, c.transmittance_g[l] = b.transmittance.g,
+        c.transmittance_b[l] = b.transmittance.b;
         c.alpha_u[l] = b.alpha_u, c.alpha_v[l] = b.alpha_v, c.eta[l] = b.eta, c.opacity[l] = b.opacity;
         c.exponent[l] = b.exponent, c.eta_r[l] = b.eta_c.r, c.eta_g[l] = b.eta_c.g, c.eta_b[l] = b.eta_c.b;
         c.k_r[l] = b.k_c.r, c.k_g[l] = b.k_c.g, c.k_b[l] = b.k_c.b;
@@ -186,11 +194,14 @@ void fill(ClusterColumns& c, const GraphReader& reader, const std::vector<Shadin
 }
 
 using Loop = void (*)(ClusterColumns&, const Question&);
-#define LOOM_ASK(LEVEL)                                                                                              \
-    [](ClusterColumns& c, const Question& q) {                                                                       \
-        if (q.ask == Ask::direction) LEVEL::evaluate_direction(c, q.v.x, q.v.y, q.v.z);                              \
-        else if (q.ask == Ask::point) LEVEL::evaluate_point(c, q.v.x, q.v.y, q.v.z, q.n.x, q.n.y, q.n.z);            \
-        else LEVEL::evaluate_delta_point(c, q.v.x, q.v.y, q.v.z);                                                    \
+#define LOOM_ASK(LEVEL)                                                         \
+    [](ClusterColumns& c, const Question& q) {                                  \
+        if (q.ask == Ask::direction)                                            \
+            LEVEL::evaluate_direction(c, q.v.x, q.v.y, q.v.z);                  \
+        else if (q.ask == Ask::point)                                           \
+            LEVEL::evaluate_point(c, q.v.x, q.v.y, q.v.z, q.n.x, q.n.y, q.n.z); \
+        else                                                                    \
+            LEVEL::evaluate_delta_point(c, q.v.x, q.v.y, q.v.z);                \
     }
 
 /// The levels that this processor has.
@@ -237,7 +248,8 @@ TEST(ClusterColumns, EveryLevelEqualsTheSingleVertex) {
                     lit += expected.f.g > 0;
                     ASSERT_FALSE(::testing::Test::HasFailure());
                 }
-                for (int l = int(n); l < padded_lanes(int(n)); ++l) ASSERT_EQ(columns->f_g[l] + columns->pdf[l], 0) << l;
+                for (int l = int(n); l < padded_lanes(int(n)); ++l)
+                    ASSERT_EQ(columns->f_g[l] + columns->pdf[l], 0) << l;
                 EXPECT_NEAR(columns->pdf_sum, sum, 1e-6 * sum);
                 if (is_first) std::memcpy(static_cast<void*>(first->px), columns->px, column_bytes);
                 for (std::size_t l = 0; l < n; ++l) {
@@ -270,9 +282,12 @@ TEST(ClusterShading, AnswersForEveryVertex) {
         ASSERT_EQ(shading->size(), 50);
         ASSERT_EQ(shading->padded(), 64);
         for (const Question& question : questions()) {
-            if (question.ask == Ask::direction) shading->light_direction(question.v);
-            else if (question.ask == Ask::point) shading->light_point(Point3f(question.v), Normal3f(question.n));
-            else shading->light_delta_point(Point3f(question.v));
+            if (question.ask == Ask::direction)
+                shading->light_direction(question.v);
+            else if (question.ask == Ask::point)
+                shading->light_point(Point3f(question.v), Normal3f(question.n));
+            else
+                shading->light_delta_point(Point3f(question.v));
             std::vector<bool> seen(50);
             int n_next_event = 0;
             double sum = 0;
@@ -280,9 +295,12 @@ TEST(ClusterShading, AnswersForEveryVertex) {
                 const std::size_t j = shading->vertex(l);
                 seen[j - begin] = true;
                 const Answer expected = plain(reader.vertex(j), survival_of(graph, j), question, true);
-                shadowed += reader.vertex(j).perturbed && expected.f.g != plain(reader.vertex(j), 1, question, false).f.g;
+                shadowed +=
+                    reader.vertex(j).perturbed && expected.f.g != plain(reader.vertex(j), 1, question, false).f.g;
                 SCOPED_TRACE(graph.materials.id[j]);
-                for (int channel = 0; channel < 3; ++channel) expect_near(shading->f(channel)[l], expected.f[channel], "f", reader.vertex(j).perturbed ? 1e-4f : 1e-6f);
+                for (int channel = 0; channel < 3; ++channel)
+                    expect_near(shading->f(channel)[l], expected.f[channel], "f",
+                                reader.vertex(j).perturbed ? 1e-4f : 1e-6f);
                 if (question.ask != Ask::delta_point) expect_near(shading->pdf_bsdf(l), expected.pdf, "density");
                 const bool attempted = graph.vertices.flags[j] & vertex_flag::attempted_nee;
                 EXPECT_EQ(shading->attempted_nee(l), attempted);
@@ -332,7 +350,8 @@ TEST(ClusterColumns, LobesMakeUpTheSingleVertexOnEveryLevel) {
     const GraphReader reader(graph);
     const auto columns = std::make_unique<ClusterColumns>();
     std::vector<ShadingPoint> points;
-    for (std::size_t j = 0; j < std::min<std::size_t>(graph.n_vertices(), max_lanes); ++j) points.push_back(reader.vertex(j));
+    for (std::size_t j = 0; j < std::min<std::size_t>(graph.n_vertices(), max_lanes); ++j)
+        points.push_back(reader.vertex(j));
     for (const Question& question : questions()) {
         if (question.ask != Ask::direction) continue;
         std::vector<float> expected_bits;
@@ -402,12 +421,14 @@ TEST(ClusterColumns, ApplyBlockIsASumOverEdges) {
             const auto expect = [&](auto* apply, auto* apply_plane, const char* level) {
                 std::vector<float> out(6 * std::size_t(lanes), -1);
                 apply(coefficient.data(), radiance.data(), n_edges, lanes, out.data());
-                apply_plane(coefficient.data() + lanes, 3 * lanes, radiance.data(), n_edges, lanes, out.data() + 3 * lanes);
+                apply_plane(coefficient.data() + lanes, 3 * lanes, radiance.data(), n_edges, lanes,
+                            out.data() + 3 * lanes);
                 for (int channel = 0; channel < 6; ++channel)
                     for (int l = 0; l < lanes; ++l) {
                         double sum = 0;
                         for (int e = 0; e < n_edges; ++e)
-                            sum += double(coefficient[(3 * e + (channel < 3 ? channel : 1)) * lanes + l]) * radiance[3 * e + channel % 3];
+                            sum += double(coefficient[(3 * e + (channel < 3 ? channel : 1)) * lanes + l]) *
+                                   radiance[3 * e + channel % 3];
                         ASSERT_NEAR(out[channel * lanes + l], sum, 1e-5 * sum) << level << " " << n << " " << n_edges;
                     }
                 if (expected_bytes.empty()) expected_bytes = out;

@@ -13,9 +13,9 @@
 #include "stages/cluster/median_splits.h"
 #include "stages/cluster/nearest_centres.h"
 #include "stages/core/sampling/sampler.h"
+#include "stages/core/scattering/bsdf_model.h"
 #include "stages/core/transport/cluster_quality.h"
 #include "stages/core/transport/sharing.h"
-#include "stages/core/scattering/bsdf_model.h"
 
 namespace loom {
 namespace {
@@ -25,7 +25,9 @@ using cluster::make_clusters;
 using cluster::Method;
 using cluster::Point;
 
-float uniform(std::uint64_t i) { return unit_float(std::uint32_t(mix64(i * 0x9e3779b97f4a7c15ull + 11) >> 32)); }
+float uniform(std::uint64_t i) {
+    return unit_float(std::uint32_t(mix64(i * 0x9e3779b97f4a7c15ull + 11) >> 32));
+}
 
 /// A graph of paths of one vertex each; what clusters do not look at stays empty.
 struct GraphOfVertices {
@@ -78,9 +80,12 @@ PathGraph room_on_a_plain(std::size_t n) {
         const float a = uniform(4 * i), b = uniform(4 * i + 1), c = uniform(4 * i + 2), kind = uniform(4 * i + 3);
         const auto material = std::uint16_t(i % 8 == 7);
         const Vector3f up{0, 1, 0}, slant{0.6f, 0.64f, 0.48f};
-        if (kind < 0.05f) v.add({220 * a - 110, 0, 220 * b - 110}, up, slant, material);
-        else if (kind < 0.5f) v.add({10 * a - 5, 0.01f, 10 * b - 5}, up, slant, material);
-        else if (kind < 0.8f) v.add({-5, 3 * a, 10 * b - 5}, {1, 0, 0}, slant, material);
+        if (kind < 0.05f)
+            v.add({220 * a - 110, 0, 220 * b - 110}, up, slant, material);
+        else if (kind < 0.5f)
+            v.add({10 * a - 5, 0.01f, 10 * b - 5}, up, slant, material);
+        else if (kind < 0.8f)
+            v.add({-5, 3 * a, 10 * b - 5}, {1, 0, 0}, slant, material);
         else {  // a ball
             const float z = 2 * a - 1, r = std::sqrt(1 - z * z), phi = 6.2831853f * b;
             const Vector3f d{r * std::cos(phi), z, r * std::sin(phi)};
@@ -271,7 +276,8 @@ TEST(SharingRule, GoesByTheNarrowestLobe) {
         models.push_back(m);
         expected.push_back(shares);
     };
-    for (const BsdfKind kind : {BsdfKind::diffuse, BsdfKind::rough_diffuse, BsdfKind::plastic, BsdfKind::rough_plastic}) {
+    for (const BsdfKind kind :
+         {BsdfKind::diffuse, BsdfKind::rough_diffuse, BsdfKind::plastic, BsdfKind::rough_plastic}) {
         add(kind, 0, 0, 1, true);
         add(kind, 0, 0, 0.3f, true);
         add(kind, 0, 0, 0, false);
@@ -300,7 +306,8 @@ TEST(SharingRule, ReadsTexturesAtTheVertex) {
     PathGraph g = v.graph(models);
     g.materials.textured = {std::uint8_t(textured_parameter::alpha | textured_parameter::opacity)};
     const auto half = [](float x) { return half_from_float(x); };
-    g.vertices.alpha = {half(0.2f), half(0.2f), half(0.2f), half(0.01f), half(0.03f), half(0.03f), half(0.2f), half(0.2f)};
+    g.vertices.alpha = {half(0.2f),  half(0.2f),  half(0.2f), half(0.01f),
+                        half(0.03f), half(0.03f), half(0.2f), half(0.2f)};
     g.vertices.opacity = {half(1), half(1), half(1), half(0)};
     const SharingRule shares(g, 0.03f);
     EXPECT_TRUE(shares(0));
@@ -311,7 +318,8 @@ TEST(SharingRule, ReadsTexturesAtTheVertex) {
 }
 
 /// The rule of split_by_medians() for points of one normal, by sorting: sets of vertices, piece by piece.
-void split_by_sorting(std::vector<Point> points, std::uint32_t k, std::uint64_t key, std::vector<std::vector<std::uint32_t>>& pieces) {
+void split_by_sorting(std::vector<Point> points, std::uint32_t k, std::uint64_t key,
+                      std::vector<std::vector<std::uint32_t>>& pieces) {
     const std::size_t n = points.size();
     if (n <= k) {
         std::vector<std::uint32_t>& piece = pieces.emplace_back();
@@ -322,7 +330,8 @@ void split_by_sorting(std::vector<Point> points, std::uint32_t k, std::uint64_t 
     std::size_t axis = 0;
     float widest = -1;
     for (std::size_t c = 0; c < 3; ++c) {
-        const auto [low, high] = std::minmax_element(points.begin(), points.end(), [c](const Point& a, const Point& b) { return a.x[c] < b.x[c]; });
+        const auto [low, high] = std::minmax_element(points.begin(), points.end(),
+                                                     [c](const Point& a, const Point& b) { return a.x[c] < b.x[c]; });
         if (high->x[c] - low->x[c] > widest) widest = high->x[c] - low->x[c], axis = c;
     }
     std::sort(points.begin(), points.end(), [axis](const Point& a, const Point& b) {

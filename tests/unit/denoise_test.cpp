@@ -1,5 +1,7 @@
 // The denoisers, on pictures whose clean version is known.
 
+#include "stages/denoise/denoise.h"
+
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -12,7 +14,6 @@
 #include "formats/io/error.h"
 #include "stages/core/stats/chi_square.h"
 #include "stages/core/stats/student.h"
-#include "stages/denoise/denoise.h"
 #include "stages/denoise/filter.h"
 #include "stages/denoise/filter_levels.h"
 #include "stages/denoise/oidn.h"
@@ -190,8 +191,7 @@ TEST(Filter, exact_picture_is_returned) {
     s.add_noise(0, 1);
     const Filtered clean = filter(s.layers(), {}, 0);
     for (int c = 0; c < 3; ++c)
-        for (std::size_t i = 0; i < s.n(); ++i)
-            EXPECT_NEAR(clean.color[c][i], s.clean[c][i], 2e-5f) << c << " " << i;
+        for (std::size_t i = 0; i < s.n(); ++i) EXPECT_NEAR(clean.color[c][i], s.clean[c][i], 2e-5f) << c << " " << i;
 }
 
 TEST(Filter, threads_do_not_matter) {
@@ -414,7 +414,8 @@ TEST(Filter, plain_twin_agrees) {
     const Filtered fast = filter(s.layers(), parameters, 0);
     const auto plain = plain_filter(s, parameters);
     for (int c = 0; c < 3; ++c)
-        for (std::size_t i = 0; i < s.n(); ++i) EXPECT_NEAR(double(fast.color[c][i]), plain[c][i], 1e-3) << c << " " << i;
+        for (std::size_t i = 0; i < s.n(); ++i)
+            EXPECT_NEAR(double(fast.color[c][i]), plain[c][i], 1e-3) << c << " " << i;
 }
 
 Image image_of(const Scene& s) {
@@ -477,7 +478,8 @@ TEST(Oidn, a_wrong_place_is_an_error) {
 TEST(Oidn, takes_noise_and_keeps_signs) {
     const std::filesystem::path beside = std::filesystem::path(LOOM_BIN_DIR).parent_path() / "oidn";
     std::string missing;
-    const auto oidn = Oidn::load(std::filesystem::exists(beside / "libOpenImageDenoise.so.2") ? beside.string() : "", missing);
+    const auto oidn =
+        Oidn::load(std::filesystem::exists(beside / "libOpenImageDenoise.so.2") ? beside.string() : "", missing);
     if (!oidn) GTEST_SKIP() << "no Open Image Denoise (`make oidn` fetches it): " << missing;
     EXPECT_EQ(oidn->version().substr(0, 2), "2.");
     Scene s(96, 64);

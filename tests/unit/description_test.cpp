@@ -111,9 +111,9 @@ TEST_F(Description, ReferencesAtAnyDepthAndInAnyOrder) {
     EXPECT_EQ(first(scene, Category::bsdf)->child(Category::bsdf), inner);
     const ObjectPtr map = first(scene, Category::texture);
     EXPECT_EQ(inner->child(Category::bsdf)->get_object("reflectance"), map);
-    EXPECT_EQ(std::get<ObjectPtr>(
-                  scene.root->children(Category::bsdf).at(1)->get_texture_or_rgb("reflectance", Spectrum(0))),
-              map);
+    EXPECT_EQ(
+        std::get<ObjectPtr>(scene.root->children(Category::bsdf).at(1)->get_texture_or_rgb("reflectance", Spectrum(0))),
+        map);
 }
 
 TEST_F(Description, ChildrenMayBearAnyName) {
@@ -147,8 +147,7 @@ TEST_F(Description, OldDialect) {
     ASSERT_EQ(scene.warnings.size(), 2u);
     EXPECT_NE(scene.warnings[0].find("scene.xml:5:48: warning: distribution 'phong'"), std::string::npos)
         << scene.warnings[0];
-    EXPECT_NE(scene.warnings[1].find("no parameter 'nonsense'; allowed: "), std::string::npos)
-        << scene.warnings[1];
+    EXPECT_NE(scene.warnings[1].find("no parameter 'nonsense'; allowed: "), std::string::npos) << scene.warnings[1];
     const ObjectPtr map = bsdfs.at(1)->get_object("reflectance");
     EXPECT_EQ(map->get_string("filter_type"), "bilinear");
     const Matrix4d uv = map->get_transform("to_uv");
@@ -175,15 +174,13 @@ TEST_F(Description, IncludesAreRelativeToTheIncludingFile) {
     write("parts/materials.xml",
           R"(<scene version="0.6.0"><default name="grey" value="0.25"/><include filename="more/deep.xml"/>
         <bsdf type="plastic" id="m"><float name="intIOR" value="1.3"/></bsdf></scene>)");
-    write(
-        "parts/more/deep.xml",
-        R"(<scene version="3.0.0"><bsdf type="diffuse" id="deep"><rgb name="reflectance" value="$grey"/></bsdf>
+    write("parts/more/deep.xml",
+          R"(<scene version="3.0.0"><bsdf type="diffuse" id="deep"><rgb name="reflectance" value="$grey"/></bsdf>
         <texture type="bitmap"><string name="filename" value="beside_main.png"/></texture>
         <texture type="bitmap"><string name="filename" value="beside_part.png"/></texture></scene>)");
     write("beside_main.png", "");
     write("parts/more/beside_part.png", "");
-    const auto scene =
-        read(R"(<shape type="cube"><ref id="m"/></shape><include filename="parts/materials.xml"/>
+    const auto scene = read(R"(<shape type="cube"><ref id="m"/></shape><include filename="parts/materials.xml"/>
         <shape type="cube"><ref id="deep"/></shape>)");
     const auto shapes = scene.root->children(Category::shape);
     EXPECT_FLOAT_EQ(shapes.at(0)->child(Category::bsdf)->get_ior("int_ior", "bk7"), 1.3f);
@@ -192,7 +189,8 @@ TEST_F(Description, IncludesAreRelativeToTheIncludingFile) {
 }
 
 bool has_note(const SceneDescription& scene, const std::string& text) {
-    return std::any_of(scene.notes.begin(), scene.notes.end(), [&](const std::string& note) { return note.find(text) != std::string::npos; });
+    return std::any_of(scene.notes.begin(), scene.notes.end(),
+                       [&](const std::string& note) { return note.find(text) != std::string::npos; });
 }
 
 // <path> goes before the folder of the scene, the last one first, for names that stand before it, too.
@@ -218,14 +216,22 @@ TEST_F(Description, PathsAreSearchedFirst) {
 
 TEST_F(Description, OneObjectMayBeIncluded) {
     write("map.xml", R"(<texture version="3.0.0" type="checkerboard" id="map"/>)");
-    write("part.xml", R"(<bsdf version="3.0.0" type="diffuse" id="part"><include filename="map.xml" name="reflectance"/></bsdf>)");
-    const auto scene = read(R"(<shape type="cube"><include filename="part.xml"/></shape><shape type="disk"><ref id="part"/></shape>)");
+    write("part.xml",
+          R"(<bsdf version="3.0.0" type="diffuse" id="part"><include filename="map.xml" name="reflectance"/></bsdf>)");
+    const auto scene =
+        read(R"(<shape type="cube"><include filename="part.xml"/></shape><shape type="disk"><ref id="part"/></shape>)");
     const auto shapes = scene.root->children(Category::shape);
     EXPECT_EQ(shapes.at(0)->child(Category::bsdf)->get_object("reflectance")->plugin, "checkerboard");
     EXPECT_EQ(shapes.at(0)->child(Category::bsdf), shapes.at(1)->child(Category::bsdf));
-    EXPECT_NE(error_of([&] { read(R"(<shape type="cube"><include filename="scene.xml"/></shape>)"); }).find("includes itself"), std::string::npos);
+    EXPECT_NE(error_of([&] {
+                  read(R"(<shape type="cube"><include filename="scene.xml"/></shape>)");
+              }).find("includes itself"),
+              std::string::npos);
     write("whole.xml", R"(<scene version="3.0.0"/>)");
-    EXPECT_NE(error_of([&] { read(R"(<shape type="cube"><include filename="whole.xml"/></shape>)"); }).find("whole.xml:1:1: a <scene> cannot be included in a shape"), std::string::npos);
+    EXPECT_NE(error_of([&] {
+                  read(R"(<shape type="cube"><include filename="whole.xml"/></shape>)");
+              }).find("whole.xml:1:1: a <scene> cannot be included in a shape"),
+              std::string::npos);
 }
 
 TEST_F(Description, EmittersAreAttachedByReference) {
@@ -245,10 +251,14 @@ TEST_F(Description, OneSensorIsKept) {
     EXPECT_EQ(at("").sensor, 0);
     EXPECT_EQ(at("side").sensor, 1);
     EXPECT_EQ(at("0").sensor, 0);
-    EXPECT_NE(error_of([&] { at("1"); }).find("scene.xml:2:53: sensor 'thinlens' is not supported yet"), std::string::npos);  // an id first
+    EXPECT_NE(error_of([&] { at("1"); }).find("scene.xml:2:53: sensor 'thinlens' is not supported yet"),
+              std::string::npos);  // an id first
     EXPECT_EQ(error_of([&] { at("3"); }),
-              "--sensor 3: the scene has no such sensor; it has 0 (perspective 'sensor-1'), 1 (perspective 'side'), 2 (thinlens '1')");
-    EXPECT_TRUE(has_note(at("side"), "sensor 1 (perspective 'side') is rendered; --sensor chooses another: 0 (perspective 'sensor-1'), 2 (thinlens '1')"));
+              "--sensor 3: the scene has no such sensor; it has 0 (perspective 'sensor-1'), 1 (perspective 'side'), 2 "
+              "(thinlens '1')");
+    EXPECT_TRUE(has_note(at("side"),
+                         "sensor 1 (perspective 'side') is rendered; --sensor chooses another: 0 (perspective "
+                         "'sensor-1'), 2 (thinlens '1')"));
 }
 
 TEST_F(Description, WhatNothingUsesNeedsNoSupport) {
@@ -261,7 +271,8 @@ TEST_F(Description, WhatNothingUsesNeedsNoSupport) {
         <shape type="cube"><ref id="inner"/></shape>)",
                             {}, "0.6.0");
     EXPECT_EQ(first(scene, Category::shape)->child(Category::bsdf)->plugin, "diffuse");
-    for (const char* text : {"bsdf 'principled' is not supported yet (", "medium 'heterogeneous' is not", "texture 'bitmap': parameter 'wrap_mode_u' is not"})
+    for (const char* text : {"bsdf 'principled' is not supported yet (", "medium 'heterogeneous' is not",
+                             "texture 'bitmap': parameter 'wrap_mode_u' is not"})
         EXPECT_TRUE(has_note(scene, text)) << text;
     EXPECT_EQ(scene.parameters.count("g"), 1u);
 }
@@ -276,14 +287,17 @@ TEST_F(Description, AnyIntegratorFilmFilterAndSampler) {
     const ObjectPtr inner = first(scene, Category::integrator)->child(Category::integrator);
     EXPECT_EQ(inner->get_int("max_depth"), 7);
     EXPECT_EQ(scene.root->child(Category::sensor)->child(Category::film)->get_int("width"), 40);
-    for (const char* text : {"integrator 'aov': rendered by path tracing", "the first of its 2 integrators", "integrator 'volpath': without effect here: guess",
-                             "integrator 'aov': without effect here: aovs", "sampler 'bush': without effect here: strength", "film 'specfilm': without effect here: band1",
-                             "rfilter 'mitchell': rendered as a gaussian"})
+    for (const char* text :
+         {"integrator 'aov': rendered by path tracing", "the first of its 2 integrators",
+          "integrator 'volpath': without effect here: guess", "integrator 'aov': without effect here: aovs",
+          "sampler 'bush': without effect here: strength", "film 'specfilm': without effect here: band1",
+          "rfilter 'mitchell': rendered as a gaussian"})
         EXPECT_TRUE(has_note(scene, text)) << text;
 }
 
 TEST_F(Description, ChoicesInAnyCaseAndByNumber) {
-    const auto scene = read(R"(<bsdf type="roughconductor"><string name="distribution" value="GGX"/><string name="material" value="AU"/></bsdf>
+    const auto scene = read(
+        R"(<bsdf type="roughconductor"><string name="distribution" value="GGX"/><string name="material" value="AU"/></bsdf>
         <bsdf type="dielectric"><string name="int_ior" value="Fused Quartz"/></bsdf>
         <texture type="bitmap"><string name="filename" value="scene.xml"/><string name="wrap_mode" value="Mirror"/><boolean name="raw" value="TRUE"/></texture>
         <integrator type="transient_nlos_path"><integer name="capture_type" value="2"/></integrator>)");
@@ -304,8 +318,7 @@ TEST(SharedScenes, AllRead) {
     for (const char* folder : {"scenes", "oracles/render", "oracles/derivative"})
         for (const auto& entry : fs::recursive_directory_iterator(shared / folder)) {
             // Fragments are included by scenes, whose folder their paths start from.
-            if (entry.path().extension() != ".xml" || entry.path().parent_path().filename() == "fragments")
-                continue;
+            if (entry.path().extension() != ".xml" || entry.path().parent_path().filename() == "fragments") continue;
             EXPECT_NO_THROW({
                 const auto scene = read_scene(entry.path());
                 EXPECT_EQ(scene.warnings.size(), 0u) << scene.warnings.front();

@@ -73,7 +73,9 @@ TEST_F(Dialect, CheckerboardAsANumberIsTheOtherWayRoundInNewFiles) {
         EXPECT_NEAR(texture.eval_float({0.25f, 0.25f}), swapped ? 0.3 : 0.1, 1e-6) << version;
         EXPECT_NEAR(texture.eval_float({0.75f, 0.25f}), swapped ? 0.1 : 0.3, 1e-6) << version;
         EXPECT_NEAR(texture.eval({0.25f, 0.25f}).r, 0.1, 1e-6) << version;
-        EXPECT_EQ(std::count_if(scene->notes.begin(), scene->notes.end(), [](const std::string& note) { return note.find("checkerboard") != std::string::npos; }), swapped);
+        EXPECT_EQ(std::count_if(scene->notes.begin(), scene->notes.end(),
+                                [](const std::string& note) { return note.find("checkerboard") != std::string::npos; }),
+                  swapped);
     }
 }
 
@@ -115,11 +117,15 @@ TEST_F(Dialect, DefaultsOfBsdfs) {
     }
 }
 
-// Breaks seen to fail: a width of 512, a near_clip of 1 mm, `direct` of any depth, 50 mm along x instead of along the diagonal.
+// Breaks seen to fail: a width of 512, a near_clip of 1 mm, `direct` of any depth, 50 mm along x instead of along the
+// diagonal.
 TEST_F(Dialect, DefaultsOfSensorFilmAndIntegrator) {
     for (const char* version : dialects) {
         SCOPED_TRACE(version);
-        const auto scene = load_scene(write("scene.xml", "<scene version='" + std::string(version) + "'><integrator type='path'/><sensor type='perspective'><film type='hdrfilm'/></sensor></scene>"));
+        const auto scene = load_scene(
+            write("scene.xml",
+                  "<scene version='" + std::string(version) +
+                      "'><integrator type='path'/><sensor type='perspective'><film type='hdrfilm'/></sensor></scene>"));
         const Sensor& s = scene->sensor;
         EXPECT_EQ(s.width, 768u);
         EXPECT_EQ(s.height, 576u);
@@ -141,7 +147,9 @@ TEST_F(Dialect, DefaultsOfEmitters) {
     constexpr double rad_per_deg = pi_double / 180;
     for (const char* version : dialects) {
         SCOPED_TRACE(version);
-        const auto plain = [&](const char* type) { return build("<emitter type='" + std::string(type) + "'/>", version)->emitters.at(0); };
+        const auto plain = [&](const char* type) {
+            return build("<emitter type='" + std::string(type) + "'/>", version)->emitters.at(0);
+        };
         for (const char* type : {"point", "spot", "directional", "constant", "projector"}) {
             EXPECT_EQ(plain(type).radiance, Spectrum(1.0f)) << type;
             EXPECT_EQ(plain(type).sampling_weight, 1) << type;
@@ -150,30 +158,48 @@ TEST_F(Dialect, DefaultsOfEmitters) {
         EXPECT_NEAR(plain("spot").beam_rad, 15 * rad_per_deg, 1e-6);
         EXPECT_NEAR(std::atan(plain("projector").tan_x) / rad_per_deg * 2, 34.0221, 1e-4);  // as Mitsuba 3.8 prints it
         EXPECT_EQ(plain("directional").frame.n, Normal3f(0, 0, 1));
-        EXPECT_EQ(build("<shape type='sphere'><emitter type='area'/></shape>", version)->emitters.at(0).radiance, Spectrum(1.0f));
+        EXPECT_EQ(build("<shape type='sphere'><emitter type='area'/></shape>", version)->emitters.at(0).radiance,
+                  Spectrum(1.0f));
     }
 }
 
 // Break seen to fail: the two colours exchanged.
 TEST_F(Dialect, DefaultsOfTextures) {
     for (const char* version : dialects) {
-        const auto scene = build("<shape type='sphere'><bsdf type='diffuse'><texture type='checkerboard' name='reflectance'/></bsdf></shape>", version);
+        const auto scene = build(
+            "<shape type='sphere'><bsdf type='diffuse'><texture type='checkerboard' "
+            "name='reflectance'/></bsdf></shape>",
+            version);
         expect_colour(scene->textures.at(0).eval({0.25f, 0.25f}), Spectrum(0.4f));
         expect_colour(scene->textures.at(0).eval({0.75f, 0.25f}), Spectrum(0.2f));
     }
 }
 
-// Parameters that the sources of Mitsuba 0.6 read beside those that its documentation names. Break seen to fail: each of them
-// unknown, as before: a warning, and the default instead.
+// Parameters that the sources of Mitsuba 0.6 read beside those that its documentation names. Break seen to fail: each
+// of them unknown, as before: a warning, and the default instead.
 TEST_F(Dialect, ParametersOfOldFilesAlone) {
     for (const char* type : {"diffuse", "roughdiffuse"}) {
         const std::string named = "<bsdf type='" + std::string(type) + "'><rgb name='";
-        EXPECT_EQ(model(named + "diffuseReflectance' value='0.1, 0.2, 0.3'/></bsdf>", mitsuba_06).diffuse, Spectrum(0.1f, 0.2f, 0.3f)) << type;
-        EXPECT_EQ(model(named + "diffuseReflectance' value='0.1'/><rgb name='reflectance' value='0.7'/></bsdf>", mitsuba_06).diffuse, Spectrum(0.7f)) << type;
-        EXPECT_NE(error_of([&] { build(named + "diffuse_reflectance' value='0.1'/></bsdf>", mitsuba_3); }).find("has no parameter 'diffuse_reflectance'"), std::string::npos);
+        EXPECT_EQ(model(named + "diffuseReflectance' value='0.1, 0.2, 0.3'/></bsdf>", mitsuba_06).diffuse,
+                  Spectrum(0.1f, 0.2f, 0.3f))
+            << type;
+        EXPECT_EQ(
+            model(named + "diffuseReflectance' value='0.1'/><rgb name='reflectance' value='0.7'/></bsdf>", mitsuba_06)
+                .diffuse,
+            Spectrum(0.7f))
+            << type;
+        EXPECT_NE(error_of([&] {
+                      build(named + "diffuse_reflectance' value='0.1'/></bsdf>", mitsuba_3);
+                  }).find("has no parameter 'diffuse_reflectance'"),
+                  std::string::npos);
     }
-    EXPECT_NE(error_of([&] { build("<bsdf type='diffuse'><texture type='checkerboard' name='diffuse_reflectance'/></bsdf>", mitsuba_3); }).find("has no parameter"), std::string::npos);
-    const BsdfModel ward = model("<bsdf type='ward'><float name='alpha' value='0.3'/><float name='alphaV' value='0.2'/></bsdf>", mitsuba_06);
+    EXPECT_NE(error_of([&] {
+                  build("<bsdf type='diffuse'><texture type='checkerboard' name='diffuse_reflectance'/></bsdf>",
+                        mitsuba_3);
+              }).find("has no parameter"),
+              std::string::npos);
+    const BsdfModel ward = model(
+        "<bsdf type='ward'><float name='alpha' value='0.3'/><float name='alphaV' value='0.2'/></bsdf>", mitsuba_06);
     EXPECT_FLOAT_EQ(ward.alpha_u, 0.3f);
     EXPECT_FLOAT_EQ(ward.alpha_v, 0.2f);
     const auto sky = [&](const std::string& parameters) {
@@ -184,18 +210,27 @@ TEST_F(Dialect, ParametersOfOldFilesAlone) {
     EXPECT_NEAR(sky("<float name='scale' value='3'/><float name='skyScale' value='2'/>") / sky(""), 2, 1e-4);
 }
 
-// Mitsuba 0.6 scales a reflectance above 1 to a largest channel of 0.99, and both of phong and ward by their sum. Break seen to
-// fail: channels clamped to 1.
+// Mitsuba 0.6 scales a reflectance above 1 to a largest channel of 0.99, and both of phong and ward by their sum. Break
+// seen to fail: channels clamped to 1.
 TEST_F(Dialect, ReflectancesAboveOneAreScaledInOldFiles) {
-    const auto bsdf = [&](const char* type, const char* parameters, const char* version) { return model(std::string("<bsdf type='") + type + "'>" + parameters + "</bsdf>", version); };
-    expect_colour(bsdf("diffuse", "<rgb name='reflectance' value='2, 1, 0.5'/>", mitsuba_06).diffuse, Spectrum(0.99f, 0.495f, 0.2475f));
-    expect_colour(bsdf("diffuse", "<rgb name='reflectance' value='1, 1, 0.5'/>", mitsuba_06).diffuse, Spectrum(1, 1, 0.5f));
+    const auto bsdf = [&](const char* type, const char* parameters, const char* version) {
+        return model(std::string("<bsdf type='") + type + "'>" + parameters + "</bsdf>", version);
+    };
+    expect_colour(bsdf("diffuse", "<rgb name='reflectance' value='2, 1, 0.5'/>", mitsuba_06).diffuse,
+                  Spectrum(0.99f, 0.495f, 0.2475f));
+    expect_colour(bsdf("diffuse", "<rgb name='reflectance' value='1, 1, 0.5'/>", mitsuba_06).diffuse,
+                  Spectrum(1, 1, 0.5f));
     for (const char* type : {"phong", "ward"}) {
-        const BsdfModel m = bsdf(type, "<spectrum name='diffuseReflectance' value='1.5'/><spectrum name='specularReflectance' value='0.5'/>", mitsuba_06);
+        const BsdfModel m = bsdf(
+            type, "<spectrum name='diffuseReflectance' value='1.5'/><spectrum name='specularReflectance' value='0.5'/>",
+            mitsuba_06);
         expect_colour(m.diffuse, Spectrum(1.5f * 0.495f));
         expect_colour(m.specular, Spectrum(0.5f * 0.495f));
     }
-    EXPECT_NE(error_of([&] { bsdf("diffuse", "<rgb name='reflectance' value='2, 1, 0.5'/>", mitsuba_3); }).find("must lie between 0 and 1"), std::string::npos);
+    EXPECT_NE(error_of([&] {
+                  bsdf("diffuse", "<rgb name='reflectance' value='2, 1, 0.5'/>", mitsuba_3);
+              }).find("must lie between 0 and 1"),
+              std::string::npos);
 }
 
 }  // namespace

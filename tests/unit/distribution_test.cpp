@@ -132,7 +132,8 @@ TEST(Distribution2, SamplesFollowTheDensity) {
             ++across;
             continue;
         }
-        const std::size_t x = std::min(std::size_t(p.x * width), width - 1), y = std::min(std::size_t(p.y * height), height - 1);
+        const std::size_t x = std::min(std::size_t(p.x * width), width - 1),
+                          y = std::min(std::size_t(p.y * height), height - 1);
         // The cumulative sums are floats, off by 1e-7 of the whole, which is 240 cells.
         EXPECT_NEAR(pdf, weights[y * width + x] / sum * width * height, 3e-5 + 1e-4 * pdf);
         ++observed[y * width + x];

@@ -21,8 +21,8 @@ void expect_derivatives(const char* name, F&& f, double x, double y) {
 }
 
 TEST(Dual, DerivativesOfEveryFunction) {
-    using std::abs, std::acos, std::asin, std::atan, std::atan2, std::cos, std::erf, std::exp, std::fabs,
-        std::log, std::pow, std::sin, std::sqrt, std::tan;
+    using std::abs, std::acos, std::asin, std::atan, std::atan2, std::cos, std::erf, std::exp, std::fabs, std::log,
+        std::pow, std::sin, std::sqrt, std::tan;
     for (const auto& [x, y] : {std::pair{0.3, 0.7}, {0.9, 0.2}, {0.4, 0.5}}) {
         expect_derivatives(
             "+ - * /", [](auto a, auto b) { return (a + b) * (a - 2.0 * b) / (b + a * a) - a; }, x, y);
@@ -54,8 +54,7 @@ TEST(Dual, DerivativesOfEveryFunction) {
         expect_derivatives(
             "fabs", [](auto a, auto b) { return fabs(a - 2.0 * b) + abs(b); }, x, y);
         expect_derivatives(
-            "select",
-            [](auto a, auto b) { return select(a > b, a * b, a + b) + clamp(a, b * 0.0, b * 0.0 + 0.8); }, x,
+            "select", [](auto a, auto b) { return select(a > b, a * b, a + b) + clamp(a, b * 0.0, b * 0.0 + 0.8); }, x,
             y);
     }
 }

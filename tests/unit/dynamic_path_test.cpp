@@ -1,9 +1,7 @@
 // Densities of paths that meet an edit against a plain twin, and mappings there and back.
-// Breaks that were watched to fail: cosines of a segment swapped in the sensor prefix (twin); a vertex next to the sensor
-// that is perfectly specular counted for techniques that join it to the sensor (DynamicPaths of the statistical tests); neighbours of the moved vertex
-// judged smooth by one of the two scenes alone (there and back).
-
-#include "stages/residual/path_pairs.h"
+// Breaks that were watched to fail: cosines of a segment swapped in the sensor prefix (twin); a vertex next to the
+// sensor that is perfectly specular counted for techniques that join it to the sensor (DynamicPaths of the statistical
+// tests); neighbours of the moved vertex judged smooth by one of the two scenes alone (there and back).
 
 #include <gtest/gtest.h>
 #include <unistd.h>
@@ -13,6 +11,7 @@
 
 #include "stages/core/scene/build.h"
 #include "stages/residual/dynamic_estimator.h"
+#include "stages/residual/path_pairs.h"
 
 namespace loom::residual {
 namespace {
@@ -21,7 +20,8 @@ using Changes = std::vector<std::pair<std::string, std::string>>;
 
 /// glossy-box.xml with the short box moved, the metal box repainted and the glass ball moved.
 struct Fixture {
-    std::filesystem::path folder = std::filesystem::temp_directory_path() / ("loom-dynamic-" + std::to_string(getpid()));
+    std::filesystem::path folder =
+        std::filesystem::temp_directory_path() / ("loom-dynamic-" + std::to_string(getpid()));
     std::unique_ptr<Scene> old_scene, new_scene;
     Edit edit;
 
@@ -41,9 +41,10 @@ struct Fixture {
     ~Fixture() { std::filesystem::remove_all(folder); }
 };
 
-/// Samples times density of starting at vertex j (from 0) or at a ghost of segment i, by the area of all vertices and one
-/// factor after another; then to the measure of the path.
-double twin(const DynamicScenes& scenes, const DynamicScene& side, const SampleCounts& counts, const FullPath& p, const Term& term) {
+/// Samples times density of starting at vertex j (from 0) or at a ghost of segment i, by the area of all vertices and
+/// one factor after another; then to the measure of the path.
+double twin(const DynamicScenes& scenes, const DynamicScene& side, const SampleCounts& counts, const FullPath& p,
+            const Term& term) {
     const std::size_t m = p.m();
     const auto g_light = [&](std::size_t i) {  // solid angle at v_i to area at v_{i+1}
         return p.segments[i + 1].cos_light / double(length2(p.places[i + 1]->at.p - p.places[i]->at.p));
@@ -55,13 +56,17 @@ double twin(const DynamicScenes& scenes, const DynamicScene& side, const SampleC
     for (std::size_t i = 0; i + 1 < m; ++i) to_measure *= g_light(i);
     double density = 1;
     const auto walk_to_sensor = [&](std::size_t from) {
-        for (std::size_t i = from; i > 0; --i) density *= p.vertices[i].pdf_sensor * p.vertices[i].q_sensor * g_sensor(i - 1);
+        for (std::size_t i = from; i > 0; --i)
+            density *= p.vertices[i].pdf_sensor * p.vertices[i].q_sensor * g_sensor(i - 1);
     };
     const auto walk_to_light = [&](std::size_t from) {
-        for (std::size_t i = from; i + 1 < m; ++i) density *= p.vertices[i].pdf_light * p.vertices[i].q_light * g_light(i);
+        for (std::size_t i = from; i + 1 < m; ++i)
+            density *= p.vertices[i].pdf_light * p.vertices[i].q_light * g_light(i);
         density *= p.light.pdf;
     };
-    const auto starts = [&](Technique t, Site site) { density *= counts.of(t, site).n / scenes.at(site).area(start_of(t)); };
+    const auto starts = [&](Technique t, Site site) {
+        density *= counts.of(t, site).n / scenes.at(site).area(start_of(t));
+    };
     const bool dynamic = term.technique <= Technique::dynamic_two_ends;
     if (dynamic) {
         const std::size_t j = term.place - 1;
@@ -85,15 +90,18 @@ double twin(const DynamicScenes& scenes, const DynamicScene& side, const SampleC
             const Vector3f d = normalize(p.places[i]->at.p - p.places[i - 1]->at.p);
             const double cos = std::abs(dot(c.n, d)), p_direction = cos / (2 * pi_double);
             // Area of the ghost and direction to the two vertices.                     [RP] Eq. (14)
-            density *= p_direction / cos * p.segments[i].cos_sensor * p.segments[i].cos_light / double(length2(p.places[i]->at.p - p.places[i - 1]->at.p));
+            density *= p_direction / cos * p.segments[i].cos_sensor * p.segments[i].cos_light /
+                       double(length2(p.places[i]->at.p - p.places[i - 1]->at.p));
             walk_to_sensor(i - 1);
             walk_to_light(i);
         } else if (term.technique == Technique::ghost_from_emitter) {
             const Vector3f d = normalize(p.light.y - p.places[m - 1]->at.p);
             const double cos = std::abs(dot(c.n, d)), cos_light = std::abs(dot(p.light.n, d));
             const double near2 = length2(p.light.y - c.p), far2 = length2(p.light.y - p.places[m - 1]->at.p);
-            // By area of the light point, then the ghost as that point sees it: [RP] Eq. (12); back to the solid angle at v_m.
-            density *= light_pdf(side.scene, p.light, c.p) * cos_light / near2 * (near2 / cos) * (p.segments[m].cos_sensor / far2) / (cos_light / far2);
+            // By area of the light point, then the ghost as that point sees it: [RP] Eq. (12); back to the solid angle
+            // at v_m.
+            density *= light_pdf(side.scene, p.light, c.p) * cos_light / near2 * (near2 / cos) *
+                       (p.segments[m].cos_sensor / far2) / (cos_light / far2);
             walk_to_sensor(m - 1);
         } else {
             const FilmPoint film = *side.scene.sensor.project(c.p);
@@ -107,9 +115,10 @@ double twin(const DynamicScenes& scenes, const DynamicScene& side, const SampleC
 }
 
 TEST(DynamicPath, DensitiesAreThoseOfThePlainTwin) {
-    const Fixture scenes_of({{"<translate x=\"0.42\" y=\"-0.74\" z=\"0.3\"/>", "<translate x=\"0.3\" y=\"-0.74\" z=\"0.4\"/>"},
-                             {"<ref id=\"brushed\"/>", "<ref id=\"white\"/>"},
-                             {"value=\"-0.35, -0.75, 0.5\"", "value=\"-0.3, -0.7, 0.5\""}});
+    const Fixture scenes_of(
+        {{"<translate x=\"0.42\" y=\"-0.74\" z=\"0.3\"/>", "<translate x=\"0.3\" y=\"-0.74\" z=\"0.4\"/>"},
+         {"<ref id=\"brushed\"/>", "<ref id=\"white\"/>"},
+         {"value=\"-0.35, -0.75, 0.5\"", "value=\"-0.3, -0.7, 0.5\""}});
     const DynamicScenes scenes(*scenes_of.old_scene, *scenes_of.new_scene, scenes_of.edit);
     PathOptions options;
     options.max_depth = 9;
@@ -132,8 +141,10 @@ TEST(DynamicPath, DensitiesAreThoseOfThePlainTwin) {
                 if (t.technique == Technique::path_tracing) continue;
                 sum += t.density;
                 own |= t.technique == found.technique && t.place == found.place;
-                const bool joined_at_mirror = p.vertices[0].specular && t.technique != Technique::dynamic_from_sensor && t.technique != Technique::ghost_from_sensor;
-                const bool lit_at_mirror = p.vertices[p.m() - 1].specular && t.technique != Technique::ghost_from_emitter;
+                const bool joined_at_mirror = p.vertices[0].specular && t.technique != Technique::dynamic_from_sensor &&
+                                              t.technique != Technique::ghost_from_sensor;
+                const bool lit_at_mirror =
+                    p.vertices[p.m() - 1].specular && t.technique != Technique::ghost_from_emitter;
                 const double expected = joined_at_mirror || lit_at_mirror ? 0 : twin(scenes, *side, counts, p, t);
                 ASSERT_NEAR(t.density, expected, 2e-4 * expected) << int(t.technique) << " of " << p.m();
                 ++n_terms;
@@ -148,10 +159,12 @@ TEST(DynamicPath, DensitiesAreThoseOfThePlainTwin) {
             const Technique technique = side->is_new ? f.in_new : f.in_old;
             if (technique == Technique::path_tracing) continue;
             for (std::uint64_t i = 0; i < 20000; ++i)
-                finder.find(technique, side->is_new ? f.site_new : f.site_old, Sampler(SamplerKind::independent, 7, std::uint64_t(technique), i), check);
+                finder.find(technique, side->is_new ? f.site_new : f.site_old,
+                            Sampler(SamplerKind::independent, 7, std::uint64_t(technique), i), check);
         }
         for (std::uint64_t i = 0; i < 20000; ++i)
-            finder.find_from_camera({i % side->scene.sensor.n_pixels(), i}, Sampler(SamplerKind::independent, 8, 0, i), check);
+            finder.find_from_camera({i % side->scene.sensor.n_pixels(), i}, Sampler(SamplerKind::independent, 8, 0, i),
+                                    check);
         EXPECT_LT(finder.n_unrelocated, 3000u);  // of 60000: the bottom of the box lies in the floor
     }
     EXPECT_GT(n_paths, 100000u);
@@ -160,7 +173,9 @@ TEST(DynamicPath, DensitiesAreThoseOfThePlainTwin) {
 }
 
 TEST(PathMapper, ThereAndBackIsTheSamePath) {
-    const Fixture scenes_of({{"<translate x=\"0.42\" y=\"-0.74\" z=\"0.3\"/>", "<translate x=\"0.38\" y=\"-0.74\" z=\"0.35\"/>"}, {"<ref id=\"brushed\"/>", "<ref id=\"white\"/>"}});
+    const Fixture scenes_of(
+        {{"<translate x=\"0.42\" y=\"-0.74\" z=\"0.3\"/>", "<translate x=\"0.38\" y=\"-0.74\" z=\"0.35\"/>"},
+         {"<ref id=\"brushed\"/>", "<ref id=\"white\"/>"}});
     const DynamicScenes scenes(*scenes_of.old_scene, *scenes_of.new_scene, scenes_of.edit);
     PathOptions options;
     options.max_depth = 9;
@@ -172,29 +187,35 @@ TEST(PathMapper, ThereAndBackIsTheSamePath) {
     for (const Technique technique : {Technique::dynamic_from_emitter, Technique::dynamic_two_ends})
         for (const Site site : {Site::new_place, Site::repainted})
             for (std::uint64_t i = 0; i < 20000; ++i)
-                finder.find(technique, site, Sampler(SamplerKind::independent, 9, std::uint64_t(technique), i), [&](const FullPath& p, const Found& found) {
-                    Rejection why;
-                    there.start_sample();
-                    back.start_sample();
-                    const MappedPath* q = there.map(p, found, why);
-                    if (!q) return;
-                    const MappedPath* r = back.map(q->path, found, why);
-                    ASSERT_TRUE(r) << "accepted one way only: " << int(why);
-                    EXPECT_NEAR(q->density_ratio * r->density_ratio, 1, 1e-3);
-                    for (std::size_t k = 0; k < p.m(); ++k) {
-                        EXPECT_LT(length(r->path.places[k]->at.p - p.places[k]->at.p), 1e-5f);
-                        EXPECT_NEAR(r->path.vertices[k].pdf_light, p.vertices[k].pdf_light, 2e-2 * p.vertices[k].pdf_light + 2e-3);
-                        EXPECT_NEAR(max_channel(r->path.vertices[k].f_cos), max_channel(p.vertices[k].f_cos), 2e-2 * max_channel(p.vertices[k].f_cos) + 2e-3);
-                    }
-                    ++n;
-                });
+                finder.find(technique, site, Sampler(SamplerKind::independent, 9, std::uint64_t(technique), i),
+                            [&](const FullPath& p, const Found& found) {
+                                Rejection why;
+                                there.start_sample();
+                                back.start_sample();
+                                const MappedPath* q = there.map(p, found, why);
+                                if (!q) return;
+                                const MappedPath* r = back.map(q->path, found, why);
+                                ASSERT_TRUE(r) << "accepted one way only: " << int(why);
+                                EXPECT_NEAR(q->density_ratio * r->density_ratio, 1, 1e-3);
+                                for (std::size_t k = 0; k < p.m(); ++k) {
+                                    EXPECT_LT(length(r->path.places[k]->at.p - p.places[k]->at.p), 1e-5f);
+                                    EXPECT_NEAR(r->path.vertices[k].pdf_light, p.vertices[k].pdf_light,
+                                                2e-2 * p.vertices[k].pdf_light + 2e-3);
+                                    EXPECT_NEAR(max_channel(r->path.vertices[k].f_cos),
+                                                max_channel(p.vertices[k].f_cos),
+                                                2e-2 * max_channel(p.vertices[k].f_cos) + 2e-3);
+                                }
+                                ++n;
+                            });
     EXPECT_GT(n, 5000u);
 }
 
-// |T'| by moving each vertex a little on its tangent plane and looking where the partner's goes: the measure of a path is that of
-// the directions from one vertex to the next. Breaks seen to fail: the cosine of the start left out; distances not squared.
+// |T'| by moving each vertex a little on its tangent plane and looking where the partner's goes: the measure of a path
+// is that of the directions from one vertex to the next. Breaks seen to fail: the cosine of the start left out;
+// distances not squared.
 TEST(PathMapper, JacobianIsThatOfFiniteDifferences) {
-    const Fixture scenes_of(Changes{{"<translate x=\"0.42\" y=\"-0.74\" z=\"0.3\"/>", "<rotate y=\"1\" angle=\"25\"/><translate x=\"0.3\" y=\"-0.7\" z=\"0.35\"/>"}});
+    const Fixture scenes_of(Changes{{"<translate x=\"0.42\" y=\"-0.74\" z=\"0.3\"/>",
+                                     "<rotate y=\"1\" angle=\"25\"/><translate x=\"0.3\" y=\"-0.7\" z=\"0.35\"/>"}});
     const DynamicScenes scenes(*scenes_of.old_scene, *scenes_of.new_scene, scenes_of.edit);
     PathOptions options;
     options.max_depth = 9;
@@ -205,35 +226,43 @@ TEST(PathMapper, JacobianIsThatOfFiniteDifferences) {
     /// Solid angle from a point per area that two edges span at another.
     const auto solid_angle = [](const Vector& from, const Vector& to, const std::array<Vector, 2>& edges) {
         std::array<Vector, 2> d;
-        for (int k = 0; k < 2; ++k) d[std::size_t(k)] = normalize(to + edges[std::size_t(k)] - from) - normalize(to - edges[std::size_t(k)] - from);
+        for (int k = 0; k < 2; ++k)
+            d[std::size_t(k)] =
+                normalize(to + edges[std::size_t(k)] - from) - normalize(to - edges[std::size_t(k)] - from);
         return length(cross(d[0], d[1]));
     };
     std::size_t n = 0, n_off = 0;
     for (const Technique technique : {Technique::dynamic_from_emitter, Technique::dynamic_two_ends})
         for (std::uint64_t i = 0; i < 20000; ++i)
-            finder.find(technique, Site::new_place, Sampler(SamplerKind::independent, 11, std::uint64_t(technique), i), [&](const FullPath& p, const Found& found) {
-                Rejection why;
-                mapper.start_sample();
-                const MappedPath* q = mapper.map(p, found, why);
-                if (!q) return;
-                double jacobian = 1;
-                for (std::size_t k = 1; k <= p.m(); ++k) {  // vertex k + 1, or the light
-                    const bool light = k == p.m();
-                    if (light && (p.light.at_infinity || p.light.delta)) continue;
-                    const Vector base = light ? at(p.light.y) : at(p.places[k]->at.p), mapped = light ? at(q->path.light.y) : at(q->path.places[k]->at.p);
-                    const Framef frame(light ? p.light.n : p.places[k]->at.ng);
-                    const Matrix4d motion = light || p.places[k] == q->path.places[k] ? Matrix4d{} : scenes.new_scene.to_partner[p.places[k]->hit.shape].matrix;
-                    std::array<Vector, 2> edges, moved;
-                    for (int e = 0; e < 2; ++e) {
-                        const Vector3f t = frame.to_world(e == 0 ? Vector3f{1, 0, 0} : Vector3f{0, 1, 0});
-                        edges[std::size_t(e)] = Vector{t.x, t.y, t.z} * 1e-5;
-                        moved[std::size_t(e)] = motion.vector(edges[std::size_t(e)]);
-                    }
-                    jacobian *= solid_angle(at(q->path.places[k - 1]->at.p), mapped, moved) / solid_angle(at(p.places[k - 1]->at.p), base, edges);
-                }
-                n_off += std::abs(q->density_ratio - jacobian) > 2e-3 * jacobian;
-                ++n;
-            });
+            finder.find(technique, Site::new_place, Sampler(SamplerKind::independent, 11, std::uint64_t(technique), i),
+                        [&](const FullPath& p, const Found& found) {
+                            Rejection why;
+                            mapper.start_sample();
+                            const MappedPath* q = mapper.map(p, found, why);
+                            if (!q) return;
+                            double jacobian = 1;
+                            for (std::size_t k = 1; k <= p.m(); ++k) {  // vertex k + 1, or the light
+                                const bool light = k == p.m();
+                                if (light && (p.light.at_infinity || p.light.delta)) continue;
+                                const Vector base = light ? at(p.light.y) : at(p.places[k]->at.p),
+                                             mapped = light ? at(q->path.light.y) : at(q->path.places[k]->at.p);
+                                const Framef frame(light ? p.light.n : p.places[k]->at.ng);
+                                const Matrix4d motion =
+                                    light || p.places[k] == q->path.places[k]
+                                        ? Matrix4d{}
+                                        : scenes.new_scene.to_partner[p.places[k]->hit.shape].matrix;
+                                std::array<Vector, 2> edges, moved;
+                                for (int e = 0; e < 2; ++e) {
+                                    const Vector3f t = frame.to_world(e == 0 ? Vector3f{1, 0, 0} : Vector3f{0, 1, 0});
+                                    edges[std::size_t(e)] = Vector{t.x, t.y, t.z} * 1e-5;
+                                    moved[std::size_t(e)] = motion.vector(edges[std::size_t(e)]);
+                                }
+                                jacobian *= solid_angle(at(q->path.places[k - 1]->at.p), mapped, moved) /
+                                            solid_angle(at(p.places[k - 1]->at.p), base, edges);
+                            }
+                            n_off += std::abs(q->density_ratio - jacobian) > 2e-3 * jacobian;
+                            ++n;
+                        });
     EXPECT_GT(n, 1000u);
     EXPECT_LT(n_off, n / 500) << "more than the few whose cosines are all rounding";
 }

@@ -16,7 +16,9 @@ PilotPart own_part(std::size_t family, float value) {
     return part;
 }
 
-void add_sample(PilotSamples& samples, std::vector<PilotPart> parts, std::vector<std::uint32_t> pixels) { samples.end_sample(parts, pixels); }
+void add_sample(PilotSamples& samples, std::vector<PilotPart> parts, std::vector<std::uint32_t> pixels) {
+    samples.end_sample(parts, pixels);
+}
 
 /// Random parts of three families, some of whose samples have several parts in one pixel, with either sign.
 Pilot random_pilot() {
@@ -59,7 +61,8 @@ TEST(EffortModel, SlopesAreThoseOfFiniteDifferences) {
             Factors lower = x, upper = x;
             lower[k] -= 1e-5;
             upper[k] += 1e-5;
-            const double slope = (variance_of(pilot, first_to_camera, upper).M - variance_of(pilot, first_to_camera, lower).M) / 2e-5;
+            const double slope =
+                (variance_of(pilot, first_to_camera, upper).M - variance_of(pilot, first_to_camera, lower).M) / 2e-5;
             EXPECT_NEAR(o.slope[k], slope, 1e-5 * std::abs(o.M)) << k;
             along += x[k] * o.slope[k];
         }

@@ -90,7 +90,8 @@ class Emitters : public SceneFolder {
         }
         EXPECT_GT(compared, n / 64) << what;
         const ChiSquareResult result = chi_square_test(observed, expected);
-        EXPECT_GE(result.p_value, sidak_alpha(n_comparisons)) << what << ": chi2 " << result.statistic << " dof " << result.dof;
+        EXPECT_GE(result.p_value, sidak_alpha(n_comparisons))
+            << what << ": chi2 " << result.statistic << " dof " << result.dof;
         EXPECT_LE(result.stray, n * 1e-4) << what;
     }
     std::unique_ptr<Scene> scene_of(const std::string& body) { return load_scene(write("scene.xml", text(body))); }
@@ -106,14 +107,16 @@ const std::string tilted = "<rotate x='1' y='2' z='0.5' angle='205'/><translate 
 TEST_F(Emitters, Mesh) {
     expect_samples_follow_density(*scene_of(lamp("rectangle", tilted)), origin, "rectangle");
     expect_samples_follow_density(*scene_of(lamp("cube", "<scale x='0.3' y='0.5' z='0.2'/>" + tilted)), origin, "cube");
-    expect_samples_follow_density(*scene_of(lamp("rectangle", "<scale x='-1'/>" + tilted)), origin, "mirrored rectangle");
+    expect_samples_follow_density(*scene_of(lamp("rectangle", "<scale x='-1'/>" + tilted)), origin,
+                                  "mirrored rectangle");
 }
 
 TEST_F(Emitters, SphereFromOutsideAndInside) {
     const std::string place = "<scale value='0.8'/><translate x='0.5' y='-0.3' z='1.1'/>";
     expect_samples_follow_density(*scene_of(lamp("sphere", place)), origin, "from outside");
-    expect_samples_follow_density(*scene_of(lamp("sphere", "<scale value='2'/>" + place, "<boolean name='flip_normals' value='true'/>")),
-                                  origin, "from inside");
+    expect_samples_follow_density(
+        *scene_of(lamp("sphere", "<scale value='2'/>" + place, "<boolean name='flip_normals' value='true'/>")), origin,
+        "from inside");
     // Far away the cone is narrow: nothing may cancel.
     const auto far = scene_of(lamp("sphere", "<translate x='2000' y='1000' z='2000'/>"));
     const LightSample s = sample_light(*far, origin, {0.3f, 0.7f});
@@ -133,15 +136,16 @@ TEST_F(Emitters, Disk) {
 
 /// Where a sample and a ray find the same point of a light, they must find the same radiance: with the densities above,
 /// next-event estimation and hits by the BSDF then estimate the same integral. The texture is smooth, 3 to 1 along both
-/// of its axes, so that texture coordinates that are swapped, turned or left out by one of the two show in every sample.
-/// Seen to fail with the radiance of a sphere taken without its texture.
+/// of its axes, so that texture coordinates that are swapped, turned or left out by one of the two show in every
+/// sample. Seen to fail with the radiance of a sphere taken without its texture.
 TEST_F(Emitters, TextureOfALightSampleIsThatOfTheHit) {
     {
         auto out = OIIO::ImageOutput::create(path("map.exr").string());
         const OIIO::ImageSpec spec(16, 16, 3, OIIO::TypeDesc::FLOAT);
         std::vector<float> texels;
         for (int i = 0; i < 256; ++i) texels.insert(texels.end(), {1 + float(i % 16) / 8, 1 + float(i / 16) / 8, 1});
-        ASSERT_TRUE(out->open(path("map.exr").string(), spec) && out->write_image(OIIO::TypeDesc::FLOAT, texels.data()));
+        ASSERT_TRUE(out->open(path("map.exr").string(), spec) &&
+                    out->write_image(OIIO::TypeDesc::FLOAT, texels.data()));
         out->close();
     }
     write("triangle.obj", "v -1 -1 0\nv 1 -1 0\nv 0 1 0\nf 1 2 3\n");
@@ -150,9 +154,11 @@ TEST_F(Emitters, TextureOfALightSampleIsThatOfTheHit) {
         "<emitter type='area'><texture type='bitmap' name='radiance'><string name='filename' value='map.exr'/>"
         "<string name='wrap_mode' value='clamp'/></texture></emitter></shape>\n";
     const auto shape = [&](const std::string& type, const std::string& place, const std::string& more = "") {
-        return scene_of("<shape type='" + type + "'>" + more + "<transform name='to_world'>" + place + "</transform>" + emitter);
+        return scene_of("<shape type='" + type + "'>" + more + "<transform name='to_world'>" + place + "</transform>" +
+                        emitter);
     };
-    const std::string turned = "<rotate x='1' y='2' z='0.5' angle='205'/>", there = "<translate x='0.4' y='-0.3' z='1.4'/>";
+    const std::string turned = "<rotate x='1' y='2' z='0.5' angle='205'/>",
+                      there = "<translate x='0.4' y='-0.3' z='1.4'/>";
     const std::string flip = "<boolean name='flip_normals' value='true'/>";
     const auto file = [](const std::string& name) { return "<string name='filename' value='" + name + "'/>"; };
     const std::vector<std::pair<std::string, std::unique_ptr<Scene>>> scenes = [&] {
@@ -207,7 +213,8 @@ TEST_F(Emitters, EnvironmentMap) {
 // None of the surfaces hides another: the densities of all add up, each with the choice of its emitter.
 TEST_F(Emitters, SeveralWithWeights) {
     expect_samples_follow_density(
-        *scene_of("<emitter type='constant'><float name='sampling_weight' value='0.5'/></emitter>\n" + lamp("rectangle", tilted) +
+        *scene_of("<emitter type='constant'><float name='sampling_weight' value='0.5'/></emitter>\n" +
+                  lamp("rectangle", tilted) +
                   lamp("sphere", "<scale value='0.4'/><translate x='-1.5' y='1' z='-0.5'/>")),
         origin, "constant, rectangle and sphere");
 }
@@ -248,7 +255,8 @@ std::string write_map(const std::filesystem::path& file, float value, float last
 TEST_F(Emitters, AMapWithoutLightIsNoLight) {
     const std::string black = write_map(path("black.exr"), 0, 0), grey = write_map(path("grey.exr"), 1, 1);
     for (const std::string& map : {black + "</emitter>", grey + "<float name='scale' value='0'/></emitter>",
-                                   std::string("<emitter type='sunsky'><float name='sun_scale' value='0'/><float name='sky_scale' value='0'/></emitter>")}) {
+                                   std::string("<emitter type='sunsky'><float name='sun_scale' value='0'/><float "
+                                               "name='sky_scale' value='0'/></emitter>")}) {
         const auto scene = scene_of(map + "<emitter type='point'/>");
         EXPECT_EQ(environment(*scene, {0, 1, 0}), Spectrum(0));
         std::vector<LightQuery> queries(3);
@@ -257,7 +265,8 @@ TEST_F(Emitters, AMapWithoutLightIsNoLight) {
         queries[2].ask = LightQuery::Ask::point, queries[2].u = {0.9f, 0.5f};
         look_up_lights(*scene, queries);
         EXPECT_EQ(queries[0].Le, Spectrum(0));
-        EXPECT_EQ(sample_light(*scene, {0, 0, 0}, queries[2]).pdf_w + sample_light(*scene, {0, 0, 0}, queries[1]).pdf_w, 0.5f);
+        EXPECT_EQ(sample_light(*scene, {0, 0, 0}, queries[2]).pdf_w + sample_light(*scene, {0, 0, 0}, queries[1]).pdf_w,
+                  0.5f);
     }
 }
 
@@ -271,15 +280,20 @@ TEST_F(Emitters, NegativeValuesOfAMapCountAsZeroAndAreNoted) {
 
 TEST_F(Emitters, ATexturedLightWithNegativeValuesIsAnError) {
     write_map(path("map.exr"), 2, -1);
-    const std::string body = "<shape type='sphere'><emitter type='area'><texture type='bitmap' name='radiance'>"
-                             "<string name='filename' value='map.exr'/></texture></emitter></shape>";
-    EXPECT_NE(error_of([&] { scene_of(body); }).find("scene.xml:2:113: the image has negative values"), std::string::npos);
+    const std::string body =
+        "<shape type='sphere'><emitter type='area'><texture type='bitmap' name='radiance'>"
+        "<string name='filename' value='map.exr'/></texture></emitter></shape>";
+    EXPECT_NE(error_of([&] { scene_of(body); }).find("scene.xml:2:113: the image has negative values"),
+              std::string::npos);
 }
 
 // Weights of zero: an error when light could be found by chance only, nothing when there is no light to be found.
 TEST_F(Emitters, WeightsThatAddUpToNothing) {
-    const std::string weight = "<float name='sampling_weight' value='0'/>", lit = "<emitter type='constant'>" + weight + "</emitter>";
-    EXPECT_NE(error_of([&] { scene_of(lit + "<emitter type='point'>" + weight + "</emitter>"); }).find("scene.xml:2:63: 'sampling_weight' is 0 for every emitter"),
+    const std::string weight = "<float name='sampling_weight' value='0'/>",
+                      lit = "<emitter type='constant'>" + weight + "</emitter>";
+    EXPECT_NE(error_of([&] {
+                  scene_of(lit + "<emitter type='point'>" + weight + "</emitter>");
+              }).find("scene.xml:2:63: 'sampling_weight' is 0 for every emitter"),
               std::string::npos);
     const auto dark = scene_of("<emitter type='constant'><rgb name='radiance' value='0'/>" + weight + "</emitter>");
     EXPECT_EQ(sample_light(*dark, {0, 0, 0}, {0.5f, 0.5f}).pdf_w, 0);
@@ -295,9 +309,11 @@ TEST_F(Emitters, WeightsThatAddUpToNothing) {
 // the environment left out of the density of a miss.
 TEST_F(Emitters, ManyQueriesAtOnceEqualOneByOne) {
     const std::string map = "<emitter type='envmap'><string name='filename' value='" +
-                            (std::filesystem::path(LOOM_SOURCE_DIR) / "scenes/textures/sky.png").string() + "'/></emitter>\n";
+                            (std::filesystem::path(LOOM_SOURCE_DIR) / "scenes/textures/sky.png").string() +
+                            "'/></emitter>\n";
     const std::string sphere = lamp("sphere", "<translate x='4'/>"), point = "<emitter type='point'/>";
-    for (const std::string& emitters : {map, map + lamp("rectangle", tilted) + sphere + point, sphere + point, std::string()}) {
+    for (const std::string& emitters :
+         {map, map + lamp("rectangle", tilted) + sphere + point, sphere + point, std::string()}) {
         const auto scene = scene_of(emitters);
         std::vector<LightQuery> many(1000);
         for (std::size_t i = 0; i < many.size(); ++i) {

@@ -1,7 +1,7 @@
-// A texture that is the same everywhere must give what the constant gives, for every parameter of every BSDF and emitter
-// that the schema lets a texture stand for: at the tracer's hit and at the vertex of a path graph, evaluated alone and in
-// a cluster. Seen to fail where a rough plastic took its tables from the default alpha, where phong was darkened by its
-// constants alone, and where a vertex lost its exponent or index on the way through the graph.
+// A texture that is the same everywhere must give what the constant gives, for every parameter of every BSDF and
+// emitter that the schema lets a texture stand for: at the tracer's hit and at the vertex of a path graph, evaluated
+// alone and in a cluster. Seen to fail where a rough plastic took its tables from the default alpha, where phong was
+// darkened by its constants alone, and where a vertex lost its exponent or index on the way through the graph.
 
 #include <OpenImageIO/imageio.h>
 #include <fmt/format.h>
@@ -32,23 +32,32 @@ class EvenTextures : public SceneFolder {
     enum class Way { constant, image, raw_constant };
     std::string parameter(const Parameter& p, const Spectrum& colour, Way way) {
         const Spectrum value = p.kind == ValueKind::number ? Spectrum(colour.r) : colour;
-        const std::string number = fmt::format("<float name='{}' value='{}'/>", way == Way::constant ? p.name : "value", value.r);
-        const std::string rgb = fmt::format("<rgb name='{}' value='{}, {}, {}'/>", way == Way::constant ? p.name : "value", value.r, value.g, value.b);
+        const std::string number =
+            fmt::format("<float name='{}' value='{}'/>", way == Way::constant ? p.name : "value", value.r);
+        const std::string rgb = fmt::format("<rgb name='{}' value='{}, {}, {}'/>",
+                                            way == Way::constant ? p.name : "value", value.r, value.g, value.b);
         const std::string& constant = p.kind == ValueKind::number ? number : rgb;
         if (way == Way::constant) return constant;
-        if (way == Way::raw_constant) return fmt::format("<texture type='rawconstant' name='{}'>{}</texture>", p.name, constant);
+        if (way == Way::raw_constant)
+            return fmt::format("<texture type='rawconstant' name='{}'>{}</texture>", p.name, constant);
         const std::string file = fmt::format("{}-{}-{}.exr", value.r, value.g, value.b);
         even_image(file, value);
-        return fmt::format("<texture type='bitmap' name='{}'><string name='filename' value='{}'/><boolean name='raw' value='true'/></texture>", p.name, file);
+        return fmt::format(
+            "<texture type='bitmap' name='{}'><string name='filename' value='{}'/><boolean name='raw' "
+            "value='true'/></texture>",
+            p.name, file);
     }
     std::unique_ptr<Scene> scene_of(const std::string& bsdf) {
-        return load_scene(write("scene.xml",
-                                "<scene version='3.0.0'><integrator type='path'><integer name='max_depth' value='2'/></integrator>"
-                                "<sensor type='perspective'><float name='fov' value='20'/><transform name='to_world'><lookat origin='1,2,3' "
-                                "target='0,0,0' up='0,0,1'/></transform><film type='hdrfilm'><integer name='width' value='2'/>"
-                                "<integer name='height' value='2'/><rfilter type='box'/></film></sensor>"
-                                "<emitter type='constant'/><shape type='rectangle'><transform name='to_world'><scale value='9'/></transform>" +
-                                    bsdf + "</shape></scene>"));
+        return load_scene(
+            write("scene.xml",
+                  "<scene version='3.0.0'><integrator type='path'><integer name='max_depth' value='2'/></integrator>"
+                  "<sensor type='perspective'><float name='fov' value='20'/><transform name='to_world'><lookat "
+                  "origin='1,2,3' "
+                  "target='0,0,0' up='0,0,1'/></transform><film type='hdrfilm'><integer name='width' value='2'/>"
+                  "<integer name='height' value='2'/><rfilter type='box'/></film></sensor>"
+                  "<emitter type='constant'/><shape type='rectangle'><transform name='to_world'><scale "
+                  "value='9'/></transform>" +
+                      bsdf + "</shape></scene>"));
     }
     static void expect_near(float value, float expected, float tolerance, const char* what) {
         EXPECT_NEAR(value, expected, tolerance * std::abs(expected) + 1e-7f) << what;
@@ -56,7 +65,8 @@ class EvenTextures : public SceneFolder {
     /// The BSDF of the first hit: as the tracer has it, as the graph has it, and in a cluster.
     void expect_same_bsdf(const Scene& scene, const Scene& expected_scene, float tolerance) {
         const PathGraph graph = testing::trace_graph(scene, testing::path_options(scene, 1), 1);
-        const PathGraph expected_graph = testing::trace_graph(expected_scene, testing::path_options(expected_scene, 1), 1);
+        const PathGraph expected_graph =
+            testing::trace_graph(expected_scene, testing::path_options(expected_scene, 1), 1);
         ASSERT_GT(graph.n_vertices(), 0u);
         const GraphReader reader(graph), expected_reader(expected_graph);
         const auto cluster = std::make_unique<ClusterShading>(reader);
@@ -69,12 +79,15 @@ class EvenTextures : public SceneFolder {
         };
         compare(albedo(at.bsdf, at.wo_local), albedo(expected.bsdf, expected.wo_local), "albedo");
         for (const Lobe lobe : {Lobe::delta_reflection, Lobe::delta_transmission, Lobe::null}) {
-            compare(delta_value(at.bsdf, at.wo_local, lobe), delta_value(expected.bsdf, expected.wo_local, lobe), "delta value");
-            expect_near(delta_pmf(at.bsdf, at.wo_local, lobe), delta_pmf(expected.bsdf, expected.wo_local, lobe), tolerance, "delta pmf");
+            compare(delta_value(at.bsdf, at.wo_local, lobe), delta_value(expected.bsdf, expected.wo_local, lobe),
+                    "delta value");
+            expect_near(delta_pmf(at.bsdf, at.wo_local, lobe), delta_pmf(expected.bsdf, expected.wo_local, lobe),
+                        tolerance, "delta pmf");
         }
         for (int i = 0; i < 24; ++i) {
             const Vector3f wi = sample_uniform_sphere(Sampler(SamplerKind::independent, 3, 0, i).pair(0));
-            const BsdfValue<float> right = f_cos_pdf(expected, at.frame.to_world(wi)), value = f_cos_pdf(at, at.frame.to_world(wi));
+            const BsdfValue<float> right = f_cos_pdf(expected, at.frame.to_world(wi)),
+                                   value = f_cos_pdf(at, at.frame.to_world(wi));
             compare(value.f_cos, right.f_cos, "f_cos of the graph");
             expect_near(value.pdf_w, right.pdf_w, tolerance, "density of the graph");
             const BsdfValue<float> hit = f_cos_pdf(traced, at.wo_local, at.frame.to_local(at.frame.to_world(wi)));
@@ -100,16 +113,21 @@ TEST_F(EvenTextures, GiveWhatTheConstantsGive) {
             if ((p.flags & flag::textured) && !(p.flags & flag::legacy)) textured.push_back(p);
         if (textured.empty()) continue;
         const std::string inner = plugin.rule(Category::bsdf) ? "<bsdf type='diffuse'/>" : "";
-        const auto bsdf = [&](const std::string& parameters) { return "<bsdf type='" + type + "'>" + parameters + inner + "</bsdf>"; };
+        const auto bsdf = [&](const std::string& parameters) {
+            return "<bsdf type='" + type + "'>" + parameters + inner + "</bsdf>";
+        };
         for (const Case& c : cases)
             for (const Way way : {Way::image, Way::raw_constant}) {
                 std::string all_constant, all_textured;
                 for (const Parameter& p : textured) {
-                    SCOPED_TRACE(fmt::format("{}: {} {}, {}", type, p.name, c.value.g, way == Way::image ? "image" : "rawconstant"));
-                    const std::string constant = parameter(p, c.value, Way::constant), texture = parameter(p, c.value, way);
+                    SCOPED_TRACE(fmt::format("{}: {} {}, {}", type, p.name, c.value.g,
+                                             way == Way::image ? "image" : "rawconstant"));
+                    const std::string constant = parameter(p, c.value, Way::constant),
+                                      texture = parameter(p, c.value, way);
                     // The column of alpha has both of its values, and the other one's default, 0.1, is no half.
                     const bool one_alpha = p.name == "alpha_u" || p.name == "alpha_v";
-                    expect_same_bsdf(*scene_of(bsdf(texture)), *scene_of(bsdf(constant)), one_alpha ? 4e-3f : c.tolerance);
+                    expect_same_bsdf(*scene_of(bsdf(texture)), *scene_of(bsdf(constant)),
+                                     one_alpha ? 4e-3f : c.tolerance);
                     all_constant += constant;
                     all_textured += texture;
                     ++compared;
@@ -130,8 +148,10 @@ TEST_F(EvenTextures, OfEmittersGiveWhatTheConstantsGive) {
             if (!(p.flags & flag::textured)) continue;
             SCOPED_TRACE(fmt::format("{}: {}", type, p.name));
             const auto scene = [&](Way way) {
-                std::string emitter = "<emitter type='" + type + "'>" + parameter(p, {0.25f, 4, 0.5f}, way) + "</emitter>";
-                if (type == "area") emitter = "<shape type='sphere'><point name='center' x='0' y='0' z='-3'/>" + emitter + "</shape>";
+                std::string emitter =
+                    "<emitter type='" + type + "'>" + parameter(p, {0.25f, 4, 0.5f}, way) + "</emitter>";
+                if (type == "area")
+                    emitter = "<shape type='sphere'><point name='center' x='0' y='0' z='-3'/>" + emitter + "</shape>";
                 return load_scene(write("scene.xml", text(emitter)));
             };
             const auto constant = scene(Way::constant), image = scene(Way::image), raw = scene(Way::raw_constant);
@@ -164,15 +184,20 @@ TEST_F(EvenTextures, RawConstantsLieWhereTheConstantsMust) {
         {"<bsdf type='diffuse'>" + raw("reflectance", "2, 1, 1") + "</bsdf>", "'reflectance' must lie between 0 and 1"},
         {"<bsdf type='roughconductor'>" + raw("alpha", "-1, -1, -1") + "</bsdf>", "'alpha' must not be negative"},
         {"<emitter type='area'>" + raw("radiance", "1, -1, 1") + "</emitter>", "'radiance' must not be negative"}};
-    for (const auto& [inside, expected] : cases) EXPECT_NE(error_with(inside).find(expected), std::string::npos) << error_with(inside);
+    for (const auto& [inside, expected] : cases)
+        EXPECT_NE(error_with(inside).find(expected), std::string::npos) << error_with(inside);
 }
 
 // A texture of two values: each hit must have what the constant of its value gives, which no single table can.
 TEST_F(EvenTextures, ValuesDifferFromHitToHit) {
     const auto board = [](const std::string& name, double a, double b) {
-        return fmt::format("<texture type='checkerboard' name='{}'><rgb name='color0' value='{}'/><rgb name='color1' value='{}'/></texture>", name, a, b);
+        return fmt::format(
+            "<texture type='checkerboard' name='{}'><rgb name='color0' value='{}'/><rgb name='color1' "
+            "value='{}'/></texture>",
+            name, a, b);
     };
-    for (const auto& [type, name] : {std::pair{"roughplastic", "alpha"}, {"phong", "exponent"}, {"roughconductor", "eta"}}) {
+    for (const auto& [type, name] :
+         {std::pair{"roughplastic", "alpha"}, {"phong", "exponent"}, {"roughconductor", "eta"}}) {
         const auto mixed = scene_of("<bsdf type='" + std::string(type) + "'>" + board(name, 0.125, 0.5) + "</bsdf>");
         const PathGraph graph = testing::trace_graph(*mixed, testing::path_options(*mixed, 1), 16);
         const GraphReader reader(graph);
@@ -185,10 +210,12 @@ TEST_F(EvenTextures, ValuesDifferFromHitToHit) {
                 const Ray ray{at.p + at.wo, -at.wo};
                 const SurfacePoint hit = mixed->surface(ray, mixed->intersect(ray));
                 const Texture& texture = mixed->textures[0];
-                const float mine = std::string_view(name) == "eta" ? texture.eval(hit.uv).r : texture.eval_float(hit.uv);
+                const float mine =
+                    std::string_view(name) == "eta" ? texture.eval(hit.uv).r : texture.eval_float(hit.uv);
                 if (std::abs(mine - value) > 1e-6) continue;
                 ++found[value > 0.2];
-                const BsdfValue<float> right = f_cos_pdf(even->bsdf(hit), at.wo_local, wi), got = f_cos_pdf(at.bsdf, at.wo_local, wi);
+                const BsdfValue<float> right = f_cos_pdf(even->bsdf(hit), at.wo_local, wi),
+                                       got = f_cos_pdf(at.bsdf, at.wo_local, wi);
                 for (int c = 0; c < 3; ++c) expect_near(got.f_cos[c], right.f_cos[c], 1e-3f, type);
                 expect_near(got.pdf_w, right.pdf_w, 1e-3f, type);
             }
@@ -214,7 +241,8 @@ TEST(RoughCoatTables, BetweenTheirRowsTheyAreCloseToTheIntegral) {
             EXPECT_NEAR(RoughPlasticFamily::diffuse_reflectance(b, &RoughCoat::fdr_int), constant.coat.fdr_int, 1e-3);
             EXPECT_NEAR(RoughPlasticFamily::diffuse_reflectance(b, &RoughCoat::fdr_ext), constant.coat.fdr_ext, 1e-3);
             for (const float cos : {0.05f, 0.1f, 0.3f, 0.6f, 1.0f})
-                EXPECT_NEAR(RoughPlasticFamily::transmittance(b, cos), RoughPlasticFamily::transmittance(Bsdf<float>(constant), cos), cos < 0.2f ? 5e-3 : 1e-3)
+                EXPECT_NEAR(RoughPlasticFamily::transmittance(b, cos),
+                            RoughPlasticFamily::transmittance(Bsdf<float>(constant), cos), cos < 0.2f ? 5e-3 : 1e-3)
                     << alpha << " " << cos;
         }
     }

@@ -1,5 +1,7 @@
 // Flat matte clusters: their loops over columns, and the iteration that knows of them only what they pass on.
 
+#include "stages/refine/flat_cluster.h"
+
 #include <gtest/gtest.h>
 
 #include <cstring>
@@ -8,7 +10,6 @@
 #include "formats/io/octahedral.h"
 #include "stages/core/sampling/sampler.h"
 #include "stages/core/sampling/warp.h"
-#include "stages/refine/flat_cluster.h"
 #include "stages/refine/solve.h"
 #include "tests/traced_graph.h"
 
@@ -69,7 +70,8 @@ Plain plain(const FlatColumns& c, const FlatLights& e, bool area) {
     for (int i = 0; i < e.n; ++i) {
         const auto n = unit_from_octahedral(std::int16_t(e.normal[i] & 0xffffu), std::int16_t(e.normal[i] >> 16));
         const auto along = [&](double x, double y, double z) { return n[0] * x + n[1] * y + n[2] * z; };
-        const double fx = double(e.y_x[i]) - e.from_x[i], fy = double(e.y_y[i]) - e.from_y[i], fz = double(e.y_z[i]) - e.from_z[i];
+        const double fx = double(e.y_x[i]) - e.from_x[i], fy = double(e.y_y[i]) - e.from_y[i],
+                     fz = double(e.y_z[i]) - e.from_z[i];
         const double f2 = fx * fx + fy * fy + fz * fz, turn = along(fx, fy, fz) > 0 ? -1 : 1;
         const double pdf_nee = area ? e.pdf_nee[i] * -turn * along(fx, fy, fz) / (f2 * std::sqrt(f2)) : e.pdf_nee[i];
         const double ratio = double(e.other_pdf[i]) / e.pdf[i];
@@ -79,7 +81,8 @@ Plain plain(const FlatColumns& c, const FlatLights& e, bool area) {
         for (int l = 0; l < c.n; ++l) {
             const double x = double(e.y_x[i]) - c.px[l], y = double(e.y_y[i]) - c.py[l], z = double(e.y_z[i]) - c.pz[l];
             const double d2 = x * x + y * y + z * z, d = std::sqrt(d2);
-            f.push_back(std::max(z / d, 0.0) / pi_double * (area ? std::max(-turn * along(x, y, z) / d, 0.0) : 1.0) / d2);
+            f.push_back(std::max(z / d, 0.0) / pi_double * (area ? std::max(-turn * along(x, y, z) / d, 0.0) : 1.0) /
+                        d2);
             rho += (f.back() > 0 ? c.nee[l] * pdf_nee : 0.0) + (area ? c.survival[l] * f.back() : 0.0);
         }
         if (!(rho > 0)) continue;
@@ -109,27 +112,31 @@ TEST(FlatColumns, EveryLevelEqualsTheEquations) {
                     for (int channel = 0; channel < 3; ++channel)
                         for (int l = 0; l < n; ++l) {
                             const double exact = twin.white[channel][std::size_t(l)];
-                            ASSERT_NEAR(white[channel][l], exact, 1e-5 * (1 + exact)) << level << ": " << n << " lanes, " << n_edges << " edges";
+                            ASSERT_NEAR(white[channel][l], exact, 1e-5 * (1 + exact))
+                                << level << ": " << n << " lanes, " << n_edges << " edges";
                             bits.push_back(white[channel][l]);
                         }
                     for (int i = 0; i < n_edges; ++i) {
-                        ASSERT_NEAR(e->own[i], twin.own[std::size_t(i)], 1e-5 * (0.1 + twin.own[std::size_t(i)])) << level;
+                        ASSERT_NEAR(e->own[i], twin.own[std::size_t(i)], 1e-5 * (0.1 + twin.own[std::size_t(i)]))
+                            << level;
                         bits.push_back(e->own[i]);
                     }
                     if (expected_bits.empty()) expected_bits = bits;
                     ASSERT_EQ(bits, expected_bits) << level;
                 };
                 expect(area ? refine::v2::gather_area_lights : refine::v2::gather_point_lights, "v2");
-                if (__builtin_cpu_supports("x86-64-v3")) expect(area ? refine::v3::gather_area_lights : refine::v3::gather_point_lights, "v3");
-                if (__builtin_cpu_supports("x86-64-v4")) expect(area ? refine::v4::gather_area_lights : refine::v4::gather_point_lights, "v4");
+                if (__builtin_cpu_supports("x86-64-v3"))
+                    expect(area ? refine::v3::gather_area_lights : refine::v3::gather_point_lights, "v3");
+                if (__builtin_cpu_supports("x86-64-v4"))
+                    expect(area ? refine::v4::gather_area_lights : refine::v4::gather_point_lights, "v4");
                 expect(area ? refine::flat_kernels().area : refine::flat_kernels().point, "chosen");
             }
 }
 
 class FlatSystem : public ::testing::TestWithParam<const char*> {};
 
-// Steps of the light that flat clusters pass on are the steps of all vertices: X <- M X + B in double, vertex by vertex,
-// with every figure of the log.
+// Steps of the light that flat clusters pass on are the steps of all vertices: X <- M X + B in double, vertex by
+// vertex, with every figure of the log.
 // Breaks seen to fail: the direct light of flat ends dropped after the first step; the albedo of another vertex taken.
 TEST_P(FlatSystem, StepsAreThoseOfAllVertices) {
     const auto scene = testing::own_scene(GetParam(), 32, 24);
@@ -137,7 +144,8 @@ TEST_P(FlatSystem, StepsAreThoseOfAllVertices) {
     System s = refine::build_system(graph, testing::clusters_of(graph, 16, 1), {});
     std::vector<std::uint32_t> first_hits;
     for (std::size_t i = 0; i < graph.n_paths(); ++i)
-        if (graph.paths.first_vertex[i] < graph.paths.first_vertex[i + 1]) first_hits.push_back(s.unknown[graph.paths.first_vertex[i]]);
+        if (graph.paths.first_vertex[i] < graph.paths.first_vertex[i + 1])
+            first_hits.push_back(s.unknown[graph.paths.first_vertex[i]]);
 
     refine::path_radiance(s, graph, 0);
     const refine::LightColumn X = refine::radiance_of(s);
@@ -156,12 +164,14 @@ TEST_P(FlatSystem, StepsAreThoseOfAllVertices) {
         for (std::size_t c = 0; c < s.n_clusters; ++c)
             for (int e = 0; e < s.n_edges[c]; ++e)
                 for (std::uint32_t k = s.first[c]; k < s.first[c + 1]; ++k)
-                    next[k] += Rgbd(s.coefficient(c, e, int(k - s.first[c]))) * plain[s.edges[s.first[c] + std::size_t(e)].end];
+                    next[k] += Rgbd(s.coefficient(c, e, int(k - s.first[c]))) *
+                               plain[s.edges[s.first[c] + std::size_t(e)].end];
         for (const System::Private& p : s.privates) next[p.unknown] += Rgbd(p.weight) * plain[p.end];
         const auto share = [&](const auto& unknowns) {
             double change = 0, total = 0;
             for (const std::uint32_t k : unknowns)
-                for (int channel = 0; channel < 3; ++channel) change += std::abs(next[k][channel] - plain[k][channel]), total += next[k][channel];
+                for (int channel = 0; channel < 3; ++channel)
+                    change += std::abs(next[k][channel] - plain[k][channel]), total += next[k][channel];
             return change / total;
         };
         std::vector<std::uint32_t> all(s.n_unknowns);
@@ -172,9 +182,11 @@ TEST_P(FlatSystem, StepsAreThoseOfAllVertices) {
     }
     double difference = 0, total = 0;
     for (std::size_t k = 0; k < s.n_unknowns; ++k)
-        for (int channel = 0; channel < 3; ++channel) difference += std::abs(wide(X[k])[channel] - plain[k][channel]), total += plain[k][channel];
+        for (int channel = 0; channel < 3; ++channel)
+            difference += std::abs(wide(X[k])[channel] - plain[k][channel]), total += plain[k][channel];
     EXPECT_LT(difference, 1e-6 * total);
-    std::printf("    %s: %zu of %zu clusters are flat; %.1e from the plain iteration\n", GetParam(), n_flat, s.n_clusters, difference / total);
+    std::printf("    %s: %zu of %zu clusters are flat; %.1e from the plain iteration\n", GetParam(), n_flat,
+                s.n_clusters, difference / total);
 }
 
 INSTANTIATE_TEST_SUITE_P(Scenes, FlatSystem,

@@ -15,7 +15,8 @@ namespace {
 struct HandMade {
     TransientCube cube;
     std::vector<float> radiance;
-    HandMade(std::uint32_t width, std::uint32_t height, std::uint32_t bins) : radiance(std::size_t(width) * height * bins * 3) {
+    HandMade(std::uint32_t width, std::uint32_t height, std::uint32_t bins)
+        : radiance(std::size_t(width) * height * bins * 3) {
         cube.film = {width, height, 10};
         cube.time = {bins, 2, 0.5, 0.5, "opl", 1, 1};
     }
@@ -85,7 +86,8 @@ TEST(Frames, BandsAreThoseOfTheMeanOfPixels) {
     double t, mean, low, high;
     int bin;
     const std::string data = plot.data.at("curves.tsv");
-    ASSERT_EQ(std::sscanf(data.c_str() + data.rfind("\n1\t"), "%d %lf %lf %lf %lf", &bin, &t, &mean, &low, &high), 5) << data;
+    ASSERT_EQ(std::sscanf(data.c_str() + data.rfind("\n1\t"), "%d %lf %lf %lf %lf", &bin, &t, &mean, &low, &high), 5)
+        << data;
     EXPECT_DOUBLE_EQ(t, 2.75);
     EXPECT_NEAR(mean, 4, 1e-5);
     EXPECT_NEAR(high - low, 4 * 0.02 / 3, 1e-5);

@@ -1,6 +1,6 @@
-// hide_emitters as Mitsuba 3.8 has it: camera rays pass through area lights, and the sky is black to them until they have
-// been scattered; a mask, a null surface and the straight way through a thin pane do not count. What is lit stays lit.
-// Seen to fail: all but the lit wall with hide_emitters unread; the area lights with camera_rays = rays.
+// hide_emitters as Mitsuba 3.8 has it: camera rays pass through area lights, and the sky is black to them until they
+// have been scattered; a mask, a null surface and the straight way through a thin pane do not count. What is lit stays
+// lit. Seen to fail: all but the lit wall with hide_emitters unread; the area lights with camera_rays = rays.
 
 #include <fmt/format.h>
 #include <gtest/gtest.h>
@@ -13,13 +13,16 @@ namespace loom::testing {
 namespace {
 
 constexpr const char* sky = "<emitter type='constant'><rgb name='radiance' value='0.5'/></emitter>";
-constexpr const char* light = "<shape type='rectangle'><transform name='to_world'><translate z='1'/></transform>"
-                              "<emitter type='area'><rgb name='radiance' value='2'/></emitter></shape>";
-constexpr const char* wall = "<shape type='rectangle'><transform name='to_world'><scale value='50'/><translate z='-1'/></transform>"
-                             "<bsdf type='diffuse'><rgb name='reflectance' value='0.6'/></bsdf></shape>";
+constexpr const char* light =
+    "<shape type='rectangle'><transform name='to_world'><translate z='1'/></transform>"
+    "<emitter type='area'><rgb name='radiance' value='2'/></emitter></shape>";
+constexpr const char* wall =
+    "<shape type='rectangle'><transform name='to_world'><scale value='50'/><translate z='-1'/></transform>"
+    "<bsdf type='diffuse'><rgb name='reflectance' value='0.6'/></bsdf></shape>";
 
 std::string pane(const char* bsdf) {
-    return fmt::format("<shape type='rectangle'><transform name='to_world'><translate z='2'/></transform>{}</shape>", bsdf);
+    return fmt::format("<shape type='rectangle'><transform name='to_world'><translate z='2'/></transform>{}</shape>",
+                       bsdf);
 }
 
 std::unique_ptr<Scene> scene_of(const std::string& body, bool hides, const char* version = "3.0.0") {
@@ -67,7 +70,9 @@ TEST(HiddenEmitters, SkyIsBlackToTheCameraInBothDialects) {
     EXPECT_EQ(mean(*scene_of(sky, true, "0.6.0"), 1).L, 0);
 }
 
-TEST(HiddenEmitters, WhatTheSkyLightsStaysLit) { EXPECT_NEAR(mean(*scene_of(std::string(sky) + wall, true), 64).L, 0.6 * 0.5, 1e-3); }
+TEST(HiddenEmitters, WhatTheSkyLightsStaysLit) {
+    EXPECT_NEAR(mean(*scene_of(std::string(sky) + wall, true), 64).L, 0.6 * 0.5, 1e-3);
+}
 
 TEST(HiddenEmitters, CameraRaysPassThroughAreaLights) {
     const std::string lit = std::string(light) + wall;
@@ -77,8 +82,8 @@ TEST(HiddenEmitters, CameraRaysPassThroughAreaLights) {
     EXPECT_NEAR(mean(*scene_of(lit, true), 16).depth, 6, 0.01);
     EXPECT_EQ(mean(*scene_of(lit, true), 16, 1).L, 0);
     EXPECT_EQ(mean(*scene_of(std::string(light) + sky, true), 16).L, 0);
-    // The sky that the light does not take from the wall: Mitsuba 3.8 gives the same for a wall of this size, 0.2258 (0.002)
-    // with its camera at a field of view of 10 degrees and a wall of 6 m.
+    // The sky that the light does not take from the wall: Mitsuba 3.8 gives the same for a wall of this size, 0.2258
+    // (0.002) with its camera at a field of view of 10 degrees and a wall of 6 m.
     const double shaded = mean(*scene_of(std::string(sky) + lit, true), 256).L;
     EXPECT_LT(shaded, 0.26);
     EXPECT_GT(shaded, 0.20);
@@ -86,7 +91,12 @@ TEST(HiddenEmitters, CameraRaysPassThroughAreaLights) {
 
 TEST(HiddenEmitters, StraightWaysDoNotUncoverTheSky) {
     EXPECT_EQ(mean(*scene_of(sky + pane("<bsdf type='null'/>"), true), 4).L, 0);
-    EXPECT_EQ(mean(*scene_of(sky + pane("<bsdf type='mask'><float name='opacity' value='0'/><bsdf type='diffuse'/></bsdf>"), true), 4).L, 0);
+    EXPECT_EQ(
+        mean(*scene_of(sky + pane("<bsdf type='mask'><float name='opacity' value='0'/><bsdf type='diffuse'/></bsdf>"),
+                       true),
+             4)
+            .L,
+        0);
     // A thin pane leaves its reflection alone.
     const double R = fresnel_dielectric(1.0f, 1.5046f / 1.000277f).reflectance, both = 2 * R / (1 + R);
     EXPECT_NEAR(mean(*scene_of(sky + pane("<bsdf type='thindielectric'/>"), true), 1024).L, 0.5 * both, 0.002);

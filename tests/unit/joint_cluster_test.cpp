@@ -1,7 +1,5 @@
 // loom-cluster --with: one set of cells for two graphs, so that what both have in common is shared alike.
 
-#include "stages/cluster/cluster.h"
-
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -9,6 +7,7 @@
 #include <numeric>
 
 #include "formats/io/octahedral.h"
+#include "stages/cluster/cluster.h"
 #include "stages/core/sampling/sampler.h"
 #include "stages/core/scattering/bsdf_model.h"
 #include "stages/core/transport/cluster_quality.h"
@@ -20,10 +19,13 @@ using cluster::JointClusters;
 using cluster::make_joint_clusters;
 using cluster::Method;
 
-float uniform(std::uint64_t i) { return unit_float(std::uint32_t(mix64(i * 0x9e3779b97f4a7c15ull + 29) >> 32)); }
+float uniform(std::uint64_t i) {
+    return unit_float(std::uint32_t(mix64(i * 0x9e3779b97f4a7c15ull + 29) >> 32));
+}
 
-/// A floor of 10 x 10 m and a wall; from `edited` on every third vertex lies where the edit put it, and `extra` more lie in
-/// a corner that the other graph does not reach. Each vertex is of a path of its own. Rows before are the same in graphs of any `edited`.
+/// A floor of 10 x 10 m and a wall; from `edited` on every third vertex lies where the edit put it, and `extra` more
+/// lie in a corner that the other graph does not reach. Each vertex is of a path of its own. Rows before are the same
+/// in graphs of any `edited`.
 PathGraph floor_and_wall(std::size_t n, std::size_t edited, std::uint64_t edit, std::size_t extra) {
     std::vector<float> p, wo;
     std::vector<std::int16_t> ns;
@@ -60,7 +62,9 @@ PathGraph floor_and_wall(std::size_t n, std::size_t edited, std::uint64_t edit, 
 }
 
 using Place = std::array<float, 3>;
-Place place(const PathGraph& g, std::size_t j) { return {g.vertices.p[3 * j], g.vertices.p[3 * j + 1], g.vertices.p[3 * j + 2]}; }
+Place place(const PathGraph& g, std::size_t j) {
+    return {g.vertices.p[3 * j], g.vertices.p[3 * j + 1], g.vertices.p[3 * j + 2]};
+}
 
 class JointClustersTest : public ::testing::TestWithParam<Method> {
   protected:
@@ -84,13 +88,15 @@ std::size_t torn(const PathGraph& a, const Clusters& of_a, const PathGraph& b, c
     std::size_t n = 0;
     for (std::size_t j = 0; j < a.n_vertices(); ++j) {
         const auto found = cluster_in_b.find(place(a, j));
-        if (found != cluster_in_b.end() && partner.try_emplace(cluster_a[j], found->second).first->second != found->second) ++n;
+        if (found != cluster_in_b.end() &&
+            partner.try_emplace(cluster_a[j], found->second).first->second != found->second)
+            ++n;
     }
     return n;
 }
 
-// Breaks seen to fail: cuts by rank alone (off_ties left out: 3545 of 60 000 places are torn from their cluster by median splits);
-// clusters made of each graph by itself.
+// Breaks seen to fail: cuts by rank alone (off_ties left out: 3545 of 60 000 places are torn from their cluster by
+// median splits); clusters made of each graph by itself.
 TEST_P(JointClustersTest, VerticesOfOnePlaceAreInOneCell) {
     const PathGraph before = floor_and_wall(60'000, 30'000, 1, 0), after = floor_and_wall(60'000, 30'000, 2, 5'000);
     const JointClusters joint = make_joint_clusters(before, after, options());

@@ -12,17 +12,20 @@ namespace {
 class Limits : public SceneFolder {
   protected:
     std::unique_ptr<Scene> load(const std::string& integrator, const std::string& body = "") {
-        return load_scene(write("scene.xml", "<scene version='3.0.0'>" + integrator +
-                                                 "<sensor type='perspective'><transform name='to_world'><translate z='-5'/></transform>"
-                                                 "<film type='hdrfilm'><integer name='width' value='8'/><integer name='height' value='8'/></film></sensor>" +
-                                                 body + "</scene>"));
+        return load_scene(write(
+            "scene.xml", "<scene version='3.0.0'>" + integrator +
+                             "<sensor type='perspective'><transform name='to_world'><translate z='-5'/></transform>"
+                             "<film type='hdrfilm'><integer name='width' value='8'/><integer name='height' "
+                             "value='8'/></film></sensor>" +
+                             body + "</scene>"));
     }
 };
 
 // A sphere that emits before a sky, seen directly: no path has 0 edges.
 TEST_F(Limits, DepthZeroIsBlack) {
-    const auto scene = load("<integrator type='volpath'><integer name='max_depth' value='0'/></integrator>",
-                            "<shape type='sphere'><bsdf type='diffuse'/><emitter type='area'/></shape><emitter type='constant'/>");
+    const auto scene =
+        load("<integrator type='volpath'><integer name='max_depth' value='0'/></integrator>",
+             "<shape type='sphere'><bsdf type='diffuse'/><emitter type='area'/></shape><emitter type='constant'/>");
     ASSERT_EQ(scene->max_depth, 0);
     for (const int depth : {0, 1}) {
         PathOptions options;
@@ -51,7 +54,9 @@ TEST_F(Limits, IntegratorsThatImplyADepth) {
     EXPECT_EQ(depth_of("<integrator type='aov'/>"), -1);
     EXPECT_EQ(depth_of("<integrator type='prb'/>"), 6);
     EXPECT_EQ(depth_of("<integrator type='transient_path'/>"), 6);
-    EXPECT_EQ(depth_of("<integrator type='stokes'><integrator type='path'><integer name='max_depth' value='3'/></integrator></integrator>"), 3);
+    EXPECT_EQ(depth_of("<integrator type='stokes'><integrator type='path'><integer name='max_depth' "
+                       "value='3'/></integrator></integrator>"),
+              3);
 }
 
 }  // namespace

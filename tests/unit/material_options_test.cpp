@@ -1,6 +1,6 @@
 // Options of materials and skies that decide a value, against closed forms.
-// Seen to fail: each with its reader taken out (the values before: shadowed and flipped whatever the file said, balanced for
-// all variants of ward, gamma as the type of the image says).
+// Seen to fail: each with its reader taken out (the values before: shadowed and flipped whatever the file said,
+// balanced for all variants of ward, gamma as the type of the image says).
 
 #include <fmt/format.h>
 #include <gtest/gtest.h>
@@ -20,10 +20,13 @@ class MaterialOptions : public SceneFolder {
     float f_cos(Vector3f n, bool flips, bool shadows, const Vector3f& from, const Vector3f& wi) {
         const auto byte = [](float x) { return int(std::lround((x + 1) * 127.5f)); };
         write("n.ppm", fmt::format("P3\n1 1\n255\n{} {} {}\n", byte(n.x), byte(n.y), byte(n.z)));
-        const auto scene = load_scene(write("scene.xml", text(fmt::format(
-            R"(<shape type="rectangle"><bsdf type="normalmap"><boolean name="flip_invalid_normals" value="{}"/>
+        const auto scene = load_scene(write(
+            "scene.xml",
+            text(fmt::format(
+                R"(<shape type="rectangle"><bsdf type="normalmap"><boolean name="flip_invalid_normals" value="{}"/>
 <boolean name="use_shadowing_function" value="{}"/><texture type="bitmap" name="normalmap"><string name="filename" value="n.ppm"/>
-<boolean name="raw" value="true"/></texture><bsdf type="diffuse"><rgb name="reflectance" value="1"/></bsdf></bsdf></shape>)", flips, shadows))));
+<boolean name="raw" value="true"/></texture><bsdf type="diffuse"><rgb name="reflectance" value="1"/></bsdf></bsdf></shape>)",
+                flips, shadows))));
         const Ray ray{Point3f(from), normalize(-from)};
         const Hit hit = scene->intersect(ray);
         EXPECT_TRUE(hit);
@@ -43,7 +46,8 @@ TEST_F(MaterialOptions, NormalMapsFlipAndShadeOnlyWhereTheyAreToldTo) {
     }
     EXPECT_GT(lit * (1 - shadow), 0.01f);
     // Seen from behind the normal: black, or the normal turned to the other side.
-    const Vector3f steep = normalize(Vector3f{0.8f, 0, 0.6f}), grazing{-4, 0, 1.2f}, above = normalize(Vector3f{-1, 0, 3});
+    const Vector3f steep = normalize(Vector3f{0.8f, 0, 0.6f}), grazing{-4, 0, 1.2f},
+                   above = normalize(Vector3f{-1, 0, 3});
     const float turned = dot(normalize(Vector3f{-0.8f, 0, 0.6f}), above) * inv_pi<float>;
     EXPECT_EQ(f_cos(steep, false, false, grazing, above), 0);
     EXPECT_EQ(f_cos(steep, false, true, grazing, above), 0);
@@ -53,29 +57,39 @@ TEST_F(MaterialOptions, NormalMapsFlipAndShadeOnlyWhereTheyAreToldTo) {
 TEST_F(MaterialOptions, WardHasThreeNormalisations) {
     const Vector3f wo = normalize(Vector3f{0.3f, 0.2f, 0.9f}), wi = normalize(Vector3f{-0.5f, 0.1f, 0.6f}), H = wo + wi;
     const double au = 0.3, av = 0.2;
-    const double spread = std::exp(-(std::pow(H.x / au, 2) + std::pow(H.y / av, 2)) / (H.z * H.z)) / (pi_double * au * av);
+    const double spread =
+        std::exp(-(std::pow(H.x / au, 2) + std::pow(H.y / av, 2)) / (H.z * H.z)) / (pi_double * au * av);
     const std::pair<const char*, double> variants[] = {{"balanced", dot(H, H) / std::pow(H.z, 4)},
                                                        {"ward-duer", 1 / (4.0 * wo.z * wi.z)},
                                                        {"ward", 1 / (4 * std::sqrt(double(wo.z) * wi.z))}};
     for (const auto& [name, normalisation] : variants) {
-        const auto scene = load_scene(write("scene.xml", text(fmt::format(
-            R"(<shape type="rectangle"><bsdf type="ward"><string name="variant" value="{}"/><float name="alpha_u" value="0.3"/><float name="alpha_v" value="0.2"/>
-<rgb name="diffuse_reflectance" value="0.4"/><rgb name="specular_reflectance" value="0.25"/></bsdf></shape>)", name))));
+        const auto scene = load_scene(write(
+            "scene.xml",
+            text(fmt::format(
+                R"(<shape type="rectangle"><bsdf type="ward"><string name="variant" value="{}"/><float name="alpha_u" value="0.3"/><float name="alpha_v" value="0.2"/>
+<rgb name="diffuse_reflectance" value="0.4"/><rgb name="specular_reflectance" value="0.25"/></bsdf></shape>)",
+                name))));
         const Bsdf<float> bsdf(scene->materials[scene->shapes[0].material].model);
-        EXPECT_NEAR(f_cos_pdf(bsdf, wo, wi).f_cos.r, (0.4 / pi_double + 0.25 * spread * normalisation) * wi.z, 1e-5) << name;
+        EXPECT_NEAR(f_cos_pdf(bsdf, wo, wi).f_cos.r, (0.4 / pi_double + 0.25 * spread * normalisation) * wi.z, 1e-5)
+            << name;
     }
 }
 
 // A graph without the columns means the defaults.
 TEST_F(MaterialOptions, GraphsKeepVariantAndShadowing) {
-    const std::string map = "<texture type='bitmap' name='normalmap'><string name='filename' value='n.ppm'/><boolean name='raw' value='true'/></texture>";
+    const std::string map =
+        "<texture type='bitmap' name='normalmap'><string name='filename' value='n.ppm'/><boolean name='raw' "
+        "value='true'/></texture>";
     write("n.ppm", "P3\n1 1\n255\n140 128 250\n");
     const auto graph_of = [&](const std::string& option, const std::string& variant) {
-        const auto scene = load_scene(write("scene.xml", text("<shape type='sphere'><bsdf type='normalmap'>" + option + map + "<bsdf type='ward'>" + variant + "</bsdf></bsdf></shape>")));
+        const auto scene =
+            load_scene(write("scene.xml", text("<shape type='sphere'><bsdf type='normalmap'>" + option + map +
+                                               "<bsdf type='ward'>" + variant + "</bsdf></bsdf></shape>")));
         scene->sensor.width = scene->sensor.height = 2;
         return loom::testing::trace_graph(*scene, loom::testing::path_options(*scene, 1), 1);
     };
-    const PathGraph plain = graph_of("", ""), other = graph_of("<boolean name='use_shadowing_function' value='false'/>", "<string name='variant' value='ward'/>");
+    const PathGraph plain = graph_of("", ""), other = graph_of("<boolean name='use_shadowing_function' value='false'/>",
+                                                               "<string name='variant' value='ward'/>");
     EXPECT_TRUE(plain.materials.variant.empty());
     EXPECT_TRUE(plain.materials.bump_shadowing.empty());
     EXPECT_EQ(GraphReader(plain).model(0).variant, WardVariant::balanced);
@@ -87,7 +101,9 @@ TEST_F(MaterialOptions, GraphsKeepVariantAndShadowing) {
 TEST_F(MaterialOptions, GammaOfAnEnvironmentMapIsThatOfTheFile) {
     write("sky.ppm", "P3\n2 2\n255\n" + std::string("128 128 128 ") + "128 128 128 128 128 128 128 128 128\n");
     const auto radiance = [&](const std::string& gamma, const char* version) {
-        const auto scene = load_scene(write("scene.xml", text("<emitter type='envmap'><string name='filename' value='sky.ppm'/>" + gamma + "</emitter>", version)));
+        const auto scene = load_scene(write(
+            "scene.xml",
+            text("<emitter type='envmap'><string name='filename' value='sky.ppm'/>" + gamma + "</emitter>", version)));
         return environment(*scene, {0, 1, 0}).r;
     };
     const float encoded = 128.0f / 255;

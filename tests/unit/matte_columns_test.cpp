@@ -90,8 +90,8 @@ void expect_plain(const MatteColumns& c, std::size_t n, Roulette roulette, const
         ASSERT_EQ(c.asks_shadow(i), asks);
         if (asks) {
             ++asked;
-            const Ray ray = light.at_infinity ? spawn_ray(here.end(), light.wi)
-                                              : spawn_segment(here.end(), light.end());
+            const Ray ray =
+                light.at_infinity ? spawn_ray(here.end(), light.wi) : spawn_segment(here.end(), light.end());
             const float weight = power_heuristic(light.pdf_w, value.pdf_w * q) / light.pdf_w;
             ASSERT_EQ(c.contribution.get<Spectrum>(i), beta * value.f_cos * light.Li * weight);
             ASSERT_EQ(c.shadow_pdf_w[i], light.pdf_w);

@@ -74,13 +74,18 @@ TEST(MediumStack, ShapesCrossedWithoutTheirOppositeDoNoHarm) {
 }
 
 std::string dielectric(const char* shape, double int_ior, double ext_ior = 1) {
-    return fmt::format(R"(<shape {}<bsdf type="dielectric"><float name="int_ior" value="{}"/><float name="ext_ior" value="{}"/></bsdf></shape>)", shape, int_ior, ext_ior);
+    return fmt::format(
+        R"(<shape {}<bsdf type="dielectric"><float name="int_ior" value="{}"/><float name="ext_ior" value="{}"/></bsdf></shape>)",
+        shape, int_ior, ext_ior);
 }
 constexpr const char* ball = R"(type="sphere">)";
 constexpr const char* box = R"(type="cube"><transform name="to_world"><scale value="5"/></transform>)";
-constexpr const char* surface = R"(type="rectangle"><transform name="to_world"><scale value="20"/></transform>)";  // of water, in z = 0
-constexpr const char* tiles = R"(<shape type="cube"><transform name="to_world"><scale value="1"/></transform><boolean name="flip_normals" value="true"/></shape>)";
-constexpr const char* basement = R"(<shape type="cube"><transform name="to_world"><scale value="1"/><translate z="-3"/></transform></shape>)";
+constexpr const char* surface =
+    R"(type="rectangle"><transform name="to_world"><scale value="20"/></transform>)";  // of water, in z = 0
+constexpr const char* tiles =
+    R"(<shape type="cube"><transform name="to_world"><scale value="1"/></transform><boolean name="flip_normals" value="true"/></shape>)";
+constexpr const char* basement =
+    R"(<shape type="cube"><transform name="to_world"><scale value="1"/><translate z="-3"/></transform></shape>)";
 
 /// Index at a point of a scene of these shapes.
 float index_at(const std::string& body, const Point3f& p) {
@@ -116,7 +121,8 @@ TEST(MediaAt, AnOpenSurfaceHasItsInsideBehindIt) {
 
 // Breaks seen to fail: rays that pass opaque walls; inside only of what all directions leave.
 TEST(MediaAt, AnOpaqueWallEndsWhatIsSeen) {
-    // A pool that is tiled within the water sees it through its open side alone; a dry basement does not see the lake above.
+    // A pool that is tiled within the water sees it through its open side alone; a dry basement does not see the lake
+    // above.
     EXPECT_EQ(index_at(dielectric(surface, 1.25) + basement, {0, 0, -3}), 1.0f);
     EXPECT_EQ(index_at(dielectric(box, 1.25) + tiles, {0, 0, 3}), 1.25f);
 }
@@ -127,13 +133,17 @@ TEST(MediaAt, OutsideOfEverythingTheFirstSurfaceTells) {
     EXPECT_EQ(index_at("", {0, 0, 3}), 1.0f);
 }
 
-// A tank without a lid, from the side: some directions see its far wall from within. Break seen to fail: inside of what any
-// direction leaves.
+// A tank without a lid, from the side: some directions see its far wall from within. Break seen to fail: inside of what
+// any direction leaves.
 TEST(MediaAt, BesideAnOpenTank) {
     const auto file = testing::scratch_file(".obj");
     std::ofstream(file) << "v -1 -1 -1\nv 1 -1 -1\nv 1 1 -1\nv -1 1 -1\nv -1 -1 1\nv 1 -1 1\nv 1 1 1\nv -1 1 1\n"
                            "f 4 3 2 1\nf 1 2 6 5\nf 2 3 7 6\nf 3 4 8 7\nf 4 1 5 8\n";
-    const std::string tank = dielectric(fmt::format(R"(type="obj"><string name="filename" value="{}"/><boolean name="face_normals" value="true"/>)", file.string()).c_str(), 1.25);
+    const std::string tank = dielectric(
+        fmt::format(R"(type="obj"><string name="filename" value="{}"/><boolean name="face_normals" value="true"/>)",
+                    file.string())
+            .c_str(),
+        1.25);
     EXPECT_EQ(index_at(tank, {1.3f, 0, 1.05f}), 1.0f);
     EXPECT_EQ(index_at(tank, {0, 0, 0.5f}), 1.25f);
     std::filesystem::remove(file);
@@ -141,8 +151,11 @@ TEST(MediaAt, BesideAnOpenTank) {
 
 // Break seen to fail: only the shape that was entered can be left.
 TEST(MediaAt, APaneOfTwoShapesSeenFromBothSides) {
-    const std::string pane = dielectric(R"(type="rectangle"><transform name="to_world"><translate z="0.01"/></transform>)", 1.5) +
-                             dielectric(R"(type="rectangle"><transform name="to_world"><rotate x="1" angle="180"/><translate z="-0.01"/></transform>)", 1.5);
+    const std::string pane =
+        dielectric(R"(type="rectangle"><transform name="to_world"><translate z="0.01"/></transform>)", 1.5) +
+        dielectric(
+            R"(type="rectangle"><transform name="to_world"><rotate x="1" angle="180"/><translate z="-0.01"/></transform>)",
+            1.5);
     for (const float z : {-2.0f, 2.0f}) EXPECT_EQ(index_at(pane, {0, 0, z}), 1.0f);
 }
 

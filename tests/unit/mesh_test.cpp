@@ -50,9 +50,7 @@ TEST_F(MeshFile, MirroredMeshTurnsComputedNormalsButNotThoseOfTheFile) {
     const std::string mirror = "<transform name='to_world'><scale x='-1'/></transform></shape>";
     const Mesh computed = shape("<shape type='obj'><string name='filename' value='m.obj'/>" + mirror);
     expect_normal(computed.normals[0], -0.16f, 0.16f, -0.97406f);
-    write(
-        "n.obj",
-        "v 0 0 0\nv 1 0 0\nv 1 1 .5\nv 0 1 0\nvn 0 0 2\nvn .1 0 1\nf 1//1 2//2 3//1\nf -4//1 -2//1 -1//1\n");
+    write("n.obj", "v 0 0 0\nv 1 0 0\nv 1 1 .5\nv 0 1 0\nvn 0 0 2\nvn .1 0 1\nf 1//1 2//2 3//1\nf -4//1 -2//1 -1//1\n");
     const Mesh given = shape("<shape type='obj'><string name='filename' value='n.obj'/>" + mirror);
     EXPECT_EQ(given.positions.size(), 4u);
     EXPECT_TRUE(given.uvs.empty());
@@ -70,15 +68,19 @@ TEST_F(MeshFile, NonUniformScaleMovesNormalsByTheInverseTranspose) {
 }
 
 TEST_F(MeshFile, ByteOrderMarksAndOpenCorners) {
-    write("m.obj", "\xEF\xBB\xBFv 0 0 0\r\nv\t1 0 0\r\nv 0 1 0\r\nvt 0.25 0.5\r\nf 1/1/ 2/1/ 3//\r\nf 1/ 2/1 \\\r\n 3/1/\r\n");
+    write("m.obj",
+          "\xEF\xBB\xBFv 0 0 0\r\nv\t1 0 0\r\nv 0 1 0\r\nvt 0.25 0.5\r\nf 1/1/ 2/1/ 3//\r\nf 1/ 2/1 \\\r\n 3/1/\r\n");
     const Mesh m = load_obj(path("m.obj"));
     ASSERT_EQ(m.positions.size(), 5u);
     EXPECT_EQ(m.positions[1], Point3f(1, 0, 0));
     EXPECT_EQ(m.indices, (std::vector<std::uint32_t>{0, 1, 2, 3, 1, 4}));
     EXPECT_FLOAT_EQ(m.uvs[0].x, 0.25f);
     EXPECT_TRUE(m.normals.empty());
-    write("m.ply", "\xEF\xBB\xBFply\r\nformat ascii 1.0\r\nelement vertex 3\r\nproperty float x\r\nproperty float y\r\nproperty float z\r\n"
-                   "element face 1\r\nproperty list uchar int vertex_indices\r\nend_header\r\n0 0 0\r\n+1\t0 0\r\n0 1 0\r\n3 0 1 2\r\n");
+    write("m.ply",
+          "\xEF\xBB\xBFply\r\nformat ascii 1.0\r\nelement vertex 3\r\nproperty float x\r\nproperty float y\r\nproperty "
+          "float z\r\n"
+          "element face 1\r\nproperty list uchar int vertex_indices\r\nend_header\r\n0 0 0\r\n+1\t0 0\r\n0 1 0\r\n3 0 "
+          "1 2\r\n");
     EXPECT_EQ(load_ply(path("m.ply")).positions[1], Point3f(1, 0, 0));
 }
 
@@ -124,8 +126,8 @@ TEST_F(MeshFile, PlyEncodingsAgree) {
         "element face 1\nproperty int flags\nproperty list uchar uint vertex_index\nend_header\n";
     const float v[4][3] = {{0, 0, 0}, {1, 0, 0}, {1, 1, 0.5f}, {0, 1, 0}};
     const auto binary = [&](bool big) {
-        std::string b = std::string("ply\r\nformat binary_") + (big ? "big" : "little") +
-                        "_endian 1.0\ncomment hello\n" + header;
+        std::string b =
+            std::string("ply\r\nformat binary_") + (big ? "big" : "little") + "_endian 1.0\ncomment hello\n" + header;
         append(b, std::uint8_t{2}), append(b, std::int16_t{7}, big), append(b, std::int16_t{8}, big);
         for (const auto& p : v) {
             append(b, p[0], big), append(b, double(p[1]), big), append(b, p[2], big);
@@ -152,8 +154,7 @@ TEST_F(MeshFile, PlyEncodingsAgree) {
     std::string cut = binary(false);
     cut.resize(cut.size() - 3);
     write("cut.ply", cut);
-    EXPECT_NE(error_of([&] { load_ply(path("cut.ply")); }).find("cut.ply: truncated at byte"),
-              std::string::npos);
+    EXPECT_NE(error_of([&] { load_ply(path("cut.ply")); }).find("cut.ply: truncated at byte"), std::string::npos);
 }
 
 TEST_F(MeshFile, SerializedVersionsPrecisionsAndColumns) {
@@ -169,10 +170,9 @@ TEST_F(MeshFile, SerializedVersionsPrecisionsAndColumns) {
                 if (flags & 2) {
                     EXPECT_EQ(m.uvs[1].y, 0.25f);
                 }
-                EXPECT_NE(error_of([&] {
-                              load_serialized(path("m.serialized"), 2);
-                          }).find("has no shape 2, it holds 2"),
-                          std::string::npos);
+                EXPECT_NE(
+                    error_of([&] { load_serialized(path("m.serialized"), 2); }).find("has no shape 2, it holds 2"),
+                    std::string::npos);
             }
 }
 

@@ -8,9 +8,9 @@
 #include <random>
 #include <vector>
 
-#include "stages/compare/compare.h"
 #include "formats/false_colours.h"
 #include "formats/io/field_checker.h"
+#include "stages/compare/compare.h"
 #include "stages/compare/difference.h"
 #include "stages/compare/significance.h"
 

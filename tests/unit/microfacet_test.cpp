@@ -22,8 +22,8 @@ double hemisphere_integral(double alpha, G&& g) {
         const double d_theta = alpha / sqr(1 - t) * cos * cos / n_r;
         for (int j = 0; j < n_phi; ++j) {
             const double phi = 2 * pi_double * (j + 0.5) / n_phi;
-            sum += g(Vector3<double>{sin * std::cos(phi), sin * std::sin(phi), cos}) * sin * d_theta * 2 *
-                   pi_double / n_phi;
+            sum += g(Vector3<double>{sin * std::cos(phi), sin * std::sin(phi), cos}) * sin * d_theta * 2 * pi_double /
+                   n_phi;
         }
     }
     return sum;
@@ -57,13 +57,11 @@ TEST(Microfacet, SampledNormalsHaveTheirMean) {
             constexpr int n = 1 << 16;
             Vector3<double> mean;
             for (int i = 0; i < n; ++i)
-                mean = mean + Vector3<double>(facets.sample(w, Draw(SamplerKind::sobol, 4, i).u, visible)) /
-                                  double(n);
+                mean = mean + Vector3<double>(facets.sample(w, Draw(SamplerKind::sobol, 4, i).u, visible)) / double(n);
             for (int c = 0; c < 3; ++c) {
                 const double expected = hemisphere_integral(0.3, [&](const Vector3<double>& m) {
                     const double density =
-                        visible ? exact.D(m) * exact.G1_exact(wd) * std::max(0.0, dot(wd, m)) / wd.z
-                                : exact.D(m) * m.z;
+                        visible ? exact.D(m) * exact.G1_exact(wd) * std::max(0.0, dot(wd, m)) / wd.z : exact.D(m) * m.z;
                     return m[c] * density;
                 });
                 EXPECT_NEAR(mean[c], expected, 5e-4) << int(type) << visible << c;
@@ -73,8 +71,7 @@ TEST(Microfacet, SampledNormalsHaveTheirMean) {
 }
 
 TEST(Microfacet, ErfInvInverts) {
-    for (double x = -0.9999; x < 1; x += 0.0101)
-        EXPECT_NEAR(std::erf(erf_inv(x)), x, 1e-6 * std::abs(x) + 1e-9);
+    for (double x = -0.9999; x < 1; x += 0.0101) EXPECT_NEAR(std::erf(erf_inv(x)), x, 1e-6 * std::abs(x) + 1e-9);
 }
 
 // Would catch a lost term of the polynomial, or a power of two rounded the wrong way.

@@ -15,20 +15,26 @@ class NlosScene : public SceneFolder {
   protected:
     struct Parts {
         std::string integrator = R"(<integrator type="transient_nlos_path"/>)";
-        std::string emitter = R"(<emitter type="projector"><transform name="to_world"><lookat origin="-0.5, 0, 0.25" target="0.5, 0.25, 0" up="0, 1, 0"/></transform></emitter>)";
-        std::string sensor = R"(<sensor type="nlos_capture_meter"><point name="sensor_origin" x="-0.5" y="0" z="0.25"/>)";
-        std::string film = R"(<film type="transient_hdr_film"><integer name="width" value="16"/><integer name="height" value="8"/>)";
+        std::string emitter =
+            R"(<emitter type="projector"><transform name="to_world"><lookat origin="-0.5, 0, 0.25" target="0.5, 0.25, 0" up="0, 1, 0"/></transform></emitter>)";
+        std::string sensor =
+            R"(<sensor type="nlos_capture_meter"><point name="sensor_origin" x="-0.5" y="0" z="0.25"/>)";
+        std::string film =
+            R"(<film type="transient_hdr_film"><integer name="width" value="16"/><integer name="height" value="8"/>)";
         std::string wall = R"(<shape type="rectangle">)";
         std::string more;
     };
     std::unique_ptr<Scene> load(const Parts& p) {
-        return load_scene(write("scene.xml", "<scene version=\"3.0.0\">\n" + p.integrator + "\n" + p.emitter + "\n" + p.wall + p.sensor + p.film +
-                                                 "</film></sensor></shape>\n" + p.more + "</scene>\n"));
+        return load_scene(write("scene.xml", "<scene version=\"3.0.0\">\n" + p.integrator + "\n" + p.emitter + "\n" +
+                                                 p.wall + p.sensor + p.film + "</film></sensor></shape>\n" + p.more +
+                                                 "</scene>\n"));
     }
     std::string message(const Parts& p) {
         return error_of([&] { load(p); });
     }
-    static std::string with(const std::string& parameters) { return R"(<integrator type="transient_nlos_path">)" + parameters + "</integrator>"; }
+    static std::string with(const std::string& parameters) {
+        return R"(<integrator type="transient_nlos_path">)" + parameters + "</integrator>";
+    }
 };
 
 // Many of these lie on the very edge of the wall's two triangles, where the ray engine may let a ray through.
@@ -56,11 +62,13 @@ TEST_F(NlosScene, SensorSeesAllPointsOfTheGrid) {
 
 TEST_F(NlosScene, WallIsSeenByItsOwnCoordinatesAndBehindWhatHidesIt) {
     Parts p;
-    p.wall = R"(<shape type="rectangle"><transform name="to_world"><scale x="2"/><rotate z="1" angle="90"/></transform>)";
-    p.more = R"(<shape type="rectangle" id="screen"><transform name="to_world"><scale value="0.03"/><translate x="-0.46875" y="0" z="0.2"/></transform></shape>)";
+    p.wall =
+        R"(<shape type="rectangle"><transform name="to_world"><scale x="2"/><rotate z="1" angle="90"/></transform>)";
+    p.more =
+        R"(<shape type="rectangle" id="screen"><transform name="to_world"><scale value="0.03"/><translate x="-0.46875" y="0" z="0.2"/></transform></shape>)";
     const auto scene = load(p);
     const auto& points = scene->nlos->sensor_points;
-    EXPECT_NEAR(points[0].p.x, 0.875, 1e-6);   // u along y, v along -x
+    EXPECT_NEAR(points[0].p.x, 0.875, 1e-6);  // u along y, v along -x
     EXPECT_NEAR(points[0].p.y, -1.875, 1e-6);
     std::size_t screened = 0;
     for (const auto& at : points) screened += at.hit.shape == 1;
@@ -76,9 +84,11 @@ TEST_F(NlosScene, ConfocalAndExhaustiveLaserPoints) {
         EXPECT_EQ(scene->nlos->laser_points[k].p, scene->nlos->sensor_points[k].p);
         EXPECT_TRUE(scene->nlos->laser_points[k].lit);
     }
-    p.integrator = with(R"(<string name="capture_type" value="exhaustive"/><boolean name="force_equal_illumination_scanning" value="false"/>
+    p.integrator = with(
+        R"(<string name="capture_type" value="exhaustive"/><boolean name="force_equal_illumination_scanning" value="false"/>
         <float name="illumination_scan_fov" value="10"/>)");
-    p.film += R"(<boolean name="exhaustive_scan" value="true"/><integer name="laser_scan_width" value="3"/><integer name="laser_scan_height" value="2"/>)";
+    p.film +=
+        R"(<boolean name="exhaustive_scan" value="true"/><integer name="laser_scan_width" value="3"/><integer name="laser_scan_height" value="2"/>)";
     scene = load(p);
     ASSERT_EQ(scene->nlos->laser_points.size(), 6u);
     EXPECT_EQ(scene->sensor.width, 6u);
@@ -90,7 +100,8 @@ TEST_F(NlosScene, ConfocalAndExhaustiveLaserPoints) {
 // E = pi irradiance r / z^3: by the plane at distance 1 that the scene's number is of.
 TEST_F(NlosScene, ProjectorLightsItsBeam) {
     Parts p;
-    p.emitter = R"(<emitter type="projector"><rgb name="irradiance" value="2, 3, 4"/><float name="fov" value="90"/></emitter>)";
+    p.emitter =
+        R"(<emitter type="projector"><rgb name="irradiance" value="2, 3, 4"/><float name="fov" value="90"/></emitter>)";
     const auto scene = load(p);
     const Emitter& e = scene->emitters[0];
     EXPECT_NEAR(projected(*scene, e, e.frame, {0, 0, 2}).r, pi_double * 2 / 4, 1e-5);
@@ -108,16 +119,18 @@ constexpr const char* camera_scene = R"(<scene version="3.0.0">
 <shape type="rectangle"><transform name="to_world"><scale value="0.005"/><rotate x="1" angle="180"/><translate z="1"/></transform><bsdf type="diffuse"/></shape>
 </scene>)";
 
-// A camera looks at the wall in (0, 0, 0), the laser lights (0.5, 0, 0), a patch of 1 cm^2 hangs at (0, 0, 1). Breaks seen to
-// fail: the lit wall among the hidden shapes, the laser at the camera, twice the density of hidden geometry.
+// A camera looks at the wall in (0, 0, 0), the laser lights (0.5, 0, 0), a patch of 1 cm^2 hangs at (0, 0, 1). Breaks
+// seen to fail: the lit wall among the hidden shapes, the laser at the camera, twice the density of hidden geometry.
 TEST_F(NlosScene, CameraLooksAtTheWall) {
-    const auto scene = load_scene(write("scene.xml", fmt::format(fmt::runtime(camera_scene), R"(<integer name="max_depth" value="4"/>)")));
+    const auto scene = load_scene(
+        write("scene.xml", fmt::format(fmt::runtime(camera_scene), R"(<integer name="max_depth" value="4"/>)")));
     const NlosCapture& c = *scene->nlos;
     EXPECT_EQ(c.relay_wall, NlosCapture::no_wall);
     EXPECT_EQ(scene->sensor.kind, SensorKind::perspective);
     ASSERT_EQ(c.laser_points.size(), 1u);
     EXPECT_NEAR(c.laser_points[0].p.x, 0.5, 1e-5);
-    const double E = projected(*scene, scene->emitters[0], c.laser_points[0].beam, c.laser_points[0].p).r, cos_laser = 2 / std::sqrt(2.5 * 2.5 + 4);
+    const double E = projected(*scene, scene->emitters[0], c.laser_points[0].beam, c.laser_points[0].p).r,
+                 cos_laser = 2 / std::sqrt(2.5 * 2.5 + 4);
     const double albedo = 0.5 / pi_double, area = 1e-4, spot_r2 = 1.25;
     // Both ends of the edge to the spot are parallel: cosine 1 / sqrt(1.25) twice.
     const double expected = albedo * area * albedo * (1 / spot_r2) * albedo * E * cos_laser / spot_r2;
@@ -136,10 +149,16 @@ TEST_F(NlosScene, CameraLooksAtTheWall) {
     EXPECT_LT(std::sqrt(sum2) / n, 0.02 * expected);  // it can tell
 }
 
-// Breaks seen to fail: any capture_type (crash), the note although lengths count from the first hit, START on the wrong side.
+// Breaks seen to fail: any capture_type (crash), the note although lengths count from the first hit, START on the wrong
+// side.
 TEST_F(NlosScene, CameraTakesSingleCapturesAndItsNearPlaneIsSaid) {
-    const auto text = [&](const char* parameters) { return write("scene.xml", fmt::format(fmt::runtime(camera_scene), parameters)); };
-    EXPECT_NE(error_of([&] { load_scene(text(R"(<integer name="capture_type" value="2"/>)")); }).find("scene.xml:2:76: a sensor 'perspective' takes single captures only"), std::string::npos);
+    const auto text = [&](const char* parameters) {
+        return write("scene.xml", fmt::format(fmt::runtime(camera_scene), parameters));
+    };
+    EXPECT_NE(error_of([&] {
+                  load_scene(text(R"(<integer name="capture_type" value="2"/>)"));
+              }).find("scene.xml:2:76: a sensor 'perspective' takes single captures only"),
+              std::string::npos);
     const auto near_note = [&](const char* parameters) -> std::string {
         const auto scene = load_scene(text(parameters));
         for (const std::string& note : scene->notes)
@@ -148,7 +167,8 @@ TEST_F(NlosScene, CameraTakesSingleCapturesAndItsNearPlaneIsSaid) {
     };
     EXPECT_EQ(near_note(""), "none");  // lengths count from the first hit
     EXPECT_EQ(near_note(R"(<boolean name="account_first_and_last_bounces" value="true"/>)"),
-              "near_clip 0.5: mitransient counts optical lengths from the near plane, Pathloom from the camera, so that light arrives 0.5 to 0.5 later here (167 bins); "
+              "near_clip 0.5: mitransient counts optical lengths from the near plane, Pathloom from the camera, so "
+              "that light arrives 0.5 to 0.5 later here (167 bins); "
               "START=0.5 makes the cubes agree");
 }
 
@@ -158,21 +178,34 @@ TEST_F(NlosScene, WhatDoesNotFitIsSaid) {
         std::string_view says;
     };
     const Case cases[] = {
-        {[](Parts& p) { p.integrator = R"(<integrator type="path"/>)"; }, "scene.xml:4:25: sensor 'nlos_capture_meter' needs the integrator 'transient_nlos_path'"},
+        {[](Parts& p) { p.integrator = R"(<integrator type="path"/>)"; },
+         "scene.xml:4:25: sensor 'nlos_capture_meter' needs the integrator 'transient_nlos_path'"},
         {[](Parts& p) { p.emitter = ""; }, "needs one emitter, a projector, and no other"},
         {[](Parts& p) { p.emitter += p.emitter; }, "needs one emitter, a projector, and no other"},
-        {[](Parts& p) { p.wall = R"(<shape type="sphere">)"; }, "the relay wall must be a rectangle, or a mesh with texture coordinates"},
+        {[](Parts& p) { p.wall = R"(<shape type="sphere">)"; },
+         "the relay wall must be a rectangle, or a mesh with texture coordinates"},
         {[](Parts& p) { p.film = R"(<film type="hdrfilm">)"; }, "needs a film 'transient_hdr_film'"},
-        {[](Parts& p) { p.sensor = R"(<sensor type="perspective">)"; }, "sensor 'perspective' does not belong inside a shape"},
-        {[](Parts& p) { p.sensor += R"(<integer name="original_film_width" value="4"/>)"; }, "'original_film_width' is not supported yet"},
-        {[](Parts& p) { p.integrator = with(R"(<boolean name="camera_unwarp" value="true"/>)"); }, "account_first_and_last_bounces"},
+        {[](Parts& p) { p.sensor = R"(<sensor type="perspective">)"; },
+         "sensor 'perspective' does not belong inside a shape"},
+        {[](Parts& p) { p.sensor += R"(<integer name="original_film_width" value="4"/>)"; },
+         "'original_film_width' is not supported yet"},
+        {[](Parts& p) { p.integrator = with(R"(<boolean name="camera_unwarp" value="true"/>)"); },
+         "account_first_and_last_bounces"},
         {[](Parts& p) { p.integrator = with(R"(<string name="capture_type" value="double"/>)"); }, "single"},
-        {[](Parts& p) { p.integrator = with(R"(<string name="capture_type" value="exhaustive"/>)"); }, "needs a film with exhaustive_scan"},
-        {[](Parts& p) { p.integrator = with(R"(<integer name="filter_depth" value="4"/><integer name="filter_bounces" value="3"/>)"); }, "not both"},
-        {[](Parts& p) { p.integrator = with(R"(<integer name="filter_depth" value="7"/>)"); }, "longer than max_depth 6"},
-        {[](Parts& p) { p.integrator = with(R"(<boolean name="nlos_hidden_geometry_sampling" value="true"/>)"); }, "no geometry but the relay wall"},
+        {[](Parts& p) { p.integrator = with(R"(<string name="capture_type" value="exhaustive"/>)"); },
+         "needs a film with exhaustive_scan"},
+        {[](Parts& p) {
+             p.integrator =
+                 with(R"(<integer name="filter_depth" value="4"/><integer name="filter_bounces" value="3"/>)");
+         },
+         "not both"},
+        {[](Parts& p) { p.integrator = with(R"(<integer name="filter_depth" value="7"/>)"); },
+         "longer than max_depth 6"},
+        {[](Parts& p) { p.integrator = with(R"(<boolean name="nlos_hidden_geometry_sampling" value="true"/>)"); },
+         "no geometry but the relay wall"},
         {[](Parts& p) { p.more = R"(<sensor type="nlos_capture_meter"/>)"; }, "needs a film 'transient_hdr_film'"},
-        {[](Parts& p) { p.integrator = with(R"(<boolean name="nlos_sampling" value="true"/>)"); }, "nlos_laser_sampling"},
+        {[](Parts& p) { p.integrator = with(R"(<boolean name="nlos_sampling" value="true"/>)"); },
+         "nlos_laser_sampling"},
     };
     for (const Case& c : cases) {
         Parts p;

@@ -1,29 +1,29 @@
-// The correlated difference of the paths of a graph against that of paths traced afresh: to the last bit, for edits of every
-// kind; what is refused; and what the sum with a picture of the same samples is.
+// The correlated difference of the paths of a graph against that of paths traced afresh: to the last bit, for edits of
+// every kind; what is refused; and what the sum with a picture of the same samples is.
 //
-// Breaks seen to fail, each in the edits in brackets: failed light samples not drawn again (20 edits), nor directions of rays
-// that found nothing (11), nor camera rays (ball_moved, lamps); shapes that differ in the last digits taken for the same
-// (moved_by_less_than_counts); ends on the back of a light forgotten (back_of_a_light_no_longer_black), and on its front
-// (light_no_longer_black); segments to vertices (16) or to lights (15) not asked; the sky, a changed light, a failed sample of
-// it forgotten (2, 10, 6); segments that end a thousandth short (glossy_moved). Of what paths had
+// Breaks seen to fail, each in the edits in brackets: failed light samples not drawn again (20 edits), nor directions
+// of rays that found nothing (11), nor camera rays (ball_moved, lamps); shapes that differ in the last digits taken for
+// the same (moved_by_less_than_counts); ends on the back of a light forgotten (back_of_a_light_no_longer_black), and on
+// its front (light_no_longer_black); segments to vertices (16) or to lights (15) not asked; the sky, a changed light, a
+// failed sample of it forgotten (2, 10, 6); segments that end a thousandth short (glossy_moved). Of what paths had
 // brought: survival left out (28), densities of the heuristic swapped (37). The probe left out.
-// Of the scan of a graph with misses: segments to vertices (14), to lights (13), camera segments from the path before (14), blocked
-// rays (12) or BSDF samples without light (9) not asked for, directions that end (15), failed samples of a changed light (6), the sky,
-// ends on a light, escaped camera rays (1, 1, 3) forgotten.
+// Of the scan of a graph with misses: segments to vertices (14), to lights (13), camera segments from the path before
+// (14), blocked rays (12) or BSDF samples without light (9) not asked for, directions that end (15), failed samples of
+// a changed light (6), the sky, ends on a light, escaped camera rays (1, 1, 3) forgotten.
 // Frames that turn with the first surface that has a grain (made_anisotropic).
-// Of paths that are taken up where they change: rays cut one vertex late (19), hits of changed lights one late (7) or not at all
-// (7), the ray that ended in the sky (3), light samples taken for seen (26), drawn without survival (16) or added before what they
-// wait behind (17); density (33), lobe (light_colour_behind_glass), vertex (14) or squared index (other_metal) of the ray that is
-// taken up left out, light seen directly forgotten (10), all behind the last change (40).
-// Of repainted surfaces: direction (rougher) or lobe not compared (repainted, other_metal: roulette had ended them), light that the
-// old surface could not reflect taken for blocked (mirror_made_matte), blocked light asked again (PathsAreTracedFromWhereTheyChange),
-// roulette by the old throughput (5), the material behind not looked at (painted_on_both_sides), the last vertex of all sampled
-// (mirror_made_matte, repainted), hits weighted by the old density (5), the old albedo (7), textured and bumpy ones taken for plain
-// (papered, bumps_made_flat).
-// Of lights that are only relit: the old radiance kept of samples (7), hits (6) or what is seen directly (5), none of these looked
-// for (7, 7, 5), a black light (sky_lit), one that moves (2) or whose surface changes (light_colour_and_surface) taken for relit.
-// Of plain matte vertices: the back (moved_beside_the_back_of_a_disk), texture (over_textures), mask (behind_a_mask) or bumps (2)
-// not looked at.
+// Of paths that are taken up where they change: rays cut one vertex late (19), hits of changed lights one late (7) or
+// not at all (7), the ray that ended in the sky (3), light samples taken for seen (26), drawn without survival (16) or
+// added before what they wait behind (17); density (33), lobe (light_colour_behind_glass), vertex (14) or squared index
+// (other_metal) of the ray that is taken up left out, light seen directly forgotten (10), all behind the last change
+// (40). Of repainted surfaces: direction (rougher) or lobe not compared (repainted, other_metal: roulette had ended
+// them), light that the old surface could not reflect taken for blocked (mirror_made_matte), blocked light asked again
+// (PathsAreTracedFromWhereTheyChange), roulette by the old throughput (5), the material behind not looked at
+// (painted_on_both_sides), the last vertex of all sampled (mirror_made_matte, repainted), hits weighted by the old
+// density (5), the old albedo (7), textured and bumpy ones taken for plain (papered, bumps_made_flat).
+// Of lights that are only relit: the old radiance kept of samples (7), hits (6) or what is seen directly (5), none of
+// these looked for (7, 7, 5), a black light (sky_lit), one that moves (2) or whose surface changes
+// (light_colour_and_surface) taken for relit. Of plain matte vertices: the back (moved_beside_the_back_of_a_disk),
+// texture (over_textures), mask (behind_a_mask) or bumps (2) not looked at.
 
 #include "stages/residual/old_graph.h"
 
@@ -45,7 +45,8 @@ namespace {
 constexpr std::uint64_t spp = 8, seed = 11;
 const char* const rgb[] = {"R", "G", "B"};
 
-using Changes = std::vector<std::pair<std::string, std::string>>;  // of the text of a scene, at the last place where it stands
+using Changes =
+    std::vector<std::pair<std::string, std::string>>;  // of the text of a scene, at the last place where it stands
 
 struct EditCase {
     std::string name, scene;
@@ -55,20 +56,35 @@ struct EditCase {
 
 const std::string lamp = "<emitter type=\"area\">", end = "</scene>";
 Changes with_sky(const std::string& value) {
-    return {{end, "<emitter type=\"constant\" id=\"sky\"><rgb name=\"radiance\" value=\"" + value + "\"/></emitter></scene>"}};
+    return {{end, "<emitter type=\"constant\" id=\"sky\"><rgb name=\"radiance\" value=\"" + value +
+                      "\"/></emitter></scene>"}};
 }
 
 const std::vector<EditCase>& edits() {
-    static const std::string short_place = "<translate x=\"0.36\" y=\"-0.72\" z=\"0.3\"/>", tall_end = "<translate x=\"-0.33\" y=\"-0.42\" z=\"-0.35\"/>\n        </transform>\n        <ref id=\"white\"/>";
-    static const auto tall_of = [](const std::string& bsdf) { return "<translate x=\"-0.33\" y=\"-0.42\" z=\"-0.35\"/></transform>" + bsdf; };
-    static const auto disk_of = [](const std::string& bsdf) {
-        return "<shape type=\"disk\" id=\"new\"><transform name=\"to_world\"><scale value=\"0.4\"/><rotate x=\"1\" angle=\"-60\"/></transform>" + bsdf + "</shape></scene>";
+    static const std::string
+        short_place = "<translate x=\"0.36\" y=\"-0.72\" z=\"0.3\"/>",
+        tall_end =
+            "<translate x=\"-0.33\" y=\"-0.42\" z=\"-0.35\"/>\n        </transform>\n        <ref id=\"white\"/>";
+    static const auto tall_of = [](const std::string& bsdf) {
+        return "<translate x=\"-0.33\" y=\"-0.42\" z=\"-0.35\"/></transform>" + bsdf;
     };
-    static const std::string patches = "<texture type=\"bitmap\" name=\"reflectance\"><string name=\"filename\" value=\"textures/patches.png\"/></texture>";
-    static const std::string white = "<bsdf type=\"diffuse\" id=\"white\">\n        <rgb name=\"reflectance\" value=\"0.72, 0.70, 0.66\"/>\n    </bsdf>",
-                             bumps = "<bsdf type=\"bumpmap\" id=\"white\"><float name=\"scale\" value=\"0.1\"/>" + patches + "<bsdf type=\"diffuse\">" + patches + "</bsdf></bsdf>";
+    static const auto disk_of = [](const std::string& bsdf) {
+        return "<shape type=\"disk\" id=\"new\"><transform name=\"to_world\"><scale value=\"0.4\"/><rotate x=\"1\" "
+               "angle=\"-60\"/></transform>" +
+               bsdf + "</shape></scene>";
+    };
+    static const std::string patches =
+        "<texture type=\"bitmap\" name=\"reflectance\"><string name=\"filename\" "
+        "value=\"textures/patches.png\"/></texture>";
+    static const std::string white =
+                                 "<bsdf type=\"diffuse\" id=\"white\">\n        <rgb name=\"reflectance\" "
+                                 "value=\"0.72, 0.70, 0.66\"/>\n    </bsdf>",
+                             bumps = "<bsdf type=\"bumpmap\" id=\"white\"><float name=\"scale\" value=\"0.1\"/>" +
+                                     patches + "<bsdf type=\"diffuse\">" + patches + "</bsdf></bsdf>";
     static const std::string box = "cornell-box.xml", gloss = "glossy-box.xml", lights = "all-emitters.xml";
-    static const std::string ball = "<shape type=\"sphere\" id=\"new\"><point name=\"center\" x=\"0.3\" y=\"-0.1\" z=\"0.3\"/><float name=\"radius\" value=\"0.25\"/>";
+    static const std::string ball =
+        "<shape type=\"sphere\" id=\"new\"><point name=\"center\" x=\"0.3\" y=\"-0.1\" z=\"0.3\"/><float "
+        "name=\"radius\" value=\"0.25\"/>";
     static const Changes sky = with_sky("0.2");
     static const std::vector<EditCase> all = {
         {"moved", box, {}, {{short_place, "<translate x=\"-0.1\" y=\"-0.72\" z=\"0.4\"/>"}}},
@@ -79,63 +95,150 @@ const std::vector<EditCase>& edits() {
         {"added_disk", box, {}, {{end, disk_of("<ref id=\"red\"/>")}}},
         {"removed", box, {}, {{"<shape type=\"cube\" id=\"short\">", "<!--"}, {end, "--></scene>"}}},
         {"repainted", box, {}, {{"0.12, 0.42, 0.14", "0.2, 0.3, 0.7"}}},
-        {"made_rough", box, {}, {{tall_end, tall_of("<bsdf type=\"roughplastic\"><float name=\"alpha\" value=\"0.2\"/></bsdf>")}}},
-        {"made_of_metal", box, {}, {{tall_end, tall_of("<bsdf type=\"conductor\"><string name=\"material\" value=\"Au\"/></bsdf>")}}},
+        {"made_rough",
+         box,
+         {},
+         {{tall_end, tall_of("<bsdf type=\"roughplastic\"><float name=\"alpha\" value=\"0.2\"/></bsdf>")}}},
+        {"made_of_metal",
+         box,
+         {},
+         {{tall_end, tall_of("<bsdf type=\"conductor\"><string name=\"material\" value=\"Au\"/></bsdf>")}}},
         {"light_colour", box, {}, {{"14, 11.5, 8", "7, 11, 16"}}},
         {"light_moved", box, {}, {{"<translate y=\"0.99\"/>", "<translate x=\"-0.5\" y=\"0.99\" z=\"0.3\"/>"}}},
         {"light_no_longer_black", box, {}, {{"<ref id=\"black\"/>", "<ref id=\"red\"/>"}}},
-        {"back_of_a_light_no_longer_black", box, {{"<translate y=\"0.99\"/>", "<translate y=\"0.3\"/>"}},
+        {"back_of_a_light_no_longer_black",
+         box,
+         {{"<translate y=\"0.99\"/>", "<translate y=\"0.3\"/>"}},
          {{"<ref id=\"black\"/>", "<bsdf type=\"twosided\"><bsdf type=\"diffuse\"/></bsdf>"}}},
         {"sky", box, sky, {{"value=\"0.2\"", "value=\"0.5, 0.7, 0.9\""}}},
         {"sky_lit", box, with_sky("0"), {{"radiance\" value=\"0\"", "radiance\" value=\"0.5\""}}},
-        {"several", box, {}, {{short_place, "<translate x=\"0.1\" y=\"-0.72\" z=\"0.4\"/>"}, {"angle=\"18\"", "angle=\"50\""}, {"0.60, 0.08, 0.06", "0.1, 0.1, 0.6"}}},
-        {"unseen_shadow", box, {}, {{end, "<shape type=\"rectangle\" id=\"new\"><transform name=\"to_world\"><scale value=\"0.15\"/><rotate x=\"1\" angle=\"90\"/>"
-                                         "<translate x=\"0.2\" y=\"0.95\" z=\"1.5\"/></transform><ref id=\"white\"/></shape></scene>"}}},
-        {"unseen_out_of_the_box", box, {}, {{end, "<shape type=\"sphere\" id=\"new\"><point name=\"center\" x=\"0.3\" y=\"2\" z=\"4\"/><float name=\"radius\" value=\"1\"/>"
-                                                  "<emitter type=\"area\"><rgb name=\"radiance\" value=\"3\"/></emitter></shape></scene>"}}, true},
-        {"reflector_out_of_the_box", box, {}, {{end, "<shape type=\"sphere\" id=\"new\"><point name=\"center\" x=\"0.3\" y=\"2\" z=\"4\"/><float name=\"radius\" value=\"1\"/></shape></scene>"}}},
-        {"light_for_another", box, {}, {{"<emitter type=\"area\">", "<!-- <emitter type=\"area\">"}, {"\"$light\"/>\n        </emitter>", "\"$light\"/>\n        </emitter> -->"},
-                                        {end, ball + "<emitter type=\"area\"><rgb name=\"radiance\" value=\"3\"/></emitter></shape></scene>"}}},
-        {"light_added", box, {}, {{end, "<emitter type=\"point\"><point name=\"position\" x=\"0.5\" y=\"0.5\" z=\"0.5\"/><rgb name=\"intensity\" value=\"0.4\"/></emitter></scene>"}}, true},
+        {"several",
+         box,
+         {},
+         {{short_place, "<translate x=\"0.1\" y=\"-0.72\" z=\"0.4\"/>"},
+          {"angle=\"18\"", "angle=\"50\""},
+          {"0.60, 0.08, 0.06", "0.1, 0.1, 0.6"}}},
+        {"unseen_shadow",
+         box,
+         {},
+         {{end,
+           "<shape type=\"rectangle\" id=\"new\"><transform name=\"to_world\"><scale value=\"0.15\"/><rotate x=\"1\" "
+           "angle=\"90\"/>"
+           "<translate x=\"0.2\" y=\"0.95\" z=\"1.5\"/></transform><ref id=\"white\"/></shape></scene>"}}},
+        {"unseen_out_of_the_box",
+         box,
+         {},
+         {{end,
+           "<shape type=\"sphere\" id=\"new\"><point name=\"center\" x=\"0.3\" y=\"2\" z=\"4\"/><float name=\"radius\" "
+           "value=\"1\"/>"
+           "<emitter type=\"area\"><rgb name=\"radiance\" value=\"3\"/></emitter></shape></scene>"}},
+         true},
+        {"reflector_out_of_the_box",
+         box,
+         {},
+         {{end,
+           "<shape type=\"sphere\" id=\"new\"><point name=\"center\" x=\"0.3\" y=\"2\" z=\"4\"/><float name=\"radius\" "
+           "value=\"1\"/></shape></scene>"}}},
+        {"light_for_another",
+         box,
+         {},
+         {{"<emitter type=\"area\">", "<!-- <emitter type=\"area\">"},
+          {"\"$light\"/>\n        </emitter>", "\"$light\"/>\n        </emitter> -->"},
+          {end, ball + "<emitter type=\"area\"><rgb name=\"radiance\" value=\"3\"/></emitter></shape></scene>"}}},
+        {"light_added",
+         box,
+         {},
+         {{end,
+           "<emitter type=\"point\"><point name=\"position\" x=\"0.5\" y=\"0.5\" z=\"0.5\"/><rgb name=\"intensity\" "
+           "value=\"0.4\"/></emitter></scene>"}},
+         true},
         {"glass_moved", gloss, {}, {{"-0.35, -0.75, 0.5", "-0.2, -0.75, 0.55"}}},
         {"glossy_moved", gloss, {}, {{"x=\"0.42\" y=\"-0.74\"", "x=\"0.3\" y=\"-0.7\""}}},
         {"other_metal", gloss, {}, {{"value=\"Al\"", "value=\"Cu\""}}},
         {"ball_moved", lights, {}, {{"0.9, 0.2, 0.6", "1.1, -0.2, 0.7"}}},
-        {"ball_gone", lights, {}, {{"<shape type=\"sphere\" id=\"ball_matte\">", "<!--"}, {"<shape type=\"sphere\" id=\"ball_metal\">", "--><shape type=\"sphere\" id=\"ball_metal\">"}}},
+        {"ball_gone",
+         lights,
+         {},
+         {{"<shape type=\"sphere\" id=\"ball_matte\">", "<!--"},
+          {"<shape type=\"sphere\" id=\"ball_metal\">", "--><shape type=\"sphere\" id=\"ball_metal\">"}}},
         {"lamp_sphere_moved", lights, {}, {{"-2, -0.5, 1.6", "-2, -0.7, 1.4"}}},
         {"lamp_disk_turned", lights, {}, {{"angle=\"-90\"", "angle=\"-70\""}}},
         {"lamp_point_moved", lights, {}, {{"-0.2, -1.5, 1", "-0.4, -1.5, 1.2"}}},
         {"spot_narrower", lights, {}, {{"value=\"15\"", "value=\"12\""}}},
         {"sun_turned", lights, {}, {{"1, 1, -2", "1, 0.5, -2"}}},
-        {"lights_by_weight", lights, {}, {{"<rgb name=\"irradiance\"", "<float name=\"sampling_weight\" value=\"2\"/><rgb name=\"irradiance\""}}, true},
-        {"under_a_map", "environment-map.xml", {}, {{"<shape type=\"sphere\" id=\"ball_metal\">", "<!--"}, {"<emitter type=\"envmap\"", "--><emitter type=\"envmap\""}}},
-        {"behind_a_mask", "mask.xml", {}, {{end, "<shape type=\"sphere\" id=\"new\"><float name=\"radius\" value=\"0.2\"/></shape></scene>"}}},
-        {"over_textures", "textured.xml", {}, {{end, "<shape type=\"sphere\" id=\"new\"><float name=\"radius\" value=\"0.2\"/></shape></scene>"}}},
-        {"through_an_orthographic_camera", box, {{"<sensor type=\"perspective\">", "<sensor type=\"orthographic\">"}, {"<string name=\"fov_axis\" value=\"x\"/>", ""},
-                                                 {"<float name=\"fov\" value=\"34\"/>", ""}, {"rfilter type=\"box\"", "rfilter type=\"gaussian\""}},
+        {"lights_by_weight",
+         lights,
+         {},
+         {{"<rgb name=\"irradiance\"", "<float name=\"sampling_weight\" value=\"2\"/><rgb name=\"irradiance\""}},
+         true},
+        {"under_a_map",
+         "environment-map.xml",
+         {},
+         {{"<shape type=\"sphere\" id=\"ball_metal\">", "<!--"},
+          {"<emitter type=\"envmap\"", "--><emitter type=\"envmap\""}}},
+        {"behind_a_mask",
+         "mask.xml",
+         {},
+         {{end, "<shape type=\"sphere\" id=\"new\"><float name=\"radius\" value=\"0.2\"/></shape></scene>"}}},
+        {"over_textures",
+         "textured.xml",
+         {},
+         {{end, "<shape type=\"sphere\" id=\"new\"><float name=\"radius\" value=\"0.2\"/></shape></scene>"}}},
+        {"through_an_orthographic_camera",
+         box,
+         {{"<sensor type=\"perspective\">", "<sensor type=\"orthographic\">"},
+          {"<string name=\"fov_axis\" value=\"x\"/>", ""},
+          {"<float name=\"fov\" value=\"34\"/>", ""},
+          {"rfilter type=\"box\"", "rfilter type=\"gaussian\""}},
          {{short_place, "<translate x=\"0.31\" y=\"-0.6\" z=\"0.3\"/>"}}},
-        {"made_anisotropic", box, {}, {{tall_end, tall_of("<bsdf type=\"roughconductor\"><float name=\"alpha_u\" value=\"0.1\"/><float name=\"alpha_v\" value=\"0.3\"/></bsdf>")}}, true},
-        {"mirror_made_matte", box, {{tall_end, tall_of("<bsdf type=\"conductor\" id=\"mirror\"/>")}}, {{"<bsdf type=\"conductor\" id=\"mirror\"/>", "<ref id=\"green\"/>"}}},
-        {"painted_on_both_sides", box, {{end, disk_of("<bsdf type=\"diffuse\" id=\"front\"/>")}},
-         {{"<bsdf type=\"diffuse\" id=\"front\"/>", "<bsdf type=\"twosided\"><bsdf type=\"plastic\"/><ref id=\"red\"/></bsdf>"}}},
+        {"made_anisotropic",
+         box,
+         {},
+         {{tall_end, tall_of("<bsdf type=\"roughconductor\"><float name=\"alpha_u\" value=\"0.1\"/><float "
+                             "name=\"alpha_v\" value=\"0.3\"/></bsdf>")}},
+         true},
+        {"mirror_made_matte",
+         box,
+         {{tall_end, tall_of("<bsdf type=\"conductor\" id=\"mirror\"/>")}},
+         {{"<bsdf type=\"conductor\" id=\"mirror\"/>", "<ref id=\"green\"/>"}}},
+        {"painted_on_both_sides",
+         box,
+         {{end, disk_of("<bsdf type=\"diffuse\" id=\"front\"/>")}},
+         {{"<bsdf type=\"diffuse\" id=\"front\"/>",
+           "<bsdf type=\"twosided\"><bsdf type=\"plastic\"/><ref id=\"red\"/></bsdf>"}}},
         {"moved_over_bumps", box, {{white, bumps}}, {{short_place, "<translate x=\"-0.1\" y=\"-0.72\" z=\"0.4\"/>"}}},
         {"bumps_made_flat", box, {{white, bumps}}, {{bumps, white}}},
         {"white_repainted", box, {}, {{"0.72, 0.70, 0.66", "0.7, 0.5, 0.3"}}},
         {"papered", box, {}, {{"<rgb name=\"reflectance\" value=\"0.12, 0.42, 0.14\"/>", patches}}},
         {"rougher", gloss, {}, {{"<float name=\"alpha\" value=\"0.15\"/>", "<float name=\"alpha\" value=\"0.3\"/>"}}},
-        {"moved_beside_the_back_of_a_disk", box, {{end, disk_of("<bsdf type=\"twosided\"><bsdf type=\"diffuse\"/></bsdf><boolean name=\"flip_normals\" value=\"true\"/>")}},
+        {"moved_beside_the_back_of_a_disk",
+         box,
+         {{end, disk_of("<bsdf type=\"twosided\"><bsdf type=\"diffuse\"/></bsdf><boolean name=\"flip_normals\" "
+                        "value=\"true\"/>")}},
          {{short_place, "<translate x=\"-0.1\" y=\"-0.72\" z=\"0.4\"/>"}}},
         {"light_out", box, {}, {{"14, 11.5, 8", "0, 0, 0"}}},
-        {"light_colour_and_surface", box, {}, {{"14, 11.5, 8", "7, 11, 16"}, {"<ref id=\"black\"/>", "<ref id=\"red\"/>"}}},
-        {"light_colour_and_box_moved", box, {}, {{"14, 11.5, 8", "7, 11, 16"}, {short_place, "<translate x=\"-0.1\" y=\"-0.72\" z=\"0.4\"/>"}}},
-        {"light_colour_and_boxes_repainted", box, sky, {{"14, 11.5, 8", "7, 11, 16"}, {"0.72, 0.70, 0.66", "0.7, 0.5, 0.3"}, {"value=\"0.2\"", "value=\"0.5, 0.7, 0.9\""}}},
+        {"light_colour_and_surface",
+         box,
+         {},
+         {{"14, 11.5, 8", "7, 11, 16"}, {"<ref id=\"black\"/>", "<ref id=\"red\"/>"}}},
+        {"light_colour_and_box_moved",
+         box,
+         {},
+         {{"14, 11.5, 8", "7, 11, 16"}, {short_place, "<translate x=\"-0.1\" y=\"-0.72\" z=\"0.4\"/>"}}},
+        {"light_colour_and_boxes_repainted",
+         box,
+         sky,
+         {{"14, 11.5, 8", "7, 11, 16"},
+          {"0.72, 0.70, 0.66", "0.7, 0.5, 0.3"},
+          {"value=\"0.2\"", "value=\"0.5, 0.7, 0.9\""}}},
         {"light_colour_behind_glass", "caustic.xml", {}, {{"value=\"40\"", "value=\"30\""}}},
         {"nothing", gloss, {}, {}},
     };
     return all;
 }
 
-SceneDescription description(const std::string& scene, const Changes& before, const Changes& after, const std::filesystem::path& file) {
+SceneDescription description(const std::string& scene, const Changes& before, const Changes& after,
+                             const std::filesystem::path& file) {
     std::ifstream in(std::filesystem::path(LOOM_SOURCE_DIR) / "scenes" / scene);
     std::string text{std::istreambuf_iterator<char>(in), {}};
     for (const Changes* changes : {&before, &after})
@@ -157,15 +260,19 @@ struct Edited {
         // Beside the textures.
         const auto folder = loom::testing::scratch_file("");
         std::filesystem::create_directories(folder);
-        std::filesystem::create_directory_symlink(std::filesystem::path(LOOM_SOURCE_DIR) / "scenes/textures", folder / "textures");
-        SceneDescription before = description(c.scene, c.before, {}, folder / "old.xml"), after = description(c.scene, c.before, c.after, folder / "new.xml");
+        std::filesystem::create_directory_symlink(std::filesystem::path(LOOM_SOURCE_DIR) / "scenes/textures",
+                                                  folder / "textures");
+        SceneDescription before = description(c.scene, c.before, {}, folder / "old.xml"),
+                         after = description(c.scene, c.before, c.after, folder / "new.xml");
         edit = find_edit(before, after);
         old_scene = build_scene(std::move(before));
         new_scene = build_scene(std::move(after));
         std::filesystem::remove_all(folder);
     }
     ScenePair pair() const { return {*old_scene, *new_scene}; }
-    PathOptions path(SamplerKind sampler = SamplerKind::sobol) const { return loom::testing::path_options(*old_scene, seed, sampler); }
+    PathOptions path(SamplerKind sampler = SamplerKind::sobol) const {
+        return loom::testing::path_options(*old_scene, seed, sampler);
+    }
 
     PathGraph trace(PathOptions path, std::uint64_t n, std::uint64_t first, bool misses) const {
         return loom::testing::trace_graph(*old_scene, path, n, first, misses);
@@ -210,7 +317,8 @@ TEST_P(OfAnOldGraph, IsTheFullDifferenceBitForBit) {
         for (const char* c : rgb) EXPECT_EQ(n_differing(full, ours.image, std::string(layer) + c), 0u) << layer << c;
     for (const char* c : {"N.X", "N.Y", "N.Z"}) EXPECT_EQ(n_differing(full, ours.image, c), 0u) << c;
     const auto depth = full.find("Depth.Z");
-    for (std::size_t i = 0; i < depth.size(); ++i) EXPECT_NEAR(ours.image.find("Depth.Z")[i], depth[i], 1e-5 * (1 + depth[i]));
+    for (std::size_t i = 0; i < depth.size(); ++i)
+        EXPECT_NEAR(ours.image.find("Depth.Z")[i], depth[i], 1e-5 * (1 + depth[i]));
     EXPECT_EQ(!ours.why_all.empty(), GetParam().everything) << ours.why_all;
     EXPECT_LE(ours.counts.rays, counts.rays);
     if (GetParam().after.empty()) {
@@ -221,16 +329,19 @@ TEST_P(OfAnOldGraph, IsTheFullDifferenceBitForBit) {
     // With the misses few paths are looked at closely, and light samples that asked for no ray are not drawn again.
     const OldGraph graph = edited.graph(path, true);
     const GraphResidual scanned = render_residual(edited.pair(), edited.edit, graph, 2, nullptr, quiet());
-    for (const char* channel : {"R", "G", "B", "VarMean.R", "VarMean.G", "VarMean.B", "Albedo.R", "Albedo.G", "Albedo.B", "N.X", "N.Y", "N.Z"})
+    for (const char* channel : {"R", "G", "B", "VarMean.R", "VarMean.G", "VarMean.B", "Albedo.R", "Albedo.G",
+                                "Albedo.B", "N.X", "N.Y", "N.Z"})
         EXPECT_EQ(n_differing(ours.image, scanned.image, channel), 0u) << channel;
     EXPECT_LE(scanned.touched, ours.touched);
 }
 
 // What the scan lets through is little more than what is touched.
 TEST(OldGraph, ScanOfTheGraphLeavesFewPathsToLookAt) {
-    for (const auto& [name, most] : {std::pair{"moved", 1.6}, {"repainted", 1.0}, {"glossy_moved", 1.5}, {"light_colour", 1.0}, {"sky", 1.02}}) {
+    for (const auto& [name, most] :
+         {std::pair{"moved", 1.6}, {"repainted", 1.0}, {"glossy_moved", 1.5}, {"light_colour", 1.0}, {"sky", 1.02}}) {
         SCOPED_TRACE(name);
-        const auto found = std::find_if(edits().begin(), edits().end(), [&](const EditCase& c) { return c.name == name; });
+        const auto found =
+            std::find_if(edits().begin(), edits().end(), [&](const EditCase& c) { return c.name == name; });
         const Edited edited(*found);
         const PathOptions path = edited.path();
         const PathGraph graph = edited.trace(path, spp, 0, true);
@@ -243,7 +354,8 @@ TEST(OldGraph, ScanOfTheGraphLeavesFewPathsToLookAt) {
         PathChanges changes;
         candidates.find(0, n, may.data());
         TouchedPaths(paths, reach).find(0, n, is.data(), changes);
-        const auto n_may = double(std::count(may.begin(), may.end(), 1)), n_is = double(std::count(is.begin(), is.end(), 1));
+        const auto n_may = double(std::count(may.begin(), may.end(), 1)),
+                   n_is = double(std::count(is.begin(), is.end(), 1));
         EXPECT_GT(n_is, 0);
         EXPECT_LE(n_may, most * n_is) << "of " << n;
     }
@@ -251,7 +363,8 @@ TEST(OldGraph, ScanOfTheGraphLeavesFewPathsToLookAt) {
 
 /// How paths of the new scene were come by.
 struct Ways {
-    std::uint64_t shadow_rays = 0, cut = 0, last_ray = 0, whole = 0, repainted = 0, repainted_without_rays = 0, without_rays = 0;
+    std::uint64_t shadow_rays = 0, cut = 0, last_ray = 0, whole = 0, repainted = 0, repainted_without_rays = 0,
+                  without_rays = 0;
 };
 
 /// Path by path: what it has brought, what it brings, and that it is traced from where it changes only.
@@ -272,7 +385,8 @@ Ways check_paths(const Edited& edited, const PathOptions& options, bool misses =
     std::span<const std::uint32_t> again(changes.again);
     for (const PathChange& change : changes.paths) {
         const std::uint64_t n = graph.paths.first_vertex[change.path + 1] - graph.paths.first_vertex[change.path];
-        SCOPED_TRACE(fmt::format("path {} of {} vertices, cut at {}, {} light samples again{}", change.path, n, int(change.cut), change.n_again, change.repainted ? ", repainted" : ""));
+        SCOPED_TRACE(fmt::format("path {} of {} vertices, cut at {}, {} light samples again{}", change.path, n,
+                                 int(change.cut), change.n_again, change.repainted ? ", repainted" : ""));
         PathPair pair;
         pair.first = first_hits.of(change.path);
         resumed.counts = {};
@@ -318,17 +432,19 @@ TEST_P(OfAnOldGraph, IsOfPathsAsIfTheyWereTracedWhole) {
     check_paths(edited, path, true);
 }
 
-INSTANTIATE_TEST_SUITE_P(Edits, OfAnOldGraph, ::testing::ValuesIn(edits()), [](const auto& info) { return info.param.name; });
-
+INSTANTIATE_TEST_SUITE_P(Edits, OfAnOldGraph, ::testing::ValuesIn(edits()),
+                         [](const auto& info) { return info.param.name; });
 
 // Each way of coming by a path is taken where it should be.
 TEST(OldGraph, PathsAreTracedFromWhereTheyChange) {
     const auto ways = [](const std::string& name) {
-        const auto found = std::find_if(edits().begin(), edits().end(), [&](const EditCase& c) { return c.name == name; });
+        const auto found =
+            std::find_if(edits().begin(), edits().end(), [&](const EditCase& c) { return c.name == name; });
         const Edited edited(*found);
         return check_paths(edited, edited.path());
     };
-    const Ways moved = ways("moved"), sky = ways("sky_lit"), recoloured = ways("light_colour"), repainted = ways("white_repainted"), glass = ways("glass_moved"), bumps = ways("moved_over_bumps");
+    const Ways moved = ways("moved"), sky = ways("sky_lit"), recoloured = ways("light_colour"),
+               repainted = ways("white_repainted"), glass = ways("glass_moved"), bumps = ways("moved_over_bumps");
     for (const Ways& w : {moved, glass, bumps}) {
         EXPECT_GT(w.shadow_rays, 5u);
         EXPECT_GT(w.cut, 20u);
@@ -340,13 +456,15 @@ TEST(OldGraph, PathsAreTracedFromWhereTheyChange) {
     EXPECT_EQ(recoloured.cut + recoloured.last_ray + recoloured.whole, 0u);
     EXPECT_GT(repainted.repainted, 100u);
     EXPECT_EQ(repainted.cut + repainted.last_ray + repainted.whole, 0u);
-    EXPECT_GT(10 * repainted.repainted_without_rays, 8 * repainted.repainted);  // 407 of 479; 347 if what was blocked were asked again
+    EXPECT_GT(10 * repainted.repainted_without_rays,
+              8 * repainted.repainted);  // 407 of 479; 347 if what was blocked were asked again
 }
 
 // Also with other random numbers, other roulette and passes with a gap, on any number of threads.
 TEST(OldGraph, IsOfAllKindsOfPaths) {
     const Edited edited(edits()[0]);
-    for (const auto& [sampler, roulette] : {std::pair{SamplerKind::independent, Roulette::throughput}, {SamplerKind::sobol, Roulette::off}}) {
+    for (const auto& [sampler, roulette] :
+         {std::pair{SamplerKind::independent, Roulette::throughput}, {SamplerKind::sobol, Roulette::off}}) {
         PathOptions path = edited.path(sampler);
         path.roulette = roulette;
         path.rr_depth = 2;
@@ -356,7 +474,9 @@ TEST(OldGraph, IsOfAllKindsOfPaths) {
         const OldGraph graph = edited.graph(path);
         for (const int threads : {1, 2}) {
             const GraphResidual ours = render_residual(edited.pair(), edited.edit, graph, threads, nullptr, quiet());
-            for (const char* c : rgb) EXPECT_EQ(n_differing(full, ours.image, c) + n_differing(full, ours.image, std::string("VarMean.") + c), 0u);
+            for (const char* c : rgb)
+                EXPECT_EQ(n_differing(full, ours.image, c) + n_differing(full, ours.image, std::string("VarMean.") + c),
+                          0u);
         }
     }
 }
@@ -376,7 +496,8 @@ TEST(OldGraph, SumOfTheSameSamplesIsAFreshPicture) {
         EXPECT_EQ(sum.samples, spp);
         for (const char* channel : {"R", "G", "B", "VarMean.R", "VarMean.G", "VarMean.B"}) {
             const auto ours = sum.find(channel), theirs = fresh.find(channel), before = old.find(channel);
-            for (std::size_t i = 0; i < ours.size(); ++i) ASSERT_NEAR(ours[i], theirs[i], 2e-6 * (theirs[i] + before[i]) + 1e-9) << channel << " " << i;
+            for (std::size_t i = 0; i < ours.size(); ++i)
+                ASSERT_NEAR(ours[i], theirs[i], 2e-6 * (theirs[i] + before[i]) + 1e-9) << channel << " " << i;
         }
     }
 }
@@ -388,7 +509,8 @@ TEST(OldGraph, TellsWhetherAPictureIsOfItsSamples) {
         pass.tracing.first_sample = first;
         pass.tracing.samples_per_pixel = 4;
         pass.provenance.seed = 3;
-        pass.provenance.command = fmt::format("loom-trace x.xml --define a=1 --spp 4 --first-sample {} --seed 3 --sampler sobol", first);
+        pass.provenance.command =
+            fmt::format("loom-trace x.xml --define a=1 --spp 4 --first-sample {} --seed 3 --sampler sobol", first);
     }
     graph.files = {"a.h5", "b.h5"};
     graph.spp = 8;
@@ -400,7 +522,8 @@ TEST(OldGraph, TellsWhetherAPictureIsOfItsSamples) {
         image.provenance.command = command;
         return image;
     };
-    const std::string whole = "loom-trace x.xml --define a=1 --spp 8 --first-sample 0 --passes 1 --seed 3 --sampler sobol";
+    const std::string whole =
+        "loom-trace x.xml --define a=1 --spp 8 --first-sample 0 --passes 1 --seed 3 --sampler sobol";
     EXPECT_TRUE(same_samples(picture("loom-trace", 3, whole), "old.exr", graph));
     EXPECT_FALSE(same_samples(picture("loom-trace", 4, whole), "old.exr", graph));
     EXPECT_FALSE(same_samples(picture("loom-merge", 4, "loom-merge a.exr b.exr"), "old.exr", graph));
@@ -409,7 +532,8 @@ TEST(OldGraph, TellsWhetherAPictureIsOfItsSamples) {
              {"loom-trace", "loom-trace x.xml --define a=1 --spp 16 --first-sample 0 --seed 3 --sampler sobol"},
              {"loom-trace", "loom-trace x.xml --define a=1 --spp 8 --first-sample 4 --seed 3 --sampler sobol"},
              {"loom-trace", "loom-trace x.xml --define a=1 --spp 8 --first-sample 0 --seed 3 --sampler independent"},
-             {"loom-trace", "loom-trace x.xml --define a=1 --spp 8 --first-sample 0 --seed 3 --sampler sobol --max-depth 3"},
+             {"loom-trace",
+              "loom-trace x.xml --define a=1 --spp 8 --first-sample 0 --seed 3 --sampler sobol --max-depth 3"},
              {"loom-trace", "loom-trace"},
              {"loom-merge", whole},
              {"loom-residual", whole}}) {
@@ -417,7 +541,8 @@ TEST(OldGraph, TellsWhetherAPictureIsOfItsSamples) {
             same_samples(picture(stage, 3, command), "old.exr", graph);
             ADD_FAILURE() << command;
         } catch (const InputError& error) {
-            EXPECT_NE(std::string(error.what()).find("old.exr: has seed 3 like a.h5"), std::string::npos) << error.what();
+            EXPECT_NE(std::string(error.what()).find("old.exr: has seed 3 like a.h5"), std::string::npos)
+                << error.what();
         }
     }
     graph.passes[1].tracing.first_sample = 5;  // a gap
@@ -450,14 +575,18 @@ class OldGraphFile : public ::testing::Test {
     std::string write(std::uint64_t first, std::uint64_t n) {
         return write(first, n, [](PathGraphInPieces&) {});
     }
-    OldGraph read(const std::vector<std::string>& names, int max_depth = 17) const { return read_old_graph(names, *edited.old_scene, "old.xml", max_depth); }
+    OldGraph read(const std::vector<std::string>& names, int max_depth = 17) const {
+        return read_old_graph(names, *edited.old_scene, "old.xml", max_depth);
+    }
     void expect_refused(const std::vector<std::string>& names, const std::string& reason, int max_depth = 17) const {
         try {
             read(names, max_depth);
             ADD_FAILURE() << "not refused: " << reason;
         } catch (const InputError& error) {
             EXPECT_NE(std::string(error.what()).find(reason), std::string::npos) << error.what();
-            EXPECT_TRUE(std::any_of(names.begin(), names.end(), [&](const std::string& name) { return std::string(error.what()).starts_with(name); })) << error.what();
+            EXPECT_TRUE(std::any_of(names.begin(), names.end(), [&](const std::string& name) {
+                return std::string(error.what()).starts_with(name);
+            })) << error.what();
         }
     }
 };
@@ -474,18 +603,23 @@ TEST_F(OldGraphFile, IsReadInTheOrderOfItsSamples) {
 TEST_F(OldGraphFile, ThatDoesNotFitIsRefused) {
     const std::string good = write(0, 2);
     const auto wrong = [&](auto&& change) { return write(0, 2, change); };
-    expect_refused({wrong([](PathGraphInPieces& g) { g.provenance.stage = "loom-merge"; })}, "was written by loom-merge");
-    expect_refused({wrong([](PathGraphInPieces& g) { g.provenance.inputs[0].hash = "0123456789abcdef"; })}, "is a graph of old.xml with content 0123456789abcdef, not of old.xml");
+    expect_refused({wrong([](PathGraphInPieces& g) { g.provenance.stage = "loom-merge"; })},
+                   "was written by loom-merge");
+    expect_refused({wrong([](PathGraphInPieces& g) { g.provenance.inputs[0].hash = "0123456789abcdef"; })},
+                   "is a graph of old.xml with content 0123456789abcdef, not of old.xml");
     expect_refused({wrong([](PathGraphInPieces& g) { g.provenance.inputs.clear(); })}, "of no known scene");
-    expect_refused({wrong([](PathGraphInPieces& g) { g.sensor.width = 48, g.sensor.height = 12; })}, "is of 48 x 12 pixels, but the film of old.xml has 24 x 24");
+    expect_refused({wrong([](PathGraphInPieces& g) { g.sensor.width = 48, g.sensor.height = 12; })},
+                   "is of 48 x 12 pixels, but the film of old.xml has 24 x 24");
     expect_refused({wrong([](PathGraphInPieces& g) { g.tracing.roulette = "russian"; })}, "roulette russian");
     expect_refused({wrong([](PathGraphInPieces& g) { g.tracing.sampler = "halton"; })}, "sampler halton");
     expect_refused({wrong([](PathGraphInPieces& g) { g.shapes.id.push_back("another"); })}, "has 9 shapes");
     expect_refused({good}, "was traced with max_depth 17, not 5; give --max-depth 17", 5);
     expect_refused({good, good}, "has samples from 0 on");
     expect_refused({good, write(1, 2)}, "has samples from 1 on, which " + good + " has too (to 1)");
-    expect_refused({good, write(2, 2, [](PathGraphInPieces& g) { g.provenance.seed = 4; })}, "was not traced like " + good);
-    expect_refused({good, write(2, 2, [](PathGraphInPieces& g) { g.tracing.roulette_depth = 4; })}, "was not traced like " + good);
+    expect_refused({good, write(2, 2, [](PathGraphInPieces& g) { g.provenance.seed = 4; })},
+                   "was not traced like " + good);
+    expect_refused({good, write(2, 2, [](PathGraphInPieces& g) { g.tracing.roulette_depth = 4; })},
+                   "was not traced like " + good);
 }
 
 // A graph that only says that it is of the scene.
@@ -495,7 +629,8 @@ TEST_F(OldGraphFile, OfOtherPathsIsFoundOut) {
         render_residual(edited.pair(), edited.edit, graph, 0, nullptr, quiet());
         ADD_FAILURE() << "not found out";
     } catch (const InputError& error) {
-        EXPECT_NE(std::string(error.what()).find("graph and scene do not belong together"), std::string::npos) << error.what();
+        EXPECT_NE(std::string(error.what()).find("graph and scene do not belong together"), std::string::npos)
+            << error.what();
     }
 }
 }  // namespace

@@ -55,7 +55,8 @@ class PlainVertex {
         const Vector3d local{along(at_.frame.s), along(at_.frame.t), along(at_.frame.n)};
         const Vector3d wo{at_.wo_local.x, at_.wo_local.y, at_.wo_local.z};
         const BsdfValue<double> v = f_cos_pdf(bsdf_, wo, local);
-        const double shadow = at_.perturbed ? bump_shadowing(at_, Vector3f(float(wi.x), float(wi.y), float(wi.z)), float(local.z)) : 1.0;
+        const double shadow =
+            at_.perturbed ? bump_shadowing(at_, Vector3f(float(wi.x), float(wi.y), float(wi.z)), float(local.z)) : 1.0;
         return {v.f_cos * shadow, v.pdf_w};
     }
 
@@ -89,11 +90,13 @@ Vector3d row(const Column<float>& column, std::size_t i, std::size_t width = 3) 
 
 /// One cluster by the equations at the top of cluster_edges.h, each sum written out: O(K^2) per edge.
 struct PlainCluster {
-    std::map<std::uint32_t, std::vector<Rgbd>> columns;  // by the vertex that light comes from: coefficient of each member
-    std::vector<double> survival;                        // of each member, 0 where it drew no BSDF sample
-    std::vector<Rgbd> direct;                            // of each member
+    // by the vertex that light comes from: coefficient of each member
+    std::map<std::uint32_t, std::vector<Rgbd>> columns;
+    std::vector<double> survival;  // of each member, 0 where it drew no BSDF sample
+    std::vector<Rgbd> direct;      // of each member
 
-    PlainCluster(const GraphReader& reader, std::span<const std::uint32_t> member, Reuse reuse) : direct(member.size()) {
+    PlainCluster(const GraphReader& reader, std::span<const std::uint32_t> member, Reuse reuse)
+        : direct(member.size()) {
         const PathGraph& g = reader.graph();
         std::vector<PlainVertex> v;
         for (const std::uint32_t j : member) survival.push_back(v.emplace_back(reader, j).q);
@@ -105,7 +108,8 @@ struct PlainCluster {
                 PlainLight light{PlainLight::direction, wo_next * -1.0, {}};
                 if (reuse == Reuse::points) {
                     const Vector3d ng = stored_normal(g.vertices.ng.empty() ? g.vertices.ns : g.vertices.ng, j + 1);
-                    light = {PlainLight::surface_point, row(g.vertices.p, j + 1), dot(ng, wo_next) < 0 ? ng * -1.0 : ng};
+                    light = {PlainLight::surface_point, row(g.vertices.p, j + 1),
+                             dot(ng, wo_next) < 0 ? ng * -1.0 : ng};
                 }
                 double rho = 0;
                 for (const PlainVertex& k : v) rho += k.q * light.at(k).pdf_w;
@@ -155,7 +159,9 @@ struct PlainCluster {
     }
 };
 
-double max_channel_of(const Rgbd& c) { return std::max({c.r, c.g, c.b}); }
+double max_channel_of(const Rgbd& c) {
+    return std::max({c.r, c.g, c.b});
+}
 
 struct TwinCase {
     const char* scene;
@@ -163,7 +169,9 @@ struct TwinCase {
     std::uint32_t k = 16;
     std::size_t min_edges = 50;  // shared continuations there must be
 };
-void PrintTo(const TwinCase& c, std::ostream* out) { *out << c.scene; }
+void PrintTo(const TwinCase& c, std::ostream* out) {
+    *out << c.scene;
+}
 
 std::string name_of(std::string text) {
     if (const auto ending = text.find(".xml"); ending != std::string::npos) text.erase(ending);
@@ -201,7 +209,8 @@ TEST_P(SystemTwin, CoefficientsAndDirectLight) {
             std::size_t n_clamped = 0, n_edges = 0, n_flat_edges = 0, n_strays = 0;
             double largest = 0, worst_direct = 0, worst_coefficient = 0, sum = 0, taken = 0;
             for (std::size_t c = 0; c < clusters.n_clusters(); ++c) {
-                const auto member = clusters.member.values().subspan(clusters.first[c], clusters.first[c + 1] - clusters.first[c]);
+                const auto member =
+                    clusters.member.values().subspan(clusters.first[c], clusters.first[c + 1] - clusters.first[c]);
                 const PlainCluster twin(reader, member, reuse);
                 n_edges += s.n_edges[c];
                 std::set<std::uint32_t> seen;
@@ -212,13 +221,18 @@ TEST_P(SystemTwin, CoefficientsAndDirectLight) {
                     if (!twin.columns.contains(end)) continue;
                     auto column = twin.columns.at(end);
                     Rgbd column_sum, most;  // the sum is of basic radiance, L / eta^2, weighted with survival
-                    const auto eta2 = [&](std::uint32_t j) { return graph.vertices.eta.empty() ? 1.0 : sqr(double(graph.vertices.eta[j])); };
+                    const auto eta2 = [&](std::uint32_t j) {
+                        return graph.vertices.eta.empty() ? 1.0 : sqr(double(graph.vertices.eta[j]));
+                    };
                     for (std::size_t k = 0; k < column.size(); ++k) {
                         Rgbd& a = column[k];
-                        // A vertex that drew no BSDF sample reflects at most what comes in; a grey coat loses the rest, else all channels are scaled.
+                        // A vertex that drew no BSDF sample reflects at most what comes in; a grey coat loses the rest,
+                        // else all channels are scaled.
                         const double limit = eta2(member[k]) / eta2(end), largest_of_vertex = max_channel_of(a);
-                        if (clamp == Clamp::column && twin.survival[k] == 0 && largest_of_vertex > limit && !s.shape[c].flat)
-                            a = s.shape[c].channels() ? a * (limit / largest_of_vertex) : a - Rgbd(largest_of_vertex - limit);
+                        if (clamp == Clamp::column && twin.survival[k] == 0 && largest_of_vertex > limit &&
+                            !s.shape[c].flat)
+                            a = s.shape[c].channels() ? a * (limit / largest_of_vertex)
+                                                      : a - Rgbd(largest_of_vertex - limit);
                         column_sum += a * (twin.survival[k] * eta2(end) / eta2(member[k]));
                         most = {std::max(most.r, a.r), std::max(most.g, a.g), std::max(most.b, a.b)};
                     }
@@ -236,10 +250,13 @@ TEST_P(SystemTwin, CoefficientsAndDirectLight) {
                         const Spectrum coefficient = s.coefficient(c, e, int(s.unknown[member[k]] - s.first[c]));
                         for (int channel = 0; channel < 3; ++channel) {
                             const double ours = coefficient[channel];
-                            const double step = s.shape[c].flat ? 0 : most[channel] * factor / 65535, exact = column[k][channel] * factor;
+                            const double step = s.shape[c].flat ? 0 : most[channel] * factor / 65535,
+                                         exact = column[k][channel] * factor;
                             const double error = std::abs(ours - exact);
-                            ASSERT_LE(error, 0.501 * step + param.tolerance * (exact + 0.1 * most[channel] * factor)) << "cluster " << c;
-                            if (exact > 1e-3 * most[channel]) worst_coefficient = std::max(worst_coefficient, (error - 0.5 * step) / exact);
+                            ASSERT_LE(error, 0.501 * step + param.tolerance * (exact + 0.1 * most[channel] * factor))
+                                << "cluster " << c;
+                            if (exact > 1e-3 * most[channel])
+                                worst_coefficient = std::max(worst_coefficient, (error - 0.5 * step) / exact);
                         }
                     }
                 }
@@ -253,10 +270,12 @@ TEST_P(SystemTwin, CoefficientsAndDirectLight) {
                     const Light B = s.at[s.unknown[member[k]]].B;
                     const Rgbd ours(B.r, B.g, B.b);
                     for (int channel = 0; channel < 3; ++channel) {
-                        ASSERT_NEAR(ours[channel], twin.direct[k][channel], param.tolerance * (twin.direct[k][channel] + 0.1 * max_channel_of(brightest)))
+                        ASSERT_NEAR(ours[channel], twin.direct[k][channel],
+                                    param.tolerance * (twin.direct[k][channel] + 0.1 * max_channel_of(brightest)))
                             << "cluster " << c << ", " << graph.materials.id[graph.vertices.material[member[k]]];
                         if (twin.direct[k][channel] > 1e-3 * max_channel_of(brightest))
-                            worst_direct = std::max(worst_direct, std::abs(ours[channel] / twin.direct[k][channel] - 1));
+                            worst_direct =
+                                std::max(worst_direct, std::abs(ours[channel] / twin.direct[k][channel] - 1));
                     }
                 }
             }
@@ -274,8 +293,8 @@ TEST_P(SystemTwin, CoefficientsAndDirectLight) {
                 EXPECT_EQ(s.n_clamped, 0u);
                 EXPECT_EQ(s.clamped_share, 0);
             }
-            std::printf("    %s, %s: relative error of direct light %.1e, of coefficients beyond half a step %.1e\n", param.scene,
-                        reuse == Reuse::points ? "points" : "directions", worst_direct, worst_coefficient);
+            std::printf("    %s, %s: relative error of direct light %.1e, of coefficients beyond half a step %.1e\n",
+                        param.scene, reuse == Reuse::points ? "points" : "directions", worst_direct, worst_coefficient);
         }
 }
 
@@ -301,13 +320,17 @@ TEST_P(SystemTwin, PrivateEdgesAndSolitaryVertices) {
             EXPECT_EQ(vertex[by_vertex[j]->end], j + 1);
             const Vector3f wi = continuation_direction(graph, j);
             const Spectrum f = is_delta(lobe) ? delta_value(at.bsdf, at.wo_local, lobe) : f_cos_pdf(at, wi).f_cos;
-            const float bump = is_delta(lobe) && at.perturbed && lobe != Lobe::null ? bump_shadowing(at, wi, at.frame.to_local(wi).z) : 1.0f;
+            const float bump = is_delta(lobe) && at.perturbed && lobe != Lobe::null
+                                   ? bump_shadowing(at, wi, at.frame.to_local(wi).z)
+                                   : 1.0f;
             for (int c = 0; c < 3; ++c)
-                EXPECT_NEAR(by_vertex[j]->weight[c], f[c] * bump / graph.vertices.pdf_w[j], 1e-6f * f[c] / graph.vertices.pdf_w[j]);
+                EXPECT_NEAR(by_vertex[j]->weight[c], f[c] * bump / graph.vertices.pdf_w[j],
+                            1e-6f * f[c] / graph.vertices.pdf_w[j]);
         }
         if (shares[j]) continue;
         Spectrum own(0);
-        for (std::size_t k = first_light_edge(graph, j); k < graph.n_light_edges() && graph.light_edges.vertex[k] == j; ++k)
+        for (std::size_t k = first_light_edge(graph, j); k < graph.n_light_edges() && graph.light_edges.vertex[k] == j;
+             ++k)
             own += own_light(reader, at, j, k);
         const Light B = s.at[s.unknown[j]].B;
         EXPECT_EQ(Spectrum(B.r, B.g, B.b), own);
@@ -319,8 +342,11 @@ INSTANTIATE_TEST_SUITE_P(Scenes, SystemTwin,
                          ::testing::Values(TwinCase{"cornell-box.xml", 1e-5}, TwinCase{"cornell-box.xml", 1e-5, 61},
                                            TwinCase{"all-emitters.xml", 1e-5, 16, 40}, TwinCase{"glossy-box.xml", 1e-4},
                                            TwinCase{"caustic.xml", 1e-5, 5, 30}, TwinCase{"textured.xml", 1e-5, 3, 0},
-                                           TwinCase{"mask.xml", 1e-5, 16, 0}, TwinCase{"environment-map.xml", 1e-5, 16, 0}),
-                         [](const auto& info) { return name_of(info.param.scene) + "_k" + std::to_string(info.param.k); });
+                                           TwinCase{"mask.xml", 1e-5, 16, 0},
+                                           TwinCase{"environment-map.xml", 1e-5, 16, 0}),
+                         [](const auto& info) {
+                             return name_of(info.param.scene) + "_k" + std::to_string(info.param.k);
+                         });
 
 HugeArray<Light> direct_of(const System& s) {
     HugeArray<Light> out(s.n_unknowns);
@@ -352,7 +378,8 @@ HugeArray<Light> by_unknown(const System& s, const HugeArray<Light>& by_vertex) 
 
 int longest_path(const PathGraph& g) {
     std::uint64_t n = 0;
-    for (std::size_t i = 0; i < g.n_paths(); ++i) n = std::max(n, g.paths.first_vertex[i + 1] - g.paths.first_vertex[i]);
+    for (std::size_t i = 0; i < g.n_paths(); ++i)
+        n = std::max(n, g.paths.first_vertex[i + 1] - g.paths.first_vertex[i]);
     return int(n);
 }
 
@@ -388,7 +415,8 @@ TEST_P(SystemOfOne, IsPathTracing) {
     if (GetParam() == std::string("cornell-box.xml")) {
         EXPECT_GT(difference(by_unknown(s, path_radiance(reader, 0, Heuristic::power)), balance).mean, 1e-3);
     }
-    std::printf("    %s: mean difference %.1e, largest %.1e, after %d steps\n", GetParam(), from_zero.mean, from_zero.largest, steps);
+    std::printf("    %s: mean difference %.1e, largest %.1e, after %d steps\n", GetParam(), from_zero.mean,
+                from_zero.largest, steps);
 }
 
 // D edges of a path are D - 2 steps from darkness: one fewer lacks light, the right number is all there is.
@@ -423,7 +451,8 @@ TEST_P(SystemOfOne, FromDarknessDepthIsCounted) {
 }
 
 INSTANTIATE_TEST_SUITE_P(Scenes, SystemOfOne,
-                         ::testing::Values("cornell-box.xml", "glossy-box.xml", "all-emitters.xml", "caustic.xml", "environment-map.xml"),
+                         ::testing::Values("cornell-box.xml", "glossy-box.xml", "all-emitters.xml", "caustic.xml",
+                                           "environment-map.xml"),
                          [](const auto& info) { return name_of(info.param); });
 
 class SystemSolve : public ::testing::TestWithParam<const char*> {};
@@ -436,7 +465,8 @@ TEST_P(SystemSolve, LastStepIsForFirstHits) {
     const System s = build_system(graph, clusters_of(graph, 16, 1), {});
     std::vector<std::uint32_t> first_hits;
     for (std::size_t i = 0; i < graph.n_paths(); ++i)
-        if (graph.paths.first_vertex[i] < graph.paths.first_vertex[i + 1]) first_hits.push_back(s.unknown[graph.paths.first_vertex[i]]);
+        if (graph.paths.first_vertex[i] < graph.paths.first_vertex[i + 1])
+            first_hits.push_back(s.unknown[graph.paths.first_vertex[i]]);
     std::vector<std::uint8_t> is_first_hit(s.n_unknowns);
     for (const std::uint32_t k : first_hits) is_first_hit[k] = 1;
     for (const int steps : {1, 2, 4}) {
@@ -543,7 +573,9 @@ double radius_of(const Scene& scene, Clamp clamp, std::uint64_t seed, float& lar
 // with column sums below 1 it must (1.06: what a lobe's masking leaves of a weight).
 TEST(SystemSpectrum, IsAContractionWithoutAnyClamp) {
     const std::pair<const char*, std::unique_ptr<Scene>> scenes[]{
-        {"cornell-box", own_scene("cornell-box.xml", 48, 36)}, {"all-emitters", own_scene("all-emitters.xml", 48, 36)}, {"glossy room", glossy_room()}};
+        {"cornell-box", own_scene("cornell-box.xml", 48, 36)},
+        {"all-emitters", own_scene("all-emitters.xml", 48, 36)},
+        {"glossy room", glossy_room()}};
     for (const auto& [name, scene] : scenes) {
         float largest = 0;
         const double radius = radius_of(*scene, Clamp::none, 11, largest);
@@ -617,7 +649,8 @@ TEST(SystemByHand, DivergenceIsDetected) {
     for (std::size_t k = 0; k < 5; ++k) EXPECT_TRUE(std::isfinite(X[k].r));
 }
 
-// What comes in may not grow, whatever the coefficients say: 1 - epsilon of it goes on, and the log says how much did not.
+// What comes in may not grow, whatever the coefficients say: 1 - epsilon of it goes on, and the log says how much did
+// not.
 TEST(SystemByHand, ClusterClampTamesIt) {
     const System s = ring(5, 1.5f);
     HugeArray<Light> X = direct_of(s);

@@ -17,7 +17,9 @@ namespace {
 class Plots : public SceneFolder {
   protected:
     void plot(const std::string& format) const {
-        plot::make_pictures(path(""), {{"a.gp", "set terminal " + format + "; set output 'a." + format + "'; plot x\n"}}, "a.gp", {"a." + format});
+        plot::make_pictures(path(""),
+                            {{"a.gp", "set terminal " + format + "; set output 'a." + format + "'; plot x\n"}}, "a.gp",
+                            {"a." + format});
     }
     void plot_within(std::uintmax_t bytes, const std::string& format) const {
         rlimit before{};

@@ -17,7 +17,8 @@ struct NoisyCube {
     std::vector<float> mean, var_mean;
     double samples;
 
-    NoisyCube(double n, unsigned seed, double bias = 1, int late = 0) : mean(3 * width * height * n_bins), var_mean(mean.size()), samples(n) {
+    NoisyCube(double n, unsigned seed, double bias = 1, int late = 0)
+        : mean(3 * width * height * n_bins), var_mean(mean.size()), samples(n) {
         std::mt19937 random(seed);
         std::exponential_distribution<double> value(1);
         for (std::size_t pixel = 0; pixel < width * height; ++pixel) {
@@ -99,7 +100,8 @@ TEST(Pools, SumsOfPixels) {
     EXPECT_LT(test_pixels(sums, {}, 10, reference, var_reference, 1000), 1e-2);
     // A sample that saw nothing says that it is sure; what samples of the reference vary by says otherwise.
     std::vector<float> dark(n), sure(n);
-    const double p = test_pixels(std::vector<std::vector<float>>{dark}, sure, 1, std::vector<float>(n, 0.5f), std::vector<float>(n, 0.001f), 1000);
+    const double p = test_pixels(std::vector<std::vector<float>>{dark}, sure, 1, std::vector<float>(n, 0.5f),
+                                 std::vector<float>(n, 0.001f), 1000);
     EXPECT_GT(p, 0.5);
 }
 

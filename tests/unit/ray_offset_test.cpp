@@ -22,8 +22,8 @@ class Numbers {
         const Vector3<double> v{normal_(engine_), normal_(engine_), normal_(engine_)};
         return v / length(v);
     }
-    /// Leaves to one side of n or the other, at a sine of 1e-4 or more, three times the rounding of stored normals; at grazing
-    /// angles every second time.
+    /// Leaves to one side of n or the other, at a sine of 1e-4 or more, three times the rounding of stored normals; at
+    /// grazing angles every second time.
     Vector3f leaving(const Normal3f& n) {
         const Vector3<double> m = normalize(Vector3<double>(n)), d = direction(), along = d - m * dot(d, m);
         if (uniform() < 0.5 && std::abs(dot(d, m)) > 1e-4) return Vector3f(d);
@@ -57,10 +57,13 @@ struct Alone {
         const Shape& shape = scene.shapes[0];
         if (shape.kind == ShapeKind::sphere) return Point3<double>(shape.center) + r.direction() * double(shape.radius);
         const double u = r.uniform(), v = r.uniform();
-        if (shape.kind == ShapeKind::disk) return Point3<double>(shape.center) + Vector3<double>(shape.u_axis) * (u - 0.5) + Vector3<double>(shape.v_axis) * (v - 0.5);
+        if (shape.kind == ShapeKind::disk)
+            return Point3<double>(shape.center) + Vector3<double>(shape.u_axis) * (u - 0.5) +
+                   Vector3<double>(shape.v_axis) * (v - 0.5);
         const bool beyond = u + v > 1;
         const TriangleRecord& t = shape.triangles[0];
-        return Point3<double>(t.p0) + Vector3<double>(t.e1) * (beyond ? 1 - u : u) + Vector3<double>(t.e2) * (beyond ? 1 - v : v);
+        return Point3<double>(t.p0) + Vector3<double>(t.e1) * (beyond ? 1 - u : u) +
+               Vector3<double>(t.e2) * (beyond ? 1 - v : v);
     }
 };
 
@@ -73,7 +76,9 @@ std::unique_ptr<Alone> random_shape(Kind kind, Numbers& r) {
     alone->size = r.size(-4, 4);
     Shape& shape = alone->scene.shapes.emplace_back();
     const Vector3<double> a = r.direction() * alone->size, b = r.direction() * (alone->size * r.uniform());
-    const Vector3<double> c = r.direction() * (alone->size * (kind == Kind::far_triangle || r.uniform() < 0.3 ? r.size(0, 4) : 3 * r.uniform()));
+    const Vector3<double> c =
+        r.direction() *
+        (alone->size * (kind == Kind::far_triangle || r.uniform() < 0.3 ? r.size(0, 4) : 3 * r.uniform()));
     if (kind == Kind::sphere) {
         shape.kind = ShapeKind::sphere;
         shape.center = Point3f(c);
@@ -85,7 +90,8 @@ std::unique_ptr<Alone> random_shape(Kind kind, Numbers& r) {
         shape.u_axis = Vector3f(a);
         shape.v_axis = Vector3f(b - a * (0.7 * dot(a, b) / dot(a, a)));
     } else {
-        const Vector3<double> e2 = kind == Kind::sliver ? a * (2 * r.uniform()) + r.direction() * (alone->size * r.size(-3, -1)) : b;
+        const Vector3<double> e2 =
+            kind == Kind::sliver ? a * (2 * r.uniform()) + r.direction() * (alone->size * r.size(-3, -1)) : b;
         for (const Vector3<double>& p : {c, c + a, c + e2}) shape.mesh.positions.push_back(Point3f(p));
         shape.mesh.indices = {0, 1, 2};
     }
@@ -148,8 +154,10 @@ TEST(RayOffset, NoShapeHidesItsOwnPoints) {
 
 /// A square of 20 m at height y.
 std::string square(double y, const char* more = "", double half = 10) {
-    return fmt::format(R"(<shape type="rectangle"><transform name="to_world"><scale value="{}"/><rotate x="1" angle="-90"/><rotate x="1" y="2" z="3" angle="40"/>
-<translate x="3" y="{}" z="5"/></transform>{}</shape>)", half, y, more);
+    return fmt::format(
+        R"(<shape type="rectangle"><transform name="to_world"><scale value="{}"/><rotate x="1" angle="-90"/><rotate x="1" y="2" z="3" angle="40"/>
+<translate x="3" y="{}" z="5"/></transform>{}</shape>)",
+        half, y, more);
 }
 
 TEST(RayOffset, SurfacesAHundredThousandthApartHideEachOther) {
@@ -173,15 +181,20 @@ TEST(RayOffset, SurfacesAHundredThousandthApartHideEachOther) {
 std::unique_ptr<Scene> still_life(double unit, double away = 0) {
     const std::string place = fmt::format(R"(<scale value="{}"/><translate x="{}"/>)", unit, away);
     return testing::load_inline(
-        {.sensor = fmt::format(R"(type="perspective"><float name="fov" value="45"/><float name="near_clip" value="{}"/><float name="far_clip" value="{}"/>
+        {.sensor = fmt::format(
+             R"(type="perspective"><float name="fov" value="45"/><float name="near_clip" value="{}"/><float name="far_clip" value="{}"/>
 <transform name="to_world"><lookat origin="{},{},{}" target="{},{},0" up="0,1,0"/></transform>)",
-                               unit * 0.01, unit * 100, away, 3 * unit, 5 * unit, away, 0.3 * unit),
-         .body = fmt::format(R"(<shape type="rectangle"><transform name="to_world"><scale value="4"/><rotate x="1" angle="-90"/>{0}</transform></shape>
+             unit * 0.01, unit * 100, away, 3 * unit, 5 * unit, away, 0.3 * unit),
+         .body = fmt::format(
+             R"(<shape type="rectangle"><transform name="to_world"><scale value="4"/><rotate x="1" angle="-90"/>{0}</transform></shape>
 <shape type="cube"><transform name="to_world"><scale value="0.5"/><rotate y="1" angle="30"/><translate x="0.7" y="0.5"/>{0}</transform></shape>
 <shape type="sphere"><transform name="to_world"><scale value="0.5"/><translate x="-0.7" y="0.5"/>{0}</transform><bsdf type="dielectric"/></shape>
 <shape type="rectangle"><transform name="to_world"><scale value="0.5"/><rotate x="1" angle="90"/><translate y="2.5"/>{0}</transform>
-<bsdf type="diffuse"><rgb name="reflectance" value="0"/></bsdf><emitter type="area"><rgb name="radiance" value="10"/></emitter></shape>)", place),
-         .width = 16, .height = 16, .max_depth = 6});
+<bsdf type="diffuse"><rgb name="reflectance" value="0"/></bsdf><emitter type="area"><rgb name="radiance" value="10"/></emitter></shape>)",
+             place),
+         .width = 16,
+         .height = 16,
+         .max_depth = 6});
 }
 
 /// Mean radiance of the same paths.

@@ -60,9 +60,8 @@ TEST(Report, ChartsKeepTheirIdsApart) {
     const std::string svg =
         "<?xml version=\"1.0\"?>\n<svg><path id='a'/><g id=\"b\"/><use xlink:href='#a'/><i "
         "fill=\"url(#b)\"/></svg>";
-    EXPECT_EQ(
-        inline_svg(svg, "c1", "x.svg"),
-        "<svg><path id='c1-a'/><g id=\"c1-b\"/><use xlink:href='#c1-a'/><i fill=\"url(#c1-b)\"/></svg>");
+    EXPECT_EQ(inline_svg(svg, "c1", "x.svg"),
+              "<svg><path id='c1-a'/><g id=\"c1-b\"/><use xlink:href='#c1-a'/><i fill=\"url(#c1-b)\"/></svg>");
     EXPECT_EQ(error_of([] { inline_svg("text", "c", "x.svg"); }), "x.svg: is no SVG");
     EXPECT_NE(error_of([] { inline_svg("<svg><script>", "c", "x.svg"); }).find("x.svg: holds a script"),
               std::string::npos);
@@ -87,8 +86,7 @@ TEST(Report, PixelsAreMeansInHalves) {
     EXPECT_EQ(small.width, 2u);
     EXPECT_EQ(small.height, 1u);
     // 6, 7, 8, 10.5, 11.5, 12.5 as halves: 4600 4700 4800 4940 49c0 4a40.
-    const std::vector<std::uint8_t> bytes{0x00, 0x46, 0x00, 0x47, 0x00, 0x48,
-                                          0x40, 0x49, 0xc0, 0x49, 0x40, 0x4a};
+    const std::vector<std::uint8_t> bytes{0x00, 0x46, 0x00, 0x47, 0x00, 0x48, 0x40, 0x49, 0xc0, 0x49, 0x40, 0x4a};
     EXPECT_EQ(small.data, base64(bytes));
     EXPECT_EQ(pixels_of(picture(3, 2, 1), 3).factor, 1u);
 
@@ -124,8 +122,7 @@ class Page : public testing::Test {
                 write_cost(trace, place / "graph" / (stem + ".h5"));
                 write_cost(cost("loom-gather", 0.5, {stem + ".h5"}), place / "graph" / (stem + ".exr"));
             }
-            write_cost(cost("loom-merge", 0.25, {"graph/pass-0.exr", "graph/pass-1.exr"}),
-                       place / "image.exr");
+            write_cost(cost("loom-merge", 0.25, {"graph/pass-0.exr", "graph/pass-1.exr"}), place / "image.exr");
             write_image(picture(4, 3, 0.1f), place / "image.exr");
             write_image(picture(4, 3, 0.11f), place / "reference.exr");
             std::ofstream(place / "errors.tsv")

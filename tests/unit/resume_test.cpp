@@ -1,8 +1,8 @@
-// Paths that are taken up under way against the same paths traced whole: to the last bit, from every depth, whatever lies
-// beside them.
+// Paths that are taken up under way against the same paths traced whole: to the last bit, from every depth, whatever
+// lies beside them.
 //
-// Breaks seen to fail: paths that join out of order (it does not end), with the random numbers of another, or that were to be
-// left alone.
+// Breaks seen to fail: paths that join out of order (it does not end), with the random numbers of another, or that were
+// to be left alone.
 
 #include <fmt/format.h>
 #include <gtest/gtest.h>
@@ -27,12 +27,15 @@ std::vector<PathState> states_of(const Scene& scene, const PathOptions& options,
         scene.rays->intersect(&ray, 1, &hit, depth == 1);
         ++path.result.n_rays;
         LightQuery lights;
-        lights.ask = !hit ? LightQuery::Ask::environment : depth == options.max_depth ? LightQuery::Ask::nothing : LightQuery::Ask::point;
+        lights.ask = !hit                         ? LightQuery::Ask::environment
+                     : depth == options.max_depth ? LightQuery::Ask::nothing
+                                                  : LightQuery::Ask::point;
         lights.u = sampler.pair(dimension(depth, Place::light));
         lights.d = path.ray.d;
         look_up_light(scene, lights);
         ShadowRequest shadow;
-        const Step step = arrive<false>(scene, options, depth, hit, lights, sampler.pair(dimension(depth, Place::direction)), path, shadow, {});
+        const Step step = arrive<false>(scene, options, depth, hit, lights,
+                                        sampler.pair(dimension(depth, Place::direction)), path, shadow, {});
         if (has(step, Step::asks_shadow)) {
             const Ray* segment = &shadow.ray;
             bool blocked = false;
@@ -77,7 +80,8 @@ TEST_P(ResumedPaths, EndAsThoseTracedWhole) {
     std::vector<std::vector<PathState>> states;
     for (const PathId& id : ids) states.push_back(states_of(*scene, options, id));
 
-    // In each round a path starts a depth later than in the one before, its neighbours elsewhere; one in five not at all.
+    // In each round a path starts a depth later than in the one before, its neighbours elsewhere; one in five not at
+    // all.
     std::size_t n_resumed = 0, deepest = 0;
     for (std::size_t round = 0; round < 12; ++round) {
         std::vector<PathState> paths;
@@ -106,12 +110,17 @@ TEST_P(ResumedPaths, EndAsThoseTracedWhole) {
     EXPECT_GT(deepest, 0u);
 }
 
-INSTANTIATE_TEST_SUITE_P(Scenes, ResumedPaths,
-                         ::testing::Values(ResumeCase{"matte", "cornell-box.xml"}, ResumeCase{"glossy", "glossy-box.xml", SamplerKind::independent, Roulette::throughput},
-                                         ResumeCase{"lights", "all-emitters.xml", SamplerKind::sobol, Roulette::off, 6}, ResumeCase{"glass", "caustic.xml", SamplerKind::sobol, Roulette::throughput},
-                                         ResumeCase{"textured", "textured.xml"}, ResumeCase{"mask", "mask.xml", SamplerKind::independent, Roulette::off, 5},
-                                         ResumeCase{"map", "environment-map.xml"}, ResumeCase{"short", "cornell-box.xml", SamplerKind::sobol, Roulette::albedo, 3}),
-                         [](const auto& info) { return info.param.name; });
+INSTANTIATE_TEST_SUITE_P(
+    Scenes, ResumedPaths,
+    ::testing::Values(ResumeCase{"matte", "cornell-box.xml"},
+                      ResumeCase{"glossy", "glossy-box.xml", SamplerKind::independent, Roulette::throughput},
+                      ResumeCase{"lights", "all-emitters.xml", SamplerKind::sobol, Roulette::off, 6},
+                      ResumeCase{"glass", "caustic.xml", SamplerKind::sobol, Roulette::throughput},
+                      ResumeCase{"textured", "textured.xml"},
+                      ResumeCase{"mask", "mask.xml", SamplerKind::independent, Roulette::off, 5},
+                      ResumeCase{"map", "environment-map.xml"},
+                      ResumeCase{"short", "cornell-box.xml", SamplerKind::sobol, Roulette::albedo, 3}),
+    [](const auto& info) { return info.param.name; });
 
 }  // namespace
 }  // namespace loom

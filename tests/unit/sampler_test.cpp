@@ -67,7 +67,8 @@ TEST(Sampler, SobolPairsAreNetsInBaseTwo) {
                 std::vector<Point2f> points;
                 for (std::uint64_t i = 0; i < (1ull << k); ++i)
                     points.push_back(Sampler(SamplerKind::sobol, 4, 123, (start << k) + i).pair(dimension));
-                EXPECT_TRUE(is_net(points, k)) << "2^" << k << " samples from " << (start << k) << ", dimension " << dimension;
+                EXPECT_TRUE(is_net(points, k))
+                    << "2^" << k << " samples from " << (start << k) << ", dimension " << dimension;
             }
 }
 
@@ -94,8 +95,12 @@ TEST(Sampler, DimensionsPixelsAndSeedsAreIndependent) {
     const auto y_x = [](const Sampler& a, const Sampler& b) { return Point2f{a.pair(2).y, b.pair(2).x}; };
     for (const SamplerKind kind : kinds) {
         for (const std::uint32_t other : {0u, 1u, 3u, 4u, 6u, 66u})
-            EXPECT_GE(joint_p_value(kind, [=](const Sampler& a, const Sampler&) { return Point2f{a.pair(2).x, a.pair(other).x}; },
-                                    0, 0, 0),
+            EXPECT_GE(joint_p_value(
+                          kind,
+                          [=](const Sampler& a, const Sampler&) {
+                              return Point2f{a.pair(2).x, a.pair(other).x};
+                          },
+                          0, 0, 0),
                       alpha)
                 << "dimensions 2 and " << other;
         for (const std::uint64_t step : {1ull, 2ull, 256ull, 1280ull}) {

@@ -29,8 +29,8 @@ class SceneFolder : public ::testing::Test {
         return path(name);
     }
     /// A scene with a sensor and `body`, whose first line is line 2 of the file.
-    SceneDescription read(const std::string& body, const Defines& defines = {},
-                          const char* version = "3.0.0", const std::string& sensor = {}) const {
+    SceneDescription read(const std::string& body, const Defines& defines = {}, const char* version = "3.0.0",
+                          const std::string& sensor = {}) const {
         return read_scene(write("scene.xml", text(body, version)), defines, sensor);
     }
     static std::string text(const std::string& body, const char* version = "3.0.0") {

@@ -32,8 +32,8 @@ Sensor sensor_of(SensorKind kind, Filter filter = Filter::box, float radius = 0.
 
 // A camera at (1, 2, 3) that looks to the origin, z up: columns are left, up, forward and origin.
 void place(Sensor& s, double scale_x) {
-    const Vector3<double> forward = normalize(Vector3<double>{-1, -2, -3}), left = normalize(cross(Vector3<double>{0, 0, 1}, forward)),
-                          up = cross(forward, left);
+    const Vector3<double> forward = normalize(Vector3<double>{-1, -2, -3}),
+                          left = normalize(cross(Vector3<double>{0, 0, 1}, forward)), up = cross(forward, left);
     for (int k = 0; k < 3; ++k) {
         s.world_from_camera[4 * k] = left[k] * scale_x;
         s.world_from_camera[4 * k + 1] = up[k] * scale_x;
@@ -80,11 +80,13 @@ TEST(Sensor, OrthographicSpansMinusOneToOneInItsX) {
 }
 
 /// p-value of the offsets of film positions from a pixel's centre under `cdf`, over [low, high].
-double offsets_p_value(const Sensor& s, std::uint32_t px, double low, double high, const std::function<double(double)>& cdf) {
+double offsets_p_value(const Sensor& s, std::uint32_t px, double low, double high,
+                       const std::function<double(double)>& cdf) {
     constexpr int cells = 48, n = 1 << 19;
     std::vector<double> observed(cells), expected(cells);
     for (int i = 0; i < cells; ++i)
-        expected[i] = n * (cdf(low + (high - low) * (i + 1) / cells) - cdf(low + (high - low) * i / cells)) / (cdf(high) - cdf(low));
+        expected[i] = n * (cdf(low + (high - low) * (i + 1) / cells) - cdf(low + (high - low) * i / cells)) /
+                      (cdf(high) - cdf(low));
     for (int i = 0; i < n; ++i) {
         const Point2f u = Sampler(SamplerKind::independent, 12, px, i).pair(0);
         const Vector3f d = s.sample_ray(px, 16, u).d;

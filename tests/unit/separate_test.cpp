@@ -12,7 +12,8 @@ using testing::path_options;
 using testing::trace_graph;
 
 const std::string grey = R"(<bsdf type="twosided"><bsdf type="diffuse"/></bsdf>)";
-const std::string above = R"(type="orthographic"><transform name="to_world"><lookat origin="0, 0, 5" target="0, 0, 0" up="0, 1, 0"/></transform>)";
+const std::string above =
+    R"(type="orthographic"><transform name="to_world"><lookat origin="0, 0, 5" target="0, 0, 0" up="0, 1, 0"/></transform>)";
 const std::string sky = R"(<emitter type="constant"/>)";
 const std::string floor = R"(<shape type="rectangle">)" + grey + "</shape>";
 
@@ -39,9 +40,17 @@ Clusters clusters_of(const PathGraph& graph, const Scene* scene, int threads = 0
 
 // A wall of 1 mm on a floor: the floor left of it and right of it is one plane of one normal.
 TEST(Separation, WallsOnAFloor) {
-    const auto scene = load_inline({above, floor + R"(<shape type="cube"><transform name="to_world"><scale x="0.0005" z="0.5"/><translate z="0.5"/></transform>)" + grey + "</shape>" + sky, 32, 32, 3});
+    const auto scene = load_inline(
+        {above,
+         floor +
+             R"(<shape type="cube"><transform name="to_world"><scale x="0.0005" z="0.5"/><translate z="0.5"/></transform>)" +
+             grey + "</shape>" + sky,
+         32, 32, 3});
     const PathGraph graph = trace_graph(*scene, path_options(*scene, 1), 2);
-    const auto across = [&](std::uint32_t a, std::uint32_t b) { return graph.vertices.p[3 * a] * graph.vertices.p[3 * b] < 0 && std::min(graph.vertices.p[3 * a + 2], graph.vertices.p[3 * b + 2]) < 0.4f; };
+    const auto across = [&](std::uint32_t a, std::uint32_t b) {
+        return graph.vertices.p[3 * a] * graph.vertices.p[3 * b] < 0 &&
+               std::min(graph.vertices.p[3 * a + 2], graph.vertices.p[3 * b + 2]) < 0.4f;
+    };
     EXPECT_GE(mixed(clusters_of(graph, nullptr), across), 5u);
     const Clusters apart = clusters_of(graph, scene.get());
     EXPECT_EQ(mixed(apart, across), 0u);
@@ -57,10 +66,15 @@ TEST(Separation, WallsOnAFloor) {
 
 // Two sheets, one above the other, closer than clusters are wide.
 TEST(Separation, SheetsAboveOneAnother) {
-    const auto scene = load_inline({R"(type="perspective"><transform name="to_world"><lookat origin="0, -4, 1" target="0, 0, 0" up="0, 0, 1"/></transform>)",
-                                    floor + R"(<shape type="rectangle"><transform name="to_world"><translate z="0.02"/></transform>)" + grey + "</shape>" + sky, 32, 32, 4});
+    const auto scene = load_inline(
+        {R"(type="perspective"><transform name="to_world"><lookat origin="0, -4, 1" target="0, 0, 0" up="0, 0, 1"/></transform>)",
+         floor + R"(<shape type="rectangle"><transform name="to_world"><translate z="0.02"/></transform>)" + grey +
+             "</shape>" + sky,
+         32, 32, 4});
     const PathGraph graph = trace_graph(*scene, path_options(*scene, 2), 8);
-    const auto across = [&](std::uint32_t a, std::uint32_t b) { return std::abs(graph.vertices.p[3 * a + 2] - graph.vertices.p[3 * b + 2]) > 0.01f; };
+    const auto across = [&](std::uint32_t a, std::uint32_t b) {
+        return std::abs(graph.vertices.p[3 * a + 2] - graph.vertices.p[3 * b + 2]) > 0.01f;
+    };
     const Clusters apart = clusters_of(graph, scene.get());
     EXPECT_EQ(mixed(apart, across), 0u);
 }
@@ -77,30 +91,40 @@ TEST(Separation, PlanesAndBallsStayWhole) {
     EXPECT_LT(clusters_of(on_ball, ball.get()).separation.occluded[0], on_ball.n_vertices() / 100);
 }
 
-// The faces of a pane, seen from one side: one is seen through air, the other through glass. No scene is needed for that.
+// The faces of a pane, seen from one side: one is seen through air, the other through glass. No scene is needed for
+// that.
 // Breaks seen to fail: media not looked at; only the medium across.
 TEST(Separation, MediaOfAPane) {
-    const auto scene = load_inline({above, R"(<shape type="cube"><transform name="to_world"><scale z="0.002"/></transform>
-<bsdf type="roughdielectric"><float name="alpha" value="0.2"/></bsdf></shape>)" + sky, 32, 32, 6});
+    const auto scene = load_inline({above,
+                                    R"(<shape type="cube"><transform name="to_world"><scale z="0.002"/></transform>
+<bsdf type="roughdielectric"><float name="alpha" value="0.2"/></bsdf></shape>)" +
+                                        sky,
+                                    32, 32, 6});
     const PathGraph graph = trace_graph(*scene, path_options(*scene, 5), 4);
     ASSERT_FALSE(graph.vertices.eta.empty());
     const Clusters clusters = clusters_of(graph, nullptr);
-    EXPECT_EQ(mixed(clusters, [&](std::uint32_t a, std::uint32_t b) { return graph.vertices.eta[a] != graph.vertices.eta[b]; }), 0u);
+    EXPECT_EQ(mixed(clusters,
+                    [&](std::uint32_t a, std::uint32_t b) { return graph.vertices.eta[a] != graph.vertices.eta[b]; }),
+              0u);
     EXPECT_GT(clusters.separation.other_media[0], 100u);
     EXPECT_TRUE(clusters.separation.occluded.empty());  // not tested
 }
 
 // Light that a thin pane traps comes back to one place many times. No scene is needed to see it.
 TEST(Separation, PathsThatComeBack) {
-    const auto scene = load_inline({above, R"(<shape type="cube"><transform name="to_world"><scale z="0.005"/></transform>
-<bsdf type="roughdielectric"><float name="alpha" value="0.2"/></bsdf></shape>)" + sky, 32, 32, -1});
+    const auto scene = load_inline({above,
+                                    R"(<shape type="cube"><transform name="to_world"><scale z="0.005"/></transform>
+<bsdf type="roughdielectric"><float name="alpha" value="0.2"/></bsdf></shape>)" +
+                                        sky,
+                                    32, 32, -1});
     const PathGraph graph = trace_graph(*scene, path_options(*scene, 6), 4);
     std::vector<std::uint32_t> path(graph.n_vertices());
     for (std::uint32_t i = 0; i < graph.n_paths(); ++i)
         for (std::uint64_t j = graph.paths.first_vertex[i]; j < graph.paths.first_vertex[i + 1]; ++j) path[j] = i;
     const Clusters clusters = clusters_of(graph, nullptr);
     for (std::size_t c = 0; c < clusters.n_clusters(); ++c)
-        for (std::uint32_t i = clusters.first[c] + 1; i < clusters.first[c + 1]; ++i) ASSERT_NE(path[clusters.member[i - 1]], path[clusters.member[i]]) << c;
+        for (std::uint32_t i = clusters.first[c] + 1; i < clusters.first[c + 1]; ++i)
+            ASSERT_NE(path[clusters.member[i - 1]], path[clusters.member[i]]) << c;
     EXPECT_GT(clusters.separation.same_path[0], 100u);
     EXPECT_EQ(clusters.problem(), "");
 
@@ -108,12 +132,14 @@ TEST(Separation, PathsThatComeBack) {
     cluster::ClusterOptions options;
     options.k = 32;
     const auto twice = cluster::make_joint_clusters(graph, graph, options);
-    EXPECT_TRUE(std::equal(twice.first.member.begin(), twice.first.member.end(), twice.second.member.begin(), twice.second.member.end()));
+    EXPECT_TRUE(std::equal(twice.first.member.begin(), twice.first.member.end(), twice.second.member.begin(),
+                           twice.second.member.end()));
     EXPECT_GT(twice.first.n_members(), 4 * twice.first.n_clusters());
 }
 
 TEST(Separation, AnotherSceneIsRefused) {
-    const auto scene = load_inline({above, floor + sky, 8, 8, 3}), other = load_inline({above, floor + floor + sky, 8, 8, 3});
+    const auto scene = load_inline({above, floor + sky, 8, 8, 3}),
+               other = load_inline({above, floor + floor + sky, 8, 8, 3});
     const PathGraph graph = trace_graph(*scene, path_options(*scene, 1), 1);
     EXPECT_THROW(require_scene_of(graph, "g.h5", *other, "other.xml"), std::exception);
 }

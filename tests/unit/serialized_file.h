@@ -45,8 +45,7 @@ inline std::string serialized_file(int version, bool doubles, std::uint32_t flag
         append(file, std::uint16_t{0x041C}), append(file, std::uint16_t(version));
         file.append(packed, 0, size);
     }
-    for (const std::uint64_t start : starts)
-        version == 4 ? append(file, start) : append(file, std::uint32_t(start));
+    for (const std::uint64_t start : starts) version == 4 ? append(file, start) : append(file, std::uint32_t(start));
     append(file, std::uint32_t{2});
     return file;
 }

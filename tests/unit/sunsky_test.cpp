@@ -71,10 +71,9 @@ TEST(SkyCoefficients, are_linear_in_turbidity_and_albedo) {
         auto value = [&](double turbidity, double albedo) {
             return sky_coefficients(turbidity, albedo, 0.7, channel).radiance;
         };
-        EXPECT_NEAR(
-            value(3.25, 0.4),
-            0.75 * (0.6 * value(3, 0) + 0.4 * value(3, 1)) + 0.25 * (0.6 * value(4, 0) + 0.4 * value(4, 1)),
-            1e-12);
+        EXPECT_NEAR(value(3.25, 0.4),
+                    0.75 * (0.6 * value(3, 0) + 0.4 * value(3, 1)) + 0.25 * (0.6 * value(4, 0) + 0.4 * value(4, 1)),
+                    1e-12);
         EXPECT_NEAR(value(10, 0.3), 2 * value(9.5, 0.3) - value(9, 0.3), 1e-12);
     }
 }
@@ -159,8 +158,7 @@ TEST(Sunsky, baked_disk_is_even_and_ends_at_its_radius) {
     const double radius_deg = 40 * 0.5358 / 2;
     const double cap = 2 * pi_double * (1 - std::cos(radius_deg * rad_per_deg));
     for (double offset_deg : {-0.9 * radius_deg, 0.0, 0.5 * radius_deg, 0.9 * radius_deg})
-        expect_rgb(Rgb<double>(map.eval({0.25f, float((50 + offset_deg) / 180)})),
-                   sun_irradiance(s) * (1 / cap), 0.01);
+        expect_rgb(Rgb<double>(map.eval({0.25f, float((50 + offset_deg) / 180)})), sun_irradiance(s) * (1 / cap), 0.01);
     for (double offset_deg : {-radius_deg - 1.5, radius_deg + 1.5})
         EXPECT_TRUE(is_black(map.eval({0.25f, float((50 + offset_deg) / 180)})));
 }
@@ -182,8 +180,7 @@ TEST(Sunsky, horizon) {
     }
     Sunsky s;
     s.extend = true;
-    EXPECT_NEAR(sky_radiance(s, map_direction(0.3, 0.75)).g / sky_radiance(s, map_direction(0.3, 0.5)).g, 0.5,
-                1e-6);
+    EXPECT_NEAR(sky_radiance(s, map_direction(0.3, 0.75)).g / sky_radiance(s, map_direction(0.3, 0.5)).g, 0.5, 1e-6);
     EXPECT_DOUBLE_EQ(sky_radiance(s, {0, -1, 0}).g, 0);
     s.extend = false;
     s.stretch = 1.5;
@@ -239,8 +236,7 @@ TEST(Sunsky, reads_the_emitter) {
     EXPECT_EQ(s.width, 128);
     EXPECT_EQ(s.height, 64);
     EXPECT_LT(length(s.sun_direction - Vector3<double>(0, 1, 0)), 1e-6);
-    EXPECT_LT(read_parameters("<float name=\"hour\" value=\"17\"/>").sun_direction.y,
-              defaults.sun_direction.y);
+    EXPECT_LT(read_parameters("<float name=\"hour\" value=\"17\"/>").sun_direction.y, defaults.sun_direction.y);
 }
 
 TEST(Sunsky, refuses_parameters_with_their_place) {
@@ -254,14 +250,15 @@ TEST(Sunsky, refuses_parameters_with_their_place) {
     };
     EXPECT_NE(message("<float name=\"turbidity\" value=\"11\"/>").find(":1:"), std::string::npos);
     EXPECT_NE(message("<float name=\"hour\" value=\"2\"/>").find("below the horizon"), std::string::npos);
-    EXPECT_NE(
-        message("<float name=\"hour\" value=\"9\"/><vector name=\"sunDirection\" x=\"0\" y=\"1\" z=\"0\"/>")
-            .find("sun_direction already"),
-        std::string::npos);
+    EXPECT_NE(message("<float name=\"hour\" value=\"9\"/><vector name=\"sunDirection\" x=\"0\" y=\"1\" z=\"0\"/>")
+                  .find("sun_direction already"),
+              std::string::npos);
 }
 
 /// A direction in the axes of Mitsuba 3, z up, in our local frame.
-Vector3<double> from_mitsuba3(double x, double y, double z) { return normalize(Vector3<double>{y, z, x}); }
+Vector3<double> from_mitsuba3(double x, double y, double z) {
+    return normalize(Vector3<double>{y, z, x});
+}
 
 Sunsky mitsuba3(double turbidity, const Rgb<double>& albedo, const Vector3<double>& sun_direction) {
     Sunsky s;
@@ -274,14 +271,20 @@ Sunsky mitsuba3(double turbidity, const Rgb<double>& albedo, const Vector3<doubl
 
 // Values of Mitsuba 3.8 (scalar_rgb). Breaks seen to fail: the unit of 0.6, the red of the albedo for all channels.
 TEST(SunskyOfMitsuba3, radiance_of_the_sky) {
-    expect_rgb(sky_radiance(mitsuba3(2.5, {0.1, 0.4, 0.8}, from_mitsuba3(-0.5, 0.1, 0.6)), from_mitsuba3(0.2, 0.7, 0.3)), {0.04014985, 0.09411535, 0.2139836}, 2e-4);
-    expect_rgb(sky_radiance(mitsuba3(7.75, Rgb<double>(0.3), from_mitsuba3(0.2, -0.9, 0.15)), from_mitsuba3(-0.2, -0.4, 0.9)), {0.02307143, 0.02938412, 0.03777083}, 2e-4);
-    expect_rgb(sky_radiance(mitsuba3(1, Rgb<double>(0), from_mitsuba3(1, 0, 0.02)), from_mitsuba3(-1, 0.2, 0.05)), {0.07191439, 0.04228583, 0.01152206}, 2e-4);
-    expect_rgb(sky_radiance(mitsuba3(10, Rgb<double>(1), from_mitsuba3(0, 0.3, 0.9)), from_mitsuba3(0, 0.35, 0.9)), {1.379344, 1.388928, 1.131967}, 2e-4);
+    expect_rgb(
+        sky_radiance(mitsuba3(2.5, {0.1, 0.4, 0.8}, from_mitsuba3(-0.5, 0.1, 0.6)), from_mitsuba3(0.2, 0.7, 0.3)),
+        {0.04014985, 0.09411535, 0.2139836}, 2e-4);
+    expect_rgb(
+        sky_radiance(mitsuba3(7.75, Rgb<double>(0.3), from_mitsuba3(0.2, -0.9, 0.15)), from_mitsuba3(-0.2, -0.4, 0.9)),
+        {0.02307143, 0.02938412, 0.03777083}, 2e-4);
+    expect_rgb(sky_radiance(mitsuba3(1, Rgb<double>(0), from_mitsuba3(1, 0, 0.02)), from_mitsuba3(-1, 0.2, 0.05)),
+               {0.07191439, 0.04228583, 0.01152206}, 2e-4);
+    expect_rgb(sky_radiance(mitsuba3(10, Rgb<double>(1), from_mitsuba3(0, 0.3, 0.9)), from_mitsuba3(0, 0.35, 0.9)),
+               {1.379344, 1.388928, 1.131967}, 2e-4);
 }
 
-// Values of Mitsuba 3.8: radiance of an even disk times its solid angle. Between nodes of the table, at its ends. Breaks seen to
-// fail: turbidity or elevation rounded down, elevations off by a node, the irradiance of 0.6.
+// Values of Mitsuba 3.8: radiance of an even disk times its solid angle. Between nodes of the table, at its ends.
+// Breaks seen to fail: turbidity or elevation rounded down, elevations off by a node, the irradiance of 0.6.
 TEST(SunskyOfMitsuba3, irradiance_of_the_sun) {
     const struct {
         double turbidity, elevation_deg;
@@ -293,7 +296,8 @@ TEST(SunskyOfMitsuba3, irradiance_of_the_sun) {
                  {5, 45, {1.362077, 1.109993, 0.8208589}}};
     for (const auto& c : cases) {
         const Rgb<double> got = sun_irradiance(mitsuba3(c.turbidity, Rgb<double>(0.3), at_elevation(c.elevation_deg)));
-        for (int k = 0; k < 3; ++k) EXPECT_NEAR(got[k], c.irradiance[k], 2e-4 * std::abs(c.irradiance[k])) << c.turbidity << ", channel " << k;
+        for (int k = 0; k < 3; ++k)
+            EXPECT_NEAR(got[k], c.irradiance[k], 2e-4 * std::abs(c.irradiance[k])) << c.turbidity << ", channel " << k;
     }
 }
 
@@ -307,10 +311,13 @@ class SunskyScene : public SceneFolder {
     }
 };
 
-// Values of Mitsuba 3.8. Breaks seen to fail: sun_direction or the frame with y up, the azimuth by time mirrored, the albedo of 0.6.
+// Values of Mitsuba 3.8. Breaks seen to fail: sun_direction or the frame with y up, the azimuth by time mirrored, the
+// albedo of 0.6.
 TEST_F(SunskyScene, axes_of_mitsuba3) {
-    const auto turned = scene_of("<float name='turbidity' value='2.5'/><float name='sun_scale' value='0'/><float name='sky_scale' value='2'/>"
-                                 "<vector name='sun_direction' x='-0.5' y='0.1' z='0.6'/><transform name='to_world'><rotate x='1' angle='30'/></transform>");
+    const auto turned = scene_of(
+        "<float name='turbidity' value='2.5'/><float name='sun_scale' value='0'/><float name='sky_scale' value='2'/>"
+        "<vector name='sun_direction' x='-0.5' y='0.1' z='0.6'/><transform name='to_world'><rotate x='1' "
+        "angle='30'/></transform>");
     expect_rgb(towards(*turned, 0.2, 0.7, 0.6), {0.1791244, 0.2829599, 0.4135344}, 0.01);
     EXPECT_EQ(towards(*turned, 0.2, 0.8, -0.7), Rgb<double>());
     const auto morning = scene_of("<float name='hour' value='9'/><float name='sun_scale' value='0'/>");
@@ -322,29 +329,39 @@ TEST_F(SunskyScene, axes_of_mitsuba3) {
     EXPECT_EQ(towards(*scene_of("", "0.6.0"), 0.5, -0.5, 0.7), Rgb<double>());
 }
 
-// Breaks seen to fail: an aperture taken for a radius, the irradiance of 0.6, no limb darkening, limb darkening that changes
-// the power of a sun of three texels, a disk that goes on below the horizon.
+// Breaks seen to fail: an aperture taken for a radius, the irradiance of 0.6, no limb darkening, limb darkening that
+// changes the power of a sun of three texels, a disk that goes on below the horizon.
 TEST_F(SunskyScene, sun_of_mitsuba3) {
-    const std::string place = "<float name='sky_scale' value='0'/><vector name='sun_direction' x='0' y='0.8' z='0.6'/><float name='sun_aperture' value='20'/>";
+    const std::string place =
+        "<float name='sky_scale' value='0'/><vector name='sun_direction' x='0' y='0.8' z='0.6'/><float "
+        "name='sun_aperture' value='20'/>";
     const auto even = scene_of(place), dark = scene_of(place + "<boolean name='complex_sun' value='true'/>");
     const Rgb<double> irradiance = solar_irradiance(3, std::asin(0.6));
     const double cap = 2 * pi_double * (1 - std::cos(10 * rad_per_deg)), tilt = std::atan2(0.6, 0.8);
-    const auto at = [&](const Scene& scene, double off_deg) { return towards(scene, 0, std::cos(tilt + off_deg * rad_per_deg), std::sin(tilt + off_deg * rad_per_deg)); };
+    const auto at = [&](const Scene& scene, double off_deg) {
+        return towards(scene, 0, std::cos(tilt + off_deg * rad_per_deg), std::sin(tilt + off_deg * rad_per_deg));
+    };
     for (double off : {0.0, 5.0, -9.0}) expect_rgb(at(*even, off), irradiance * (1 / cap), 0.01);
     EXPECT_EQ(at(*even, 11), Rgb<double>());
-    EXPECT_NEAR(at(*dark, 0).b / at(*even, 0).b, 1.32, 0.01);    // Mitsuba 3.8: 1.320
+    EXPECT_NEAR(at(*dark, 0).b / at(*even, 0).b, 1.32, 0.01);       // Mitsuba 3.8: 1.320
     EXPECT_NEAR(at(*dark, 9.5).b / at(*even, 9.5).b, 0.635, 0.01);  // 0.635
     const std::string small = "<float name='sky_scale' value='0'/><vector name='sun_direction' x='0' y='0.8' z='0.6'/>";
-    expect_rgb(sphere_integral(*scene_of(small + "<boolean name='complex_sun' value='true'/>")->emitters[0].map, 1), sphere_integral(*scene_of(small)->emitters[0].map, 1), 0.002);
-    const auto low = scene_of("<float name='sky_scale' value='0'/><vector name='sun_direction' x='0' y='1' z='0.05'/><float name='sun_aperture' value='20'/>");
+    expect_rgb(sphere_integral(*scene_of(small + "<boolean name='complex_sun' value='true'/>")->emitters[0].map, 1),
+               sphere_integral(*scene_of(small)->emitters[0].map, 1), 0.002);
+    const auto low = scene_of(
+        "<float name='sky_scale' value='0'/><vector name='sun_direction' x='0' y='1' z='0.05'/><float "
+        "name='sun_aperture' value='20'/>");
     EXPECT_GT(towards(*low, 0, 1, 0.02).r, 0);
     EXPECT_EQ(towards(*low, 0, 1, -0.02), Rgb<double>());
 }
 
 // Breaks seen to fail: Mitsuba 3's defaults in 0.x files, apertures of any size, a sky at night.
 TEST_F(SunskyScene, parameters_are_those_of_the_dialect) {
-    EXPECT_NE(error_of([&] { scene_of("<float name='stretch' value='1.5'/>"); }).find("has no parameter 'stretch'"), std::string::npos);
-    EXPECT_NE(error_of([&] { scene_of("<float name='sun_aperture' value='180'/>"); }).find("must be less than 180 degrees"), std::string::npos);
+    EXPECT_NE(error_of([&] { scene_of("<float name='stretch' value='1.5'/>"); }).find("has no parameter 'stretch'"),
+              std::string::npos);
+    EXPECT_NE(
+        error_of([&] { scene_of("<float name='sun_aperture' value='180'/>"); }).find("must be less than 180 degrees"),
+        std::string::npos);
     const auto old = scene_of("<float name='sunAperture' value='20'/>", "0.6.0");
     EXPECT_NE(old->notes.back().find("has no parameter 'sunAperture'"), std::string::npos);
     const auto night = scene_of("<float name='hour' value='1'/>");
@@ -386,20 +403,16 @@ TEST_P(PublishedSunsky, agrees_with_the_map_of_mitsuba_06) {
             const Vector3<double> d = map_direction(u, v);
             const Rgb<double> sky = sky_radiance(s, d);
             const Spectrum baked = map.eval({float(u), float(v)});
-            const bool away = dot(d, s.sun_direction) < away_cos,
-                       near_horizon = std::abs(v - 0.5) < 1.0 / height;
+            const bool away = dot(d, s.sun_direction) < away_cos, near_horizon = std::abs(v - 0.5) < 1.0 / height;
             Rgb<double> rest;
             for (int c = 0; c < 3; ++c) {
                 const double value = expected[(std::size_t(y) * width + x) * 3 + std::size_t(c)];
                 rest[c] = value - sky[c];
                 if (away && v < 0.5) worst_model = std::max(worst_model, std::abs(sky[c] / value - 1));
-                if (away && v < 0.5 && !near_horizon)
-                    worst_map = std::max(worst_map, std::abs(baked[c] / value - 1));
-                if (away && v > 0.5 && !near_horizon)
-                    worst_below = std::max({worst_below, double(baked[c]), value});
+                if (away && v < 0.5 && !near_horizon) worst_map = std::max(worst_map, std::abs(baked[c] / value - 1));
+                if (away && v > 0.5 && !near_horizon) worst_below = std::max({worst_below, double(baked[c]), value});
             }
-            const double solid_angle =
-                2 * pi_double * pi_double / (double(width) * height) * std::sin(pi_double * v);
+            const double solid_angle = 2 * pi_double * pi_double / (double(width) * height) * std::sin(pi_double * v);
             sun += rest * solid_angle;
             sun_moment = sun_moment + d * (rest.g * solid_angle);
         }
@@ -416,8 +429,7 @@ TEST_P(PublishedSunsky, agrees_with_the_map_of_mitsuba_06) {
 
 INSTANTIATE_TEST_SUITE_P(Sunsky, PublishedSunsky,
                          testing::Values(Published{"classroom", {-0.865804, 0.416766, -0.276929}, 6, 18.8131},
-                                         Published{
-                                             "dining-room", {0.88698, 0.288862, 0.360313}, 30, 3.75345}),
+                                         Published{"dining-room", {0.88698, 0.288862, 0.360313}, 30, 3.75345}),
                          [](const auto& info) {
                              std::string name = info.param.scene;
                              std::replace(name.begin(), name.end(), '-', '_');

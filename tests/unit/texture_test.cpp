@@ -18,8 +18,8 @@ class TextureFile : public SceneFolder {
   protected:
     /// Writes an 8-bit or float image; returns its path.
     template <class T>
-    std::filesystem::path image(const std::string& name, int w, int h, int channels,
-                                const std::vector<T>& values, const std::vector<std::string>& names = {}) {
+    std::filesystem::path image(const std::string& name, int w, int h, int channels, const std::vector<T>& values,
+                                const std::vector<std::string>& names = {}) {
         const std::filesystem::path file = path(name);
         auto out = OIIO::ImageOutput::create(file.string());
         OIIO::ImageSpec spec(w, h, channels, OIIO::BaseTypeFromC<T>::value);
@@ -66,11 +66,10 @@ float bilinear_slowly(const TextureImage& image, double u, double v, WrapMode mo
     for (int dy = 0; dy < 2; ++dy)
         for (int dx = 0; dx < 2; ++dx) {
             const double wx = dx ? x - ix : 1 - (x - ix), wy = dy ? y - iy : 1 - (y - iy);
-            sum += wx * wy *
-                   double(image
-                              .texel(wrap_slowly(ix + dx, image.width, mode),
-                                     wrap_slowly(iy + dy, image.height, mode))
-                              .r);
+            sum +=
+                wx * wy *
+                double(
+                    image.texel(wrap_slowly(ix + dx, image.width, mode), wrap_slowly(iy + dy, image.height, mode)).r);
         }
     return float(sum);
 }
@@ -98,8 +97,7 @@ TEST_F(TextureFile, NothingOutsideTheImageIsRead) {
     t.image = grey_ramp();
     for (const WrapMode mode : {WrapMode::repeat, WrapMode::mirror, WrapMode::clamp})
         for (const bool nearest : {false, true})
-            for (const float u :
-                 {-INFINITY, -1e30f, -1e-9f, 0.0f, 0x1.fffffep-1f, 1.0f, 2.0f, 1e30f, INFINITY, NAN}) {
+            for (const float u : {-INFINITY, -1e30f, -1e-9f, 0.0f, 0x1.fffffep-1f, 1.0f, 2.0f, 1e30f, INFINITY, NAN}) {
                 t.wrap = mode;
                 t.nearest = nearest;
                 EXPECT_TRUE(std::isfinite(t.eval({u, 0.5f}).r));
@@ -131,8 +129,7 @@ TEST_F(TextureFile, EightBitDecoding) {
     EXPECT_EQ(srgb->texel(0, 0), Spectrum(1, linear_from_srgb(128.0f / 255.0f), 0));
     EXPECT_EQ(cache_.image(file, {true, 0})->texel(0, 1), Spectrum(64.0f / 255.0f));
     EXPECT_FLOAT_EQ(cache_.image(file, {false, 2.0f})->texel(0, 1).r, sqr(64.0f / 255.0f));
-    EXPECT_FLOAT_EQ(srgb->mean.r,
-                    (1 + linear_from_srgb(64.0f / 255.0f) + linear_from_srgb(1.0f / 255.0f)) / 4);
+    EXPECT_FLOAT_EQ(srgb->mean.r, (1 + linear_from_srgb(64.0f / 255.0f) + linear_from_srgb(1.0f / 255.0f)) / 4);
     EXPECT_EQ(cache_.image(file, {}), srgb);  // decoded once
     const std::vector<std::uint8_t> grey_alpha{100, 7, 200, 9};
     const auto grey = cache_.image(image("g.png", 2, 1, 2, grey_alpha), {true, 0});
@@ -146,8 +143,7 @@ TEST_F(TextureFile, SixteenBitIsSrgbAndFloatLinear) {
     const auto exr = cache_.image(image<float>("c.exr", 1, 1, 3, {0.5f, 2.0f, -1.0f}), {});
     EXPECT_EQ(exr->texel(0, 0), Spectrum(0.5f, 2.0f, -1.0f));
     const auto nan = image<float>("n.exr", 1, 1, 1, {NAN});
-    EXPECT_NE(error_of([&] { cache_.image(nan, {}); }).find("n.exr: pixel (0, 0) is not finite"),
-              std::string::npos);
+    EXPECT_NE(error_of([&] { cache_.image(nan, {}); }).find("n.exr: pixel (0, 0) is not finite"), std::string::npos);
     EXPECT_EQ(error_of([&] { cache_.image(path("none.png"), {}); }), "none.png: no such file");
 }
 
@@ -155,8 +151,11 @@ TEST_F(TextureFile, SixteenBitIsSrgbAndFloatLinear) {
 TEST_F(TextureFile, ChannelsOfExrFilesGoByName) {
     EXPECT_EQ(colour_of({"Z", "color.R", "color.G", "color.B"}, {9, 0.2f, 0.5f, 0.8f}), "0.2 0.5 0.8");
     EXPECT_EQ(colour_of({"B", "G", "R", "A", "depth.Z", "N.X"}, {0.8f, 0.5f, 0.2f, 0.1f, 9, 7}), "0.2 0.5 0.8");
-    EXPECT_EQ(colour_of({"diffuse.R", "diffuse.G", "diffuse.B", "R", "G", "B"}, {3, 4, 5, 0.2f, 0.5f, 0.8f}), "0.2 0.5 0.8");
-    EXPECT_EQ(colour_of({"N.X", "N.Y", "N.Z", "main.Combined.B", "main.Combined.G", "main.Combined.R"}, {7, 8, 9, 0.8f, 0.5f, 0.2f}), "0.2 0.5 0.8");
+    EXPECT_EQ(colour_of({"diffuse.R", "diffuse.G", "diffuse.B", "R", "G", "B"}, {3, 4, 5, 0.2f, 0.5f, 0.8f}),
+              "0.2 0.5 0.8");
+    EXPECT_EQ(colour_of({"N.X", "N.Y", "N.Z", "main.Combined.B", "main.Combined.G", "main.Combined.R"},
+                        {7, 8, 9, 0.8f, 0.5f, 0.2f}),
+              "0.2 0.5 0.8");
     EXPECT_EQ(colour_of({"A", "Y"}, {0.1f, 0.4f}), "0.4 0.4 0.4");
     EXPECT_EQ(colour_of({"Y", "Z"}, {0.4f, 9}), "0.4 0.4 0.4");
     EXPECT_EQ(colour_of({"height"}, {0.4f}), "0.4 0.4 0.4");
@@ -167,12 +166,18 @@ TEST_F(TextureFile, ChannelsOfExrFilesGoByName) {
 }
 
 TEST_F(TextureFile, ExrFilesWithoutOneColourAreErrorsThatNameTheirChannels) {
-    EXPECT_EQ(colour_of({"R", "G"}, {0.2f, 0.5f}), "colour-1.exr: no colour among its channels: R, G; a colour has R, G, B or Y");
+    EXPECT_EQ(colour_of({"R", "G"}, {0.2f, 0.5f}),
+              "colour-1.exr: no colour among its channels: R, G; a colour has R, G, B or Y");
     EXPECT_EQ(colour_of({"Z"}, {9}), "colour-2.exr: no colour among its channels: Z; a colour has R, G, B or Y");
-    EXPECT_EQ(colour_of({"Depth.Z"}, {9}), "colour-3.exr: no colour among its channels: Depth.Z; a colour has R, G, B or Y");
-    EXPECT_EQ(colour_of({"N.X", "N.Y", "N.Z"}, {7, 8, 9}), "colour-4.exr: no colour among its channels: N.X, N.Y, N.Z; a colour has R, G, B or Y");
-    const std::string two = colour_of({"diffuse.R", "diffuse.G", "diffuse.B", "gloss.R", "gloss.G", "gloss.B"}, {3, 4, 5, 0.2f, 0.5f, 0.8f});
-    EXPECT_EQ(two, "colour-5.exr: which of its layers is the colour is not clear: diffuse, gloss; keep one of them, or name its channels R, G, B");
+    EXPECT_EQ(colour_of({"Depth.Z"}, {9}),
+              "colour-3.exr: no colour among its channels: Depth.Z; a colour has R, G, B or Y");
+    EXPECT_EQ(colour_of({"N.X", "N.Y", "N.Z"}, {7, 8, 9}),
+              "colour-4.exr: no colour among its channels: N.X, N.Y, N.Z; a colour has R, G, B or Y");
+    const std::string two = colour_of({"diffuse.R", "diffuse.G", "diffuse.B", "gloss.R", "gloss.G", "gloss.B"},
+                                      {3, 4, 5, 0.2f, 0.5f, 0.8f});
+    EXPECT_EQ(two,
+              "colour-5.exr: which of its layers is the colour is not clear: diffuse, gloss; keep one of them, or name "
+              "its channels R, G, B");
 }
 
 // A part of a file is chosen as a layer is, and a data window is the texture, with a note.
@@ -186,14 +191,18 @@ TEST_F(TextureFile, PartsAndWindowsOfExrFiles) {
     auto out = OIIO::ImageOutput::create(path("parts.exr").string());
     for (int i = 0; i < 2; ++i) {
         parts[std::size_t(i)].attribute("oiio:subimagename", i == 0 ? "depth" : "beauty");
-        ASSERT_TRUE(i == 0 ? out->open(path("parts.exr").string(), 2, parts.data()) : out->open(path("parts.exr").string(), parts[1], OIIO::ImageOutput::AppendSubimage)) << out->geterror();
+        ASSERT_TRUE(i == 0 ? out->open(path("parts.exr").string(), 2, parts.data())
+                           : out->open(path("parts.exr").string(), parts[1], OIIO::ImageOutput::AppendSubimage))
+            << out->geterror();
         ASSERT_TRUE(out->write_image(OIIO::TypeDesc::FLOAT, values[std::size_t(i)].data()));
     }
     out->close();
     const auto in = cache_.image(path("parts.exr"), {});
     EXPECT_EQ(in->texel(1, 0), Spectrum(0.25f, 0.5f, 0.75f));
     ASSERT_EQ(cache_.notes().size(), 1u);
-    EXPECT_NE(cache_.notes()[0].find("the stored pixels (2 x 1 at (5, 0)), not the display window (8 x 1 at (0, 0))"), std::string::npos) << cache_.notes()[0];
+    EXPECT_NE(cache_.notes()[0].find("the stored pixels (2 x 1 at (5, 0)), not the display window (8 x 1 at (0, 0))"),
+              std::string::npos)
+        << cache_.notes()[0];
 }
 
 TEST_F(TextureFile, DescriptionsBecomeTextures) {

@@ -1,11 +1,12 @@
 // When light arrives: worked out by hand, and what must not move it. METHODS 4.4 lists the hazards.
+#include "stages/core/transport/time_of_flight.h"
+
 #include <fmt/format.h>
 #include <gtest/gtest.h>
 
 #include <cmath>
 #include <random>
 
-#include "stages/core/transport/time_of_flight.h"
 #include "stages/gather/gather.h"
 #include "stages/transient/shared.h"
 #include "tests/traced_graph.h"
@@ -55,7 +56,9 @@ Cube cube_of(const PathGraph& graph, const TimeResponse& response, const BinOpti
     if (options.clusters) shared.emplace_back(graph, *options.clusters, options.timing, options.threads);
     transient::bin_graphs({&graph, 1}, shared, response, options.timing, options.max_bytes, options.threads, progress,
                           [&](std::uint32_t, const TransientRows& rows) {
-                              const auto join = [](std::vector<float>& to, std::span<const float> from) { to.insert(to.end(), from.begin(), from.end()); };
+                              const auto join = [](std::vector<float>& to, std::span<const float> from) {
+                                  to.insert(to.end(), from.begin(), from.end());
+                              };
                               join(cube.radiance, rows.radiance);
                               join(cube.var_mean, rows.var_mean);
                               join(cube.before, rows.before);
@@ -66,41 +69,53 @@ Cube cube_of(const PathGraph& graph, const TimeResponse& response, const BinOpti
     return cube;
 }
 
-TimeResponse bins(std::uint32_t n, double start, double width) { return {n, start, width, width, Pulse::delta(), {}, 1}; }
+TimeResponse bins(std::uint32_t n, double start, double width) {
+    return {n, start, width, width, Pulse::delta(), {}, 1};
+}
 
 /// A camera that looks along -z from (x, 0, z) with parallel rays over a width of 2 `half`.
 std::string looking_down(double z, double half, double near_clip = 0.01) {
-    return fmt::format(R"(type="orthographic"><float name="near_clip" value="{2}"/><transform name="to_world"><scale x="{1}" y="{1}"/><lookat origin="0, 0, {0}" target="0, 0, -1" up="0, 1, 0"/></transform>)",
-                       z, half, near_clip);
+    return fmt::format(
+        R"(type="orthographic"><float name="near_clip" value="{2}"/><transform name="to_world"><scale x="{1}" y="{1}"/><lookat origin="0, 0, {0}" target="0, 0, -1" up="0, 1, 0"/></transform>)",
+        z, half, near_clip);
 }
 
 std::string plate(double z, const char* bsdf, double half = 4) {
-    return fmt::format(R"(<shape type="rectangle"><transform name="to_world"><scale x="{1}" y="{1}"/><translate z="{0}"/></transform>{2}</shape>)", z, half, bsdf);
+    return fmt::format(
+        R"(<shape type="rectangle"><transform name="to_world"><scale x="{1}" y="{1}"/><translate z="{0}"/></transform>{2}</shape>)",
+        z, half, bsdf);
 }
 
-constexpr const char* white = R"(<bsdf type="twosided"><bsdf type="diffuse"><rgb name="reflectance" value="0.8"/></bsdf></bsdf>)";
-constexpr const char* shining = R"(<bsdf type="diffuse"><rgb name="reflectance" value="0"/></bsdf><emitter type="area"><rgb name="radiance" value="2"/></emitter>)";
+constexpr const char* white =
+    R"(<bsdf type="twosided"><bsdf type="diffuse"><rgb name="reflectance" value="0.8"/></bsdf></bsdf>)";
+constexpr const char* shining =
+    R"(<bsdf type="diffuse"><rgb name="reflectance" value="0"/></bsdf><emitter type="area"><rgb name="radiance" value="2"/></emitter>)";
 
 /// Shines down.
 std::string lamp_above(double z, double half, double x = 0) {
-    return fmt::format(R"(<shape type="rectangle"><transform name="to_world"><scale x="{1}" y="{1}"/><rotate x="1" angle="180"/><translate x="{2}" z="{0}"/></transform>{3}</shape>)",
-                       z, half, x, shining);
+    return fmt::format(
+        R"(<shape type="rectangle"><transform name="to_world"><scale x="{1}" y="{1}"/><rotate x="1" angle="180"/><translate x="{2}" z="{0}"/></transform>{3}</shape>)",
+        z, half, x, shining);
 }
 
 std::string glass_box(double z, double half_height, double int_ior, double ext_ior = 1, double half = 8) {
-    return fmt::format(R"(<shape type="cube"><transform name="to_world"><scale x="{0}" y="{0}" z="{1}"/><translate z="{2}"/></transform>
+    return fmt::format(
+        R"(<shape type="cube"><transform name="to_world"><scale x="{0}" y="{0}" z="{1}"/><translate z="{2}"/></transform>
 <bsdf type="dielectric"><float name="int_ior" value="{3}"/><float name="ext_ior" value="{4}"/></bsdf></shape>)",
-                       half, half_height, z, int_ior, ext_ior);
+        half, half_height, z, int_ior, ext_ior);
 }
 
-PathGraph graph_of(const std::string& sensor, const std::string& body, int size = 4, int max_depth = -1, std::uint64_t spp = 16) {
+PathGraph graph_of(const std::string& sensor, const std::string& body, int size = 4, int max_depth = -1,
+                   std::uint64_t spp = 16) {
     const auto scene = testing::load_inline({sensor, body, size, size, max_depth});
     return testing::trace_graph(*scene, testing::path_options(*scene, 3), spp);
 }
 
 // One bounce: camera 3 m over a plate, a lamp at its side, 4 m over the plate; the pixel is a hair's breadth wide.
 TEST(TimeOfFlight, OneBounceIsInTheBinWorkedOutByHand) {
-    const PathGraph graph = graph_of(looking_down(3, 1e-4), plate(0, white) + R"(<emitter type="point"><point name="position" x="3" y="0" z="4"/></emitter>)");
+    const PathGraph graph =
+        graph_of(looking_down(3, 1e-4),
+                 plate(0, white) + R"(<emitter type="point"><point name="position" x="3" y="0" z="4"/></emitter>)");
     const Cube cube = cube_of(graph, bins(100, -0.05, 0.1));
     EXPECT_EQ(cube.only_bin(), 80u);  // 3 + 5
     const Cube unwarped = cube_of(graph, bins(100, -0.05, 0.1), {{false}});
@@ -110,10 +125,13 @@ TEST(TimeOfFlight, OneBounceIsInTheBinWorkedOutByHand) {
 }
 
 /// Camera at the origin, looking down.
-constexpr const char* pinhole = R"(type="perspective"><float name="fov" value="0.2"/><transform name="to_world"><lookat origin="0,0,0" target="0,0,-1" up="0,1,0"/></transform>)";
+constexpr const char* pinhole =
+    R"(type="perspective"><float name="fov" value="0.2"/><transform name="to_world"><lookat origin="0,0,0" target="0,0,-1" up="0,1,0"/></transform>)";
 
 std::string glass_ball(double int_ior, double ext_ior = 1) {
-    return fmt::format(R"(<shape type="sphere"><bsdf type="dielectric"><float name="int_ior" value="{}"/><float name="ext_ior" value="{}"/></bsdf></shape>)", int_ior, ext_ior);
+    return fmt::format(
+        R"(<shape type="sphere"><bsdf type="dielectric"><float name="int_ior" value="{}"/><float name="ext_ior" value="{}"/></bsdf></shape>)",
+        int_ior, ext_ior);
 }
 
 // Breaks seen to fail: paths that start in vacuum; one stack for all origins of an orthographic sensor.
@@ -136,15 +154,21 @@ TEST(TimeOfFlight, ACameraInsideOfGlassCountsItsFirstSegmentByTheGlass) {
 // Breaks seen to fail: paths that start in vacuum; nested media in the wrong order; vacuum outside of everything.
 TEST(TimeOfFlight, CameraAndLightUnderWater) {
     // 4 m to the floor and 5 m to the bulb, under an open surface of water.
-    const std::string floor = plate(-4, white), bulb = R"(<emitter type="point"><point name="position" x="3" y="0" z="0"/></emitter>)";
-    const std::string water = R"(<shape type="rectangle"><transform name="to_world"><scale value="50"/><translate z="0.5"/></transform>
+    const std::string floor = plate(-4, white),
+                      bulb = R"(<emitter type="point"><point name="position" x="3" y="0" z="0"/></emitter>)";
+    const std::string water =
+        R"(<shape type="rectangle"><transform name="to_world"><scale value="50"/><translate z="0.5"/></transform>
 <bsdf type="dielectric"><float name="int_ior" value="1.25"/></bsdf></shape>)";
-    EXPECT_EQ(cube_of(graph_of(pinhole, floor + bulb + water, 4, 2), bins(200, 0, 0.1)).only_bin(), 112u);  // 1.25 * (4 + 5)
+    EXPECT_EQ(cube_of(graph_of(pinhole, floor + bulb + water, 4, 2), bins(200, 0, 0.1)).only_bin(),
+              112u);  // 1.25 * (4 + 5)
     // In a ball of glass in a box of water.
     const std::string immersed = glass_ball(1.5, 1.25) + glass_box(0, 6, 1.25) + plate(-4, shining);
     EXPECT_EQ(cube_of(graph_of(pinhole, immersed, 4, 2), bins(200, 0, 0.1)).only_bin(), 52u);  // 1.5 * 1 + 1.25 * 3
     // A scene that lies in water without a surface.
-    EXPECT_EQ(cube_of(graph_of(looking_down(3, 1e-4), plate(-2, shining) + glass_ball(1.5, 1.25), 4, 3), bins(200, 0, 0.1)).only_bin(), 67u);  // 1.25 * 2 + 1.5 * 2 + 1.25 * 1
+    EXPECT_EQ(
+        cube_of(graph_of(looking_down(3, 1e-4), plate(-2, shining) + glass_ball(1.5, 1.25), 4, 3), bins(200, 0, 0.1))
+            .only_bin(),
+        67u);  // 1.25 * 2 + 1.5 * 2 + 1.25 * 1
 }
 
 TEST(TimeOfFlight, DirectlySeenLampArrivesAfterItsDistance) {
@@ -155,7 +179,9 @@ TEST(TimeOfFlight, DirectlySeenLampArrivesAfterItsDistance) {
 
 // Distances start at the camera, not at the near plane. Break seen to fail: rays that start there.
 TEST(TimeOfFlight, NearPlaneChangesNothing) {
-    const auto of = [](double near_clip) { return cube_of(graph_of(looking_down(3, 1, near_clip), plate(0, white) + lamp_above(5, 1)), bins(300, 0, 0.05)); };
+    const auto of = [](double near_clip) {
+        return cube_of(graph_of(looking_down(3, 1, near_clip), plate(0, white) + lamp_above(5, 1)), bins(300, 0, 0.05));
+    };
     const Cube a = of(1e-3), b = of(1.5);
     EXPECT_EQ(a.radiance, b.radiance);
     EXPECT_GT(a.histogram()[162], 0);
@@ -185,7 +211,8 @@ TEST(TimeOfFlight, GroupIndexStandsForThePhaseIndex) {
 // Break seen to fail: the relative index of the last interface.
 TEST(TimeOfFlight, NestedAndImmersedObjectsHaveAbsoluteIndices) {
     // Water from z = -2 to 2, in it glass from -1 to 1, in that the lamp at 0; camera at 4.
-    const PathGraph graph = graph_of(looking_down(4, 0.5), glass_box(0, 2, 1.33) + glass_box(0, 1, 1.5, 1.33, 4) + plate(0, shining, 1), 4, 3, 64);
+    const PathGraph graph = graph_of(
+        looking_down(4, 0.5), glass_box(0, 2, 1.33) + glass_box(0, 1, 1.5, 1.33, 4) + plate(0, shining, 1), 4, 3, 64);
     const double opl = 2 + 1.33 * 1 + 1.5 * 1;
     const Cube cube = cube_of(graph, bins(2, opl - 1e-4, 2e-4));
     // Radiance falls by the square of the index, and by what two faces reflect.
@@ -198,12 +225,16 @@ TEST(TimeOfFlight, NestedAndImmersedObjectsHaveAbsoluteIndices) {
 // Break seen to fail: index 1 for edges of next-event estimation.
 TEST(TimeOfFlight, LightEdgesUnderWaterAreSlowToo) {
     // The lamp is a large ceiling 0.5 m over the plate, seen from it at 0.5 to 0.7 m; the camera looks through a hole.
-    const PathGraph graph = graph_of(looking_down(2, 0.05), glass_box(0, 1, 1.33, 1, 3) + plate(0, white, 1) + lamp_above(0.5, 0.2, -0.35) + lamp_above(0.5, 0.2, 0.35), 4, 3, 4096);
+    const PathGraph graph = graph_of(
+        looking_down(2, 0.05),
+        glass_box(0, 1, 1.33, 1, 3) + plate(0, white, 1) + lamp_above(0.5, 0.2, -0.35) + lamp_above(0.5, 0.2, 0.35), 4,
+        3, 4096);
     std::size_t n[2] = {};
     for (const std::uint8_t technique : graph.light_edges.technique) ++n[technique];
     ASSERT_GT(n[0], 100u);
     ASSERT_GT(n[1], 100u);
-    const double near = 1 + 1.33 * (1 + std::hypot(0.5, 0.1)), far = 1 + 1.33 * (1 + std::sqrt(sqr(0.5) + sqr(0.65) + sqr(0.3)));
+    const double near = 1 + 1.33 * (1 + std::hypot(0.5, 0.1)),
+                 far = 1 + 1.33 * (1 + std::sqrt(sqr(0.5) + sqr(0.65) + sqr(0.3)));
     const Cube cube = cube_of(graph, bins(1, near, far - near));
     EXPECT_GT(cube.histogram()[0], 0);
     for (const float late : cube.after) EXPECT_EQ(late, 0);
@@ -228,7 +259,8 @@ TEST(TimeOfFlight, NextEventEstimationThroughRoughGlassIsSlow) {
 
 // Light from infinity has no time of arrival: it is kept apart, not lost.
 TEST(TimeOfFlight, EnvironmentNeverArrives) {
-    const Cube cube = cube_of(graph_of(looking_down(3, 8), plate(0, white) + R"(<emitter type="constant"/>)", 8), bins(10, 0, 10));
+    const Cube cube =
+        cube_of(graph_of(looking_down(3, 8), plate(0, white) + R"(<emitter type="constant"/>)", 8), bins(10, 0, 10));
     double never = 0, steady = 0;
     for (std::size_t i = 0; i < cube.never.size(); ++i) never += cube.never[i], steady += cube.steady[i];
     EXPECT_EQ(never, steady);
@@ -301,11 +333,13 @@ TEST(TimeOfFlight, NarrowBinsFarAwayAreHit) {
 // of rays, which has a length of its own, moves.
 TEST(TimeOfFlight, UnitOfTheSceneChangesNothing) {
     const auto of = [](double scale) {
-        const std::string body = fmt::format(R"(<shape type="cube"><transform name="to_world"><scale x="{0}" y="{0}" z="{0}"/></transform><boolean name="flip_normals" value="true"/>
+        const std::string body = fmt::format(
+            R"(<shape type="cube"><transform name="to_world"><scale x="{0}" y="{0}" z="{0}"/></transform><boolean name="flip_normals" value="true"/>
 <bsdf type="diffuse"><rgb name="reflectance" value="0.7"/></bsdf></shape><emitter type="point"><point name="position" x="{1}" y="{1}" z="{1}"/><rgb name="intensity" value="{2}"/></emitter>)",
-                                             scale, 0.3 * scale, scale * scale);
-        const std::string sensor = fmt::format(R"(type="perspective"><float name="fov" value="70"/><float name="near_clip" value="0.001"/><transform name="to_world"><lookat origin="{0}, 0, 0" target="{1}, 0, 0" up="0, 0, 1"/></transform>)",
-                                               -0.9 * scale, scale);
+            scale, 0.3 * scale, scale * scale);
+        const std::string sensor = fmt::format(
+            R"(type="perspective"><float name="fov" value="70"/><float name="near_clip" value="0.001"/><transform name="to_world"><lookat origin="{0}, 0, 0" target="{1}, 0, 0" up="0, 0, 1"/></transform>)",
+            -0.9 * scale, scale);
         return cube_of(graph_of(sensor, body, 16, 6, 64), bins(60, 0, 0.2 * scale)).histogram();
     };
     const auto a = of(1), b = of(8);
@@ -324,7 +358,8 @@ PathGraph glossy_graph(int size, std::uint64_t spp, std::uint64_t seed = 11) {
 TEST(TimeOfFlight, SumsOverTimeAreTheSteadyImage) {
     const PathGraph graph = glossy_graph(16, 16);
     const Image image = gather::path_traced_image(graph, 0);
-    for (const Pulse& pulse : {Pulse::delta(), Pulse::box(0.3), Pulse::gaussian(0.1), Pulse::exponential_gaussian(0.05, 0.2)}) {
+    for (const Pulse& pulse :
+         {Pulse::delta(), Pulse::box(0.3), Pulse::gaussian(0.1), Pulse::exponential_gaussian(0.05, 0.2)}) {
         TimeResponse response = bins(40, 4, 0.1);
         response.pulse = pulse;
         const Cube cube = cube_of(graph, response);
@@ -365,7 +400,8 @@ TEST(SharedArrivals, ClustersOfOneAreThePathsThemselves) {
     const TimeResponse response = bins(60, 0, 0.2);
     const Cube own = cube_of(graph, response), shared = cube_of(graph, response, {{}, 1u << 30, 0, &alone});
     double difference = 0, sum = 0;
-    for (std::size_t i = 0; i < own.radiance.size(); ++i) difference += std::abs(own.radiance[i] - shared.radiance[i]), sum += own.radiance[i];
+    for (std::size_t i = 0; i < own.radiance.size(); ++i)
+        difference += std::abs(own.radiance[i] - shared.radiance[i]), sum += own.radiance[i];
     EXPECT_LT(difference, 0.02 * sum);
 }
 

@@ -1,10 +1,11 @@
 // S_e against quadrature, its derivatives against differences, its energy.
+#include "stages/core/transport/time_response.h"
+
 #include <gtest/gtest.h>
 
 #include <cmath>
 
 #include "formats/io/error.h"
-#include "stages/core/transport/time_response.h"
 
 namespace loom {
 namespace {
@@ -45,7 +46,8 @@ TEST(TimeResponse, ArrivedIsTheIntegralOfPower) {
                     sum += integral([&](double x) { return pulse.power(x); }, from + inset, to - inset);
                     from = to;
                 }
-            if (s > from && from < pulse.end()) sum += integral([&](double x) { return pulse.power(x); }, from, std::min(s, pulse.end()));
+            if (s > from && from < pulse.end())
+                sum += integral([&](double x) { return pulse.power(x); }, from, std::min(s, pulse.end()));
             EXPECT_NEAR(pulse.arrived(s), sum, 2e-8) << s;
         }
         EXPECT_EQ(pulse.arrived(pulse.begin() - 1e-9), 0);
@@ -55,7 +57,8 @@ TEST(TimeResponse, ArrivedIsTheIntegralOfPower) {
     }
 }
 
-// Far out on the rising side both factors of the exponential Gaussian leave the range of a double; their product does not.
+// Far out on the rising side both factors of the exponential Gaussian leave the range of a double; their product does
+// not.
 TEST(TimeResponse, ExponentialGaussianIsTameWhereItsFactorsAreNot) {
     const Pulse pulse = Pulse::exponential_gaussian(1, 0.01);  // exp(v^2 / 2) = exp(5000)
     const Pulse gaussian = Pulse::gaussian(1);
@@ -92,7 +95,8 @@ TEST(TimeResponse, WeightIsPulseTimesGateByQuadrature) {
                 std::sort(cuts.begin(), cuts.end());
                 double sum = 0;
                 for (std::size_t i = 0; i + 1 < cuts.size(); ++i)
-                    sum += integral([&](double t) { return r.pulse.power(t - tof); }, cuts[i] + 1e-13, cuts[i + 1] - 1e-13);
+                    sum += integral([&](double t) { return r.pulse.power(t - tof); }, cuts[i] + 1e-13,
+                                    cuts[i + 1] - 1e-13);
                 EXPECT_NEAR(r.weight(k, tof), sum, 1e-8) << tof << " " << k;
             }
     }
@@ -163,7 +167,8 @@ TEST(TimeResponse, SpreadOfLongGatesIsEveryWeight) {
         for (double tof = 0; tof < 9; tof += 0.173) {
             std::vector<double> visited(r.n_bins, 0.0);
             r.spread(tof, [&](std::uint32_t k, double w) { visited[k] += w; });
-            for (std::uint32_t k = 0; k < r.n_bins; ++k) EXPECT_NEAR(visited[k], r.weight(k, tof), 1e-14) << tof << " " << k;
+            for (std::uint32_t k = 0; k < r.n_bins; ++k)
+                EXPECT_NEAR(visited[k], r.weight(k, tof), 1e-14) << tof << " " << k;
         }
     }
 }

@@ -10,8 +10,7 @@ class Xml : public SceneFolder {};
 
 TEST_F(Xml, PlacesOfElementsAndAttributes) {
     // A byte order mark, CRLF and tabs must not move the places that messages name.
-    const auto file =
-        write("a.xml", "\xEF\xBB\xBF<scene>\r\n\t<float  name = 'alpha'\r\n value=\"1>2\"/>\r\n</scene>");
+    const auto file = write("a.xml", "\xEF\xBB\xBF<scene>\r\n\t<float  name = 'alpha'\r\n value=\"1>2\"/>\r\n</scene>");
     const XmlDocument document(file, "a.xml");
     const pugi::xml_node node = document.root().child("float");
     EXPECT_EQ(document.at(node).where(), "a.xml:2:2");

@@ -58,10 +58,10 @@ std::string shell_word(std::string_view word) {
     return out + "'";
 }
 
-Command::Command(const std::string& about) : report(program_of(about)), app_(std::make_unique<CLI::App>(about, program_of(about))) {
-    app_->set_version_flag("--version",
-                         fmt::format("{} {} (commit {})", report.name(), LOOM_RELEASE, LOOM_COMMIT),
-                         "print release and commit");
+Command::Command(const std::string& about)
+    : report(program_of(about)), app_(std::make_unique<CLI::App>(about, program_of(about))) {
+    app_->set_version_flag("--version", fmt::format("{} {} (commit {})", report.name(), LOOM_RELEASE, LOOM_COMMIT),
+                           "print release and commit");
     app_->set_help_flag("-h,--help", "print this help");
     app_->get_formatter()->column_width(34);
     app_->add_flag_callback(
@@ -78,9 +78,9 @@ void Command::refuse(const std::string& message) {
     throw CLI::ValidationError(message);
 }
 
-Command::Option Command::declare(const std::string& names, const std::string& help, const std::string& type,
-                              Kind kind, std::function<void(const std::string&)> set,
-                              std::function<std::vector<std::string>()> get) {
+Command::Option Command::declare(const std::string& names, const std::string& help, const std::string& type, Kind kind,
+                                 std::function<void(const std::string&)> set,
+                                 std::function<std::vector<std::string>()> get) {
     const std::string shown = names.substr(names.rfind(',') + 1);
     const auto callback = [set, shown](const CLI::results_t& texts) {
         for (const std::string& text : texts) {
@@ -110,8 +110,7 @@ Command::Option Command::option(const std::string& names, std::string& field, co
         });
 }
 
-Command::Option Command::option(const std::string& names, std::vector<std::string>& field,
-                             const std::string& help) {
+Command::Option Command::option(const std::string& names, std::vector<std::string>& field, const std::string& help) {
     const Option list = declare(
         names, help, "TEXT", Kind::value, [&field](const std::string& text) { field.push_back(text); },
         [&field] { return field; });
@@ -138,8 +137,7 @@ Command::Option Command::file(const std::string& names, std::string& field, cons
     return option;
 }
 
-Command::Option Command::files(const std::string& names, std::vector<std::string>& field,
-                            const std::string& help) {
+Command::Option Command::files(const std::string& names, std::vector<std::string>& field, const std::string& help) {
     const Option option = this->option(names, field, help);
     declared_.back().kind = Kind::input;
     option.option_->type_name("FILE")->expected(1, any_number)->allow_extra_args();
@@ -185,8 +183,7 @@ std::string Command::text(bool for_output) const {
                 const auto [label, file] = split_label(value);
                 text += " " + shell_word(label.empty() ? base_name(file) : label + "=" + base_name(file));
             } else
-                text +=
-                    " " + shell_word(option.kind == Kind::input ? base_name(value) : without_place(value));
+                text += " " + shell_word(option.kind == Kind::input ? base_name(value) : without_place(value));
         }
     }
     return text;
@@ -205,8 +202,7 @@ void Command::check_files() const {
             std::error_code ignored;
             if (option.kind == Kind::input) {
                 if (!fs::exists(name, ignored)) throw InputError(fmt::format("{}: no such file", name));
-                if (fs::is_directory(name, ignored))
-                    throw InputError(fmt::format("{}: a folder, not a file", name));
+                if (fs::is_directory(name, ignored)) throw InputError(fmt::format("{}: a folder, not a file", name));
             } else if (option.is_output) {
                 check_output_path(name);
             }

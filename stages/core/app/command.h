@@ -53,9 +53,9 @@ class Command {
 
     /// A number, or an optional one (left out of the command's text while unset).
     template <class T>
-    requires Number<typename value_of<T>::type> Option option(
-        const std::string& names, T& field, const std::string& help,
-        std::optional<Range<typename value_of<T>::type>> range = std::nullopt);
+    requires Number<typename value_of<T>::type> Option
+    option(const std::string& names, T& field, const std::string& help,
+           std::optional<Range<typename value_of<T>::type>> range = std::nullopt);
     /// A text; a list of texts, one per use of the flag (`-D a=1 -D b=2`).
     Option option(const std::string& names, std::string& field, const std::string& help);
     Option option(const std::string& names, std::vector<std::string>& field, const std::string& help);
@@ -63,7 +63,7 @@ class Command {
     /// One value of a closed set, by name.
     template <class Enum>
     Option choice(const std::string& names, Enum& field, const std::string& help,
-                        std::vector<std::pair<std::string, Enum>> values);
+                  std::vector<std::pair<std::string, Enum>> values);
 
     /// An input that must be there; `files` takes one or more. The command's text has base names only.
     Option file(const std::string& names, std::string& field, const std::string& help);
@@ -122,9 +122,8 @@ requires Number<typename value_of<T>::type> Command::Option Command::option(
     const std::string kind = std::floating_point<Value> ? "number" : "whole number";
     std::string type = std::floating_point<Value> ? "NUMBER" : "INT";
     if (range) {
-        type += range->high == std::numeric_limits<Value>::max()
-                    ? fmt::format(" >= {}", range->low)
-                    : fmt::format(" {}..{}", range->low, range->high);
+        type += range->high == std::numeric_limits<Value>::max() ? fmt::format(" >= {}", range->low)
+                                                                 : fmt::format(" {}..{}", range->low, range->high);
         if (!range->unit.empty()) type += " " + range->unit;
     }
     const auto set = [&field, range, kind](const std::string& text) {
@@ -151,7 +150,7 @@ requires Number<typename value_of<T>::type> Command::Option Command::option(
 
 template <class Enum>
 Command::Option Command::choice(const std::string& names, Enum& field, const std::string& help,
-                             std::vector<std::pair<std::string, Enum>> values) {
+                                std::vector<std::pair<std::string, Enum>> values) {
     std::string allowed;
     for (const auto& [name, value] : values) allowed += (allowed.empty() ? "" : "|") + name;
     const auto set = [&field, values, allowed](const std::string& text) {
@@ -171,10 +170,11 @@ Command::Option Command::choice(const std::string& names, Enum& field, const std
     return declare(names, help, allowed, Kind::value, set, get);
 }
 
-/// Returns the command that makes one part of what `command` makes: for each of `changes` the first occurrence of its first
-/// text is replaced by its second.
+/// Returns the command that makes one part of what `command` makes: for each of `changes` the first occurrence of its
+/// first text is replaced by its second.
 std::string command_of_part(std::string command, std::span<const std::pair<std::string, std::string>> changes);
-inline std::string command_of_part(std::string command, std::initializer_list<std::pair<std::string, std::string>> changes) {
+inline std::string command_of_part(std::string command,
+                                   std::initializer_list<std::pair<std::string, std::string>> changes) {
     return command_of_part(std::move(command), std::span(changes.begin(), changes.size()));
 }
 

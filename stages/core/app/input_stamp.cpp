@@ -20,7 +20,8 @@ namespace loom::app {
 namespace {
 
 constexpr std::string_view heading = "loom-stamp 1";
-// A file that changed so shortly before it was hashed may have changed again within one tick of the file system's clock.
+// A file that changed so shortly before it was hashed may have changed again within one tick of the file system's
+// clock.
 constexpr std::int64_t settling_ns = 2'000'000'000;
 
 struct Entry {
@@ -79,7 +80,8 @@ std::vector<Entry> examine(std::span<const std::string> files, const std::vector
         } else {
             // Before the file is read: a change while it is read makes the entry unsettled.
             entry.hashed_ns = std::chrono::duration_cast<std::chrono::nanoseconds>(
-                                  std::chrono::system_clock::now().time_since_epoch()).count();
+                                  std::chrono::system_clock::now().time_since_epoch())
+                                  .count();
             entry.hash = file_content_hash(file);
         }
         entries.push_back(std::move(entry));

@@ -38,7 +38,9 @@ std::uint64_t peak_memory_bytes() {
     return static_cast<std::uint64_t>(r.ru_maxrss) * 1024;
 }
 
-[[noreturn]] void refuse_stdout() { throw std::runtime_error(fmt::format("cannot write to the standard output: {}", std::strerror(errno))); }
+[[noreturn]] void refuse_stdout() {
+    throw std::runtime_error(fmt::format("cannot write to the standard output: {}", std::strerror(errno)));
+}
 
 }  // namespace
 
@@ -124,9 +126,8 @@ Cost Report::cost() const {
 
 void Report::close(const std::string& counts) {
     const Usage used = usage();
-    std::string text =
-        fmt::format("done: {} in {} ({} CPU), peak memory {}", counts, duration_text(used.wall_s),
-                    duration_text(used.cpu_s), bytes_text(used.peak_memory_bytes));
+    std::string text = fmt::format("done: {} in {} ({} CPU), peak memory {}", counts, duration_text(used.wall_s),
+                                   duration_text(used.cpu_s), bytes_text(used.peak_memory_bytes));
     if (warnings() > 0) text += fmt::format(", {} warning{}", warnings(), warnings() == 1 ? "" : "s");
     log_line(Level::info, text);
 }
@@ -148,9 +149,8 @@ void Progress::show(std::uint64_t done) {
     if (done < next_.load(std::memory_order_relaxed)) return;  // another thread has just shown as much
     const std::chrono::duration<double> elapsed = std::chrono::steady_clock::now() - start_;
     const double fraction = std::min(1.0, static_cast<double>(done) / static_cast<double>(total_));
-    const std::string left = done < total_
-                                 ? duration_text(elapsed.count() * (1 - fraction) / fraction) + " left"
-                                 : "took " + duration_text(elapsed.count());
+    const std::string left = done < total_ ? duration_text(elapsed.count() * (1 - fraction) / fraction) + " left"
+                                           : "took " + duration_text(elapsed.count());
     if (report_.terminal_) {
         // Ten updates a second at most, whatever the speed of the work.
         const double speed = static_cast<double>(done) / std::max(elapsed.count(), 1e-6);
@@ -159,10 +159,9 @@ void Progress::show(std::uint64_t done) {
     } else {
         const std::uint64_t tenth = std::min<std::uint64_t>(10, static_cast<std::uint64_t>(10 * fraction));
         // Smallest count that reaches the next tenth; after the last tenth nothing more is said.
-        next_ =
-            tenth == 10
-                ? UINT64_MAX
-                : static_cast<std::uint64_t>((static_cast<unsigned __int128>(total_) * (tenth + 1) + 9) / 10);
+        next_ = tenth == 10
+                    ? UINT64_MAX
+                    : static_cast<std::uint64_t>((static_cast<unsigned __int128>(total_) * (tenth + 1) + 9) / 10);
         report_.logger_->info("{} {} %, {}", what_, 10 * tenth, left);
     }
 }

@@ -91,9 +91,7 @@ struct Dual {
         const Real s2 = Real(1) - x.value * x.value;
         return x.chain(std::asin(x.value), s2 > Real(0) ? Real(1) / std::sqrt(s2) : Real(0));
     }
-    friend Dual atan(const Dual& x) {
-        return x.chain(std::atan(x.value), Real(1) / (Real(1) + x.value * x.value));
-    }
+    friend Dual atan(const Dual& x) { return x.chain(std::atan(x.value), Real(1) / (Real(1) + x.value * x.value)); }
     friend Dual atan2(const Dual& y, const Dual& x) {
         const Real r2 = x.value * x.value + y.value * y.value;
         const Real inv = r2 > Real(0) ? Real(1) / r2 : Real(0);
@@ -110,8 +108,7 @@ struct Dual {
         const Real df_dp = x.value == Real(0) ? Real(0) : f * std::log(x.value);
         // A constant power of a negative number has no logarithm and needs none.
         Dual result(f);
-        for (int i = 0; i < N; ++i)
-            result.d[i] = df_dx * x.d[i] + (p.d[i] == Real(0) ? Real(0) : df_dp * p.d[i]);
+        for (int i = 0; i < N; ++i) result.d[i] = df_dx * x.d[i] + (p.d[i] == Real(0) ? Real(0) : df_dp * p.d[i]);
         return result;
     }
     friend Dual fabs(const Dual& x) { return x.chain(std::fabs(x.value), std::copysign(Real(1), x.value)); }

@@ -143,8 +143,7 @@ struct Rgb {
     constexpr explicit Rgb(T grey) : r(grey), g(grey), b(grey) {}
     constexpr Rgb(T r_, T g_, T b_) : r(r_), g(g_), b(b_) {}
     template <class U>
-        requires(!std::is_same_v<U, T>)
-    constexpr explicit Rgb(const Rgb<U>& o) : r(T(o.r)), g(T(o.g)), b(T(o.b)) {}
+    requires(!std::is_same_v<U, T>) constexpr explicit Rgb(const Rgb<U>& o) : r(T(o.r)), g(T(o.g)), b(T(o.b)) {}
 
     constexpr T& operator[](int i) { return i == 0 ? r : i == 1 ? g : b; }
     constexpr const T& operator[](int i) const { return i == 0 ? r : i == 1 ? g : b; }

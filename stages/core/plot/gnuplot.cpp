@@ -100,7 +100,8 @@ void make_pictures(const fs::path& folder, const std::map<std::string, std::stri
     for (const std::string& picture : pictures) {
         const std::string& bytes = bytes_of[picture] = text_of(scratch.path / picture);
         if (!is_whole(picture, bytes))
-            throw std::runtime_error(fmt::format("{}: gnuplot did not write all of it (disk full?)", (place / picture).native()));
+            throw std::runtime_error(
+                fmt::format("{}: gnuplot did not write all of it (disk full?)", (place / picture).native()));
     }
     for (const auto& [name, text] : files) fs::rename(scratch.path / name, place / name);
     for (const auto& [picture, bytes] : bytes_of) write_text_file(place / picture, bytes);

@@ -26,7 +26,8 @@ struct CumulativeCells {
             sum += w;
             negative |= w < 0;
         }
-        if (negative || !(sum > 0) || !std::isfinite(sum)) throw std::logic_error("a distribution needs weights >= 0 with a positive, finite sum");
+        if (negative || !(sum > 0) || !std::isfinite(sum))
+            throw std::logic_error("a distribution needs weights >= 0 with a positive, finite sum");
         double running = 0;
         for (std::size_t i = 0; i < n; ++i) {
             cdf[i] = float(running / sum);
@@ -87,7 +88,8 @@ class Distribution2 {
             const auto row = weights.subspan(y * width, width);
             for (double w : row) row_sums[y] += w;
             // A row that is never chosen is kept valid.
-            CumulativeCells::fill(row_sums[y] > 0 ? row : std::span<const double>(ones), row_start(cdf_, y), row_start(guide_, y));
+            CumulativeCells::fill(row_sums[y] > 0 ? row : std::span<const double>(ones), row_start(cdf_, y),
+                                  row_start(guide_, y));
         }
         marginal_ = Distribution1(row_sums);
     }
@@ -125,7 +127,8 @@ class Distribution2 {
 
     /// The same in steps: the cell of a point, whose memory is asked for, then its density.
     Search cell(Point2f p) const {
-        Search s{p, std::min(std::size_t(p.x * float(width_)), width_ - 1), std::min(std::size_t(p.y * float(height_)), height_ - 1)};
+        Search s{p, std::min(std::size_t(p.x * float(width_)), width_ - 1),
+                 std::min(std::size_t(p.y * float(height_)), height_ - 1)};
         __builtin_prefetch(row_start(cdf_, s.y) + s.x);
         return s;
     }
@@ -134,9 +137,13 @@ class Distribution2 {
 
   private:
     template <class T>
-    T* row_start(std::vector<T>& rows, std::size_t y) const { return rows.data() + (width_ + 1) * y; }
+    T* row_start(std::vector<T>& rows, std::size_t y) const {
+        return rows.data() + (width_ + 1) * y;
+    }
     template <class T>
-    const T* row_start(const std::vector<T>& rows, std::size_t y) const { return rows.data() + (width_ + 1) * y; }
+    const T* row_start(const std::vector<T>& rows, std::size_t y) const {
+        return rows.data() + (width_ + 1) * y;
+    }
     float density(std::size_t x, std::size_t y) const {
         const float* cdf = row_start(cdf_, y) + x;
         return marginal_.pmf(y) * (cdf[1] - cdf[0]) * float(width_) * float(height_);
@@ -144,7 +151,7 @@ class Distribution2 {
 
     std::size_t width_ = 0, height_ = 0;
     Distribution1 marginal_;
-    std::vector<float> cdf_;            // of the rows, one behind another
+    std::vector<float> cdf_;  // of the rows, one behind another
     std::vector<std::uint32_t> guide_;
 };
 

@@ -29,7 +29,9 @@ constexpr std::uint32_t mix32(std::uint32_t x) {
 }
 
 /// [0, 1), 24 bits: every value is a float, none rounds up to 1.
-constexpr float unit_float(std::uint32_t bits) { return float(bits >> 8) * 0x1p-24f; }
+constexpr float unit_float(std::uint32_t bits) {
+    return float(bits >> 8) * 0x1p-24f;
+}
 
 enum class SamplerKind : std::uint8_t { sobol = 0, independent = 1 };
 
@@ -55,8 +57,10 @@ class Sampler {
     /// Both numbers of a pair of dimensions.
     Point2f pair(std::uint32_t dimension) const {
         Point2f u;
-        if (kind_ == SamplerKind::sobol) sobol(key_lo_, key_hi_, index_, dimension, u.x, u.y);
-        else independent(key_lo_, key_hi_, dimension, u.x, u.y);
+        if (kind_ == SamplerKind::sobol)
+            sobol(key_lo_, key_hi_, index_, dimension, u.x, u.y);
+        else
+            independent(key_lo_, key_hi_, dimension, u.x, u.y);
         return u;
     }
 

@@ -2,11 +2,11 @@
 #include "stages/core/sampling/sampler.h"
 
 // One set of the sampler's column loops for each x86-64 level.
-#define LOOM_DECLARE_LEVEL(level)                                                                                  \
-    namespace loom::level {                                                                                        \
-    void sampler_pairs(SamplerKind kind, const std::uint32_t* __restrict key_lo,                                   \
-                       const std::uint32_t* __restrict key_hi, const std::uint32_t* __restrict index,              \
-                       std::uint32_t dimension, std::size_t n, float* __restrict x, float* __restrict y);          \
+#define LOOM_DECLARE_LEVEL(level)                                                                         \
+    namespace loom::level {                                                                               \
+    void sampler_pairs(SamplerKind kind, const std::uint32_t* __restrict key_lo,                          \
+                       const std::uint32_t* __restrict key_hi, const std::uint32_t* __restrict index,     \
+                       std::uint32_t dimension, std::size_t n, float* __restrict x, float* __restrict y); \
     }
 LOOM_DECLARE_LEVEL(v2)
 LOOM_DECLARE_LEVEL(v3)

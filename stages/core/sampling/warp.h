@@ -18,25 +18,23 @@ struct SinCos {
 /// Cheaper than the library's, vectorises, and is the same on every machine.
 inline SinCos sin_cos_octant(float x) {
     const float x2 = x * x;
-    return {
-        x + x * x2 * (-1.6666654611e-1f + x2 * (8.3321608736e-3f - x2 * 1.9515295891e-4f)),
-        1.0f - 0.5f * x2 +
-            x2 * x2 * (4.166664568298827e-2f + x2 * (-1.388731625493765e-3f + x2 * 2.443315711809948e-5f))};
+    return {x + x * x2 * (-1.6666654611e-1f + x2 * (8.3321608736e-3f - x2 * 1.9515295891e-4f)),
+            1.0f - 0.5f * x2 +
+                x2 * x2 * (4.166664568298827e-2f + x2 * (-1.388731625493765e-3f + x2 * 2.443315711809948e-5f))};
 }
 
 /// select() on bits, for masks as random as the numbers they come from: a branch would be mispredicted
 /// every other time.
 inline float blend(bool mask, float a, float b) {
     const std::uint32_t m = -static_cast<std::uint32_t>(mask);
-    return std::bit_cast<float>((std::bit_cast<std::uint32_t>(a) & m) |
-                                (std::bit_cast<std::uint32_t>(b) & ~m));
+    return std::bit_cast<float>((std::bit_cast<std::uint32_t>(a) & m) | (std::bit_cast<std::uint32_t>(b) & ~m));
 }
 
 /// sin(2πu) and cos(2πu), u in [0, 1].
 inline SinCos sin_cos_turn(float u) {
     const auto quarter = static_cast<std::uint32_t>(static_cast<std::int32_t>(4.0f * u + 0.5f));
-    const SinCos r = sin_cos_octant((u - 0.25f * static_cast<float>(static_cast<std::int32_t>(quarter))) *
-                                    (2.0f * pi<float>));
+    const SinCos r =
+        sin_cos_octant((u - 0.25f * static_cast<float>(static_cast<std::int32_t>(quarter))) * (2.0f * pi<float>));
     const bool odd = quarter & 1;
     const std::uint32_t sin_sign = (quarter & 2) << 30, cos_sign = ((quarter + 1) & 2) << 30;
     return {std::bit_cast<float>(std::bit_cast<std::uint32_t>(blend(odd, r.cos, r.sin)) ^ sin_sign),

@@ -49,8 +49,7 @@ Vector3f visible_normal_even(float alpha, const Vector3f& w, Point2f u) {
 /// isotropic, so half of the azimuths suffice.
 /// differs: nodes and parametrisation are those of Mitsuba 3, so that the tables agree to rounding
 template <class What>
-double mean_over_facets(const MicrofacetDistribution<float>& facets, float mu, const Quadrature& q,
-                        What&& what) {
+double mean_over_facets(const MicrofacetDistribution<float>& facets, float mu, const Quadrature& q, What&& what) {
     const Vector3f w{std::sqrt(1 - mu * mu), 0, mu};
     const std::size_t n = q.node.size();
     double sum = 0;
@@ -65,15 +64,13 @@ double mean_over_facets(const MicrofacetDistribution<float>& facets, float mu, c
 }
 
 /// Fraction of the light that a rough interface reflects, or transmits: single scattering, F G1.
-double rough_reflectance(const MicrofacetDistribution<float>& facets, float mu, float eta,
-                         const Quadrature& q) {
+double rough_reflectance(const MicrofacetDistribution<float>& facets, float mu, float eta, const Quadrature& q) {
     return mean_over_facets(facets, mu, q, [&](const Vector3f& w, const Vector3f& m) {
         const Vector3f out = reflect(w, m);
         return out.z > 0 ? fresnel_dielectric(dot(w, m), eta).reflectance * facets.G1(out, m) : 0.0f;
     });
 }
-double rough_transmittance(const MicrofacetDistribution<float>& facets, float mu, float eta,
-                           const Quadrature& q) {
+double rough_transmittance(const MicrofacetDistribution<float>& facets, float mu, float eta, const Quadrature& q) {
     return mean_over_facets(facets, mu, q, [&](const Vector3f& w, const Vector3f& m) {
         const FresnelDielectric<float> f = fresnel_dielectric(dot(w, m), eta);
         const Vector3f out = refract(w, m, f);
@@ -132,7 +129,8 @@ float conserve_energy(BsdfModel& model) {
 }
 
 void prepare(BsdfModel& model) {
-    if (model.kind == BsdfKind::rough_plastic) model.coat = known_rough_coat(model.distribution, model.alpha_u, model.eta());
+    if (model.kind == BsdfKind::rough_plastic)
+        model.coat = known_rough_coat(model.distribution, model.alpha_u, model.eta());
     if (model.kind == BsdfKind::phong || model.kind == BsdfKind::ward) conserve_energy(model);
 }
 
@@ -145,9 +143,11 @@ void prepare_coats(BsdfModel& model, float alpha_min, float alpha_max) {
     if (inserted) {
         coats.alpha_min = alpha_min;
         coats.alpha_max = alpha_max;
-        const int n = alpha_max > alpha_min ? 2 + int(std::ceil(coat_rows_per_alpha * std::min(alpha_max - alpha_min, 1.0f))) : 1;
+        const int n =
+            alpha_max > alpha_min ? 2 + int(std::ceil(coat_rows_per_alpha * std::min(alpha_max - alpha_min, 1.0f))) : 1;
         coats.rows.resize(std::size_t(n));
-        for (std::size_t k = 0; k < coats.rows.size(); ++k) coats.rows[k] = known_rough_coat(model.distribution, coats.alpha(k), model.eta());
+        for (std::size_t k = 0; k < coats.rows.size(); ++k)
+            coats.rows[k] = known_rough_coat(model.distribution, coats.alpha(k), model.eta());
     }
     model.coat = coats.rows[coats.rows.size() / 2];
     model.coats = &coats;

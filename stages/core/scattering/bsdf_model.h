@@ -52,8 +52,8 @@ constexpr bool is_transmission(Lobe lobe) {
 /// Number of entries of BsdfModel::external_transmittance.
 inline constexpr int n_transmittance = 64;
 
-/// The interface of a rough plastic at one roughness: what it reflects of diffuse light from inside and from outside, and
-/// what it lets through per cos(theta), evenly spaced over [0, 1].
+/// The interface of a rough plastic at one roughness: what it reflects of diffuse light from inside and from outside,
+/// and what it lets through per cos(theta), evenly spaced over [0, 1].
 struct RoughCoat {
     float fdr_int = 0.0f, fdr_ext = 0.0f;
     std::array<float, n_transmittance> external_transmittance{};
@@ -65,7 +65,8 @@ struct RoughCoats {
     std::vector<RoughCoat> rows;
 
     float alpha(std::size_t row) const {
-        return row + 1 == rows.size() ? alpha_max : alpha_min + (alpha_max - alpha_min) * float(row) / float(rows.size() - 1);
+        return row + 1 == rows.size() ? alpha_max
+                                      : alpha_min + (alpha_max - alpha_min) * float(row) / float(rows.size() - 1);
     }
     struct Place {
         const RoughCoat *row, *next;
@@ -99,8 +100,8 @@ struct BsdfModel {
     Spectrum transmittance{1.0f};          // factor on specular transmission
     Spectrum eta_c{0.0f}, k_c{1.0f};       // conductor: complex index relative to the outside
     // Derived by prepare() for rough_plastic.
-    RoughCoat coat;                      // at alpha_u
-    const RoughCoats* coats = nullptr;   // where a texture gives alpha; borrowed
+    RoughCoat coat;                     // at alpha_u
+    const RoughCoats* coats = nullptr;  // where a texture gives alpha; borrowed
 
     float eta() const { return int_ior / ext_ior; }
 };

@@ -19,8 +19,7 @@ struct ConductorFamily : DeltaFamily {
     }
     template <class T>
     static Rgb<T> albedo(const Bsdf<T>& b, const Vector3<T>& wo) {
-        return select(wo.z > T(0), b.specular * fresnel_conductor(wo.z, b.eta_c, b.k_c),
-                      Rgb<T>());
+        return select(wo.z > T(0), b.specular * fresnel_conductor(wo.z, b.eta_c, b.k_c), Rgb<T>());
     }
 };
 
@@ -33,8 +32,7 @@ struct RoughConductorFamily : SmoothFamily {
         const T cos_h = dot(wo, h);
         const T d = facets.D(h);
         const T value = d * facets.G1(wo, h) * facets.G1(wi, h) / (T(4) * wo.z);
-        const T pdf =
-            b.model->sample_visible ? d * facets.G1_exact(wo) / (T(4) * wo.z) : d * h.z / (T(4) * cos_h);
+        const T pdf = b.model->sample_visible ? d * facets.G1_exact(wo) / (T(4) * wo.z) : d * h.z / (T(4) * cos_h);
         const Rgb<T> f = fresnel_conductor(cos_h, b.eta_c, b.k_c);
         return one_sided(wo, wi, b.specular * f * value, pdf);
     }

@@ -101,9 +101,8 @@ struct RoughDielectricFamily : SmoothFamily {
             select(reflects, b.specular * (F * base), b.transmittance * ((T(1) - F) * base / sqr(eta)));
 
         const MicrofacetDistribution<T> sampled = sampled_facets(b, wo);
-        const T pdf_m = b.model->sample_visible
-                            ? sampled.D(m) * sampled.G1_exact(wo) * cos_jacobian / fabs(wo.z)
-                            : sampled.D(m) * m.z * jacobian;
+        const T pdf_m = b.model->sample_visible ? sampled.D(m) * sampled.G1_exact(wo) * cos_jacobian / fabs(wo.z)
+                                                : sampled.D(m) * m.z * jacobian;
         const T pdf = pdf_m * select(reflects, p, T(1) - p);
         // Each direction must see the facet from the side on which it sees the surface.
         const bool faces = cos_o * wo.z > T(0) && cos_i * wi.z > T(0);
@@ -119,9 +118,7 @@ struct RoughDielectricFamily : SmoothFamily {
         const bool reflects = T(u_lobe) < reflection_pmf(b, f.reflectance);
         const Vector3<T> wi = reflects ? reflect(wo, m) : refract(wo, m, f);
         const bool right_side = reflects ? wo.z * wi.z > T(0) : wo.z * wi.z < T(0);
-        return {wi, !right_side ? Lobe::none
-                    : reflects  ? Lobe::glossy_reflection
-                                : Lobe::glossy_transmission};
+        return {wi, !right_side ? Lobe::none : reflects ? Lobe::glossy_reflection : Lobe::glossy_transmission};
     }
     template <class T>
     static Rgb<T> albedo(const Bsdf<T>& b, const Vector3<T>& wo) {

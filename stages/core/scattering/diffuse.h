@@ -20,7 +20,8 @@ struct DiffuseFamily : SmoothFamily {
         return T(0);
     }
     template <class T>
-    [[gnu::always_inline]] static LobeValues<T> lobes(const Bsdf<T>&, const Vector3<T>& wo, const Vector3<T>& wi, const T&) {
+    [[gnu::always_inline]] static LobeValues<T> lobes(const Bsdf<T>&, const Vector3<T>& wo, const Vector3<T>& wi,
+                                                      const T&) {
         const T pdf = wi.z * inv_pi<T>;
         return one_sided(wo, wi, {pdf, T(0), pdf});
     }

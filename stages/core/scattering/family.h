@@ -5,7 +5,8 @@
 //   choose(bsdf, wo, u_lobe, u)   lobe and direction
 //   delta_lobe(bsdf, wo, lobe)    a lobe without width
 //   albedo(bsdf, wo)              as bsdf.h
-//   tint(bsdf, wo), p_coat(bsdf, wo), lobes(bsdf, wo, wi, p_coat)   where colour and direction come apart: see LobeValues
+//   tint(bsdf, wo), p_coat(bsdf, wo), lobes(bsdf, wo, wi, p_coat)   where colour and direction come apart: see
+//   LobeValues
 // f_cos_pdf and what it calls are inlined by force: a call keeps loops over columns from being vectorised.
 // The bases below stand in for the parts that a family does not have.
 
@@ -63,7 +64,8 @@ BsdfValue<T> one_sided(const Vector3<T>& wo, const Vector3<T>& wi, const Rgb<T>&
 }
 
 template <class T>
-[[gnu::always_inline]] inline LobeValues<T> one_sided(const Vector3<T>& wo, const Vector3<T>& wi, const LobeValues<T>& v) {
+[[gnu::always_inline]] inline LobeValues<T> one_sided(const Vector3<T>& wo, const Vector3<T>& wi,
+                                                      const LobeValues<T>& v) {
     const bool above = wo.z > T(0) && wi.z > T(0);
     return {select(above, v.base, T(0)), select(above, v.coat, T(0)), select(above, v.pdf_w, T(0))};
 }

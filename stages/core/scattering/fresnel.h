@@ -56,7 +56,8 @@ template <class T>
 }
 template <class T>
 [[gnu::always_inline]] inline Rgb<T> fresnel_conductor(const T& cos_i, const Rgb<T>& eta, const Rgb<T>& k) {
-    return {fresnel_conductor(cos_i, eta.r, k.r), fresnel_conductor(cos_i, eta.g, k.g), fresnel_conductor(cos_i, eta.b, k.b)};
+    return {fresnel_conductor(cos_i, eta.r, k.r), fresnel_conductor(cos_i, eta.g, k.g),
+            fresnel_conductor(cos_i, eta.b, k.b)};
 }
 
 /// Reflectance of a dielectric interface under diffuse illumination, by fits.
@@ -66,8 +67,7 @@ template <class T>
     const T x = T(1) / eta;
     const T below = T(0.0636) * x + T(0.6681) + eta * (T(0.7099) - eta * T(1.4399));
     const T above =
-        T(0.919317) +
-        x * (T(-3.4793) + x * (T(6.75335) + x * (T(-7.80989) + x * (T(4.98554) - x * T(1.36881)))));
+        T(0.919317) + x * (T(-3.4793) + x * (T(6.75335) + x * (T(-7.80989) + x * (T(4.98554) - x * T(1.36881)))));
     return select(eta < T(1), below, above);
 }
 

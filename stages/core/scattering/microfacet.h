@@ -22,8 +22,8 @@ T erf_inv(const T& x) {
         centre = T(a) + centre * c;
     const T s = safe_sqrt(w) - T(3);
     T tail = T(-0.000200214257);
-    for (const double a : {0.000100950558, 0.00134934322, -0.00367342844, 0.00573950773, -0.0076224613,
-                           0.00943887047, 1.00167406, 2.83297682})
+    for (const double a : {0.000100950558, 0.00134934322, -0.00367342844, 0.00573950773, -0.0076224613, 0.00943887047,
+                           1.00167406, 2.83297682})
         tail = T(a) + tail * s;
     return select(w < T(5), centre, tail) * x;
 }
@@ -103,7 +103,8 @@ struct MicrofacetDistribution {
         // lambda = exp(-a²) / (2 a √π) - erfc(a) / 2, and erfc(a) = exp(-a²) p(t) to 1.5e-7.
         //                    [AbramowitzStegun1964] Eq. (7.1.26)
         const T t = T(1) / (T(1) + T(0.3275911) * a);
-        const T p = t * (T(0.254829592) + t * (T(-0.284496736) + t * (T(1.421413741) + t * (T(-1.453152027) + t * T(1.061405429)))));
+        const T p = t * (T(0.254829592) +
+                         t * (T(-0.284496736) + t * (T(1.421413741) + t * (T(-1.453152027) + t * T(1.061405429)))));
         const T lambda = exponential(-a * a) * (T(1 / (2 * 1.77245385090551602730)) / a - T(0.5) * p);
         // To rounding, as are the derivatives to 0.
         return select(a > T(4), T(1), T(1) / (T(1) + lambda));

@@ -27,12 +27,13 @@ struct PhongFamily : SmoothFamily {
         return b.diffuse;
     }
     template <class T>
-    [[gnu::always_inline]] static LobeValues<T> lobes(const Bsdf<T>& b, const Vector3<T>& wo, const Vector3<T>& wi, const T& p) {
+    [[gnu::always_inline]] static LobeValues<T> lobes(const Bsdf<T>& b, const Vector3<T>& wo, const Vector3<T>& wi,
+                                                      const T& p) {
         using std::pow;
         const T n = b.exponent;
         const T cos_a = dot(reflect(wo), wi);
-        const T power = select(cos_a > T(0), T(pow(select(cos_a > T(0), cos_a, T(1)), n)), T(0)) *
-                        T(0.5f * inv_pi<float>);
+        const T power =
+            select(cos_a > T(0), T(pow(select(cos_a > T(0), cos_a, T(1)), n)), T(0)) * T(0.5f * inv_pi<float>);
         const T cosine = wi.z * inv_pi<T>;
         return one_sided(wo, wi, {cosine, (n + T(2)) * power * wi.z, p * (n + T(1)) * power + (T(1) - p) * cosine});
     }

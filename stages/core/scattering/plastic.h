@@ -47,7 +47,8 @@ struct PlasticFamily : SmoothFamily {
         return energy(b, wo, base(b)).p_specular();
     }
     template <class T>
-    [[gnu::always_inline]] static LobeValues<T> lobes(const Bsdf<T>& b, const Vector3<T>& wo, const Vector3<T>& wi, const T& p) {
+    [[gnu::always_inline]] static LobeValues<T> lobes(const Bsdf<T>& b, const Vector3<T>& wo, const Vector3<T>& wi,
+                                                      const T& p) {
         const T cosine = wi.z * inv_pi<T>;
         const T entering = T(1) - fresnel_dielectric(wi.z, b.eta).reflectance;
         return one_sided(wo, wi, {entering * cosine, T(0), (T(1) - p) * cosine});
@@ -103,9 +104,10 @@ struct RoughPlasticFamily : SmoothFamily {
     }
     template <class T>
     [[gnu::always_inline]] static PlasticFamily::Energy<T> energy(const Bsdf<T>& b, const Vector3<T>& wo,
-                                                                   const Rgb<T>& base) {
+                                                                  const Rgb<T>& base) {
         const T through = transmittance(b, wo.z);
-        return {b.specular * (T(1) - through), base * (through * (T(1) - diffuse_reflectance(b, &RoughCoat::fdr_ext))), through};
+        return {b.specular * (T(1) - through), base * (through * (T(1) - diffuse_reflectance(b, &RoughCoat::fdr_ext))),
+                through};
     }
     template <class T>
     [[gnu::always_inline]] static Rgb<T> base(const Bsdf<T>& b) {
@@ -120,7 +122,8 @@ struct RoughPlasticFamily : SmoothFamily {
         return energy(b, wo, base(b)).p_specular();
     }
     template <class T>
-    [[gnu::always_inline]] static LobeValues<T> lobes(const Bsdf<T>& b, const Vector3<T>& wo, const Vector3<T>& wi, const T& p) {
+    [[gnu::always_inline]] static LobeValues<T> lobes(const Bsdf<T>& b, const Vector3<T>& wo, const Vector3<T>& wi,
+                                                      const T& p) {
         const MicrofacetDistribution<T> facets(b);
         const Vector3<T> h = normalize(wo + wi);
         const T cos_h = dot(wo, h);
@@ -130,8 +133,7 @@ struct RoughPlasticFamily : SmoothFamily {
         const T specular_pdf =
             b.model->sample_visible ? d * facets.G1_exact(wo) / (T(4) * wo.z) : d * h.z / (T(4) * cos_h);
         const T cosine = wi.z * inv_pi<T>;
-        return one_sided(wo, wi, {transmittance(b, wi.z) * cosine, specular,
-                                  p * specular_pdf + (T(1) - p) * cosine});
+        return one_sided(wo, wi, {transmittance(b, wi.z) * cosine, specular, p * specular_pdf + (T(1) - p) * cosine});
     }
     template <class T>
     [[gnu::always_inline]] static BsdfValue<T> f_cos_pdf(const Bsdf<T>& b, const Vector3<T>& wo, const Vector3<T>& wi) {

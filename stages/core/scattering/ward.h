@@ -26,7 +26,8 @@ struct WardFamily : SmoothFamily {
         return b.diffuse;
     }
     template <class T>
-    [[gnu::always_inline]] static LobeValues<T> lobes(const Bsdf<T>& b, const Vector3<T>& wo, const Vector3<T>& wi, const T& p) {
+    [[gnu::always_inline]] static LobeValues<T> lobes(const Bsdf<T>& b, const Vector3<T>& wo, const Vector3<T>& wi,
+                                                      const T& p) {
         const Vector3<T> H = wo + wi;
         const T z2 = H.z * H.z, length2_H = length2(H);
         const T spread =
@@ -53,8 +54,7 @@ struct WardFamily : SmoothFamily {
         if (!(T(u_lobe) < p_coat(b, wo))) return {Vector3<T>(sample_cosine_hemisphere(u)), Lobe::diffuse};
         const float r = std::sqrt(-std::log1p(-u.y));
         const SinCos phi = sin_cos_turn(u.x);
-        const Vector3<T> m =
-            normalize(Vector3<T>{b.alpha_u * T(r * phi.cos), b.alpha_v * T(r * phi.sin), T(1)});
+        const Vector3<T> m = normalize(Vector3<T>{b.alpha_u * T(r * phi.cos), b.alpha_v * T(r * phi.sin), T(1)});
         const Vector3<T> wi = reflect(wo, m);
         return {wi, wi.z > T(0) ? Lobe::glossy_reflection : Lobe::none};
     }

@@ -18,7 +18,9 @@ namespace {
 
 constexpr double rad_per_deg = pi_double / 180.0;
 
-Point3f to_point(const Point3<double>& p) { return Point3f(p); }
+Point3f to_point(const Point3<double>& p) {
+    return Point3f(p);
+}
 
 Mesh plane_mesh(std::vector<Point3f> positions, std::vector<Point2f> uvs, std::vector<std::uint32_t> indices) {
     return {std::move(positions), {}, std::move(uvs), std::move(indices)};
@@ -31,7 +33,8 @@ Mesh rectangle_mesh() {
 
 /// The cube [-1,1]^3, four vertices a face, in Mitsuba's order (it fixes the texture coordinates).
 Mesh cube_mesh() {
-    static constexpr int corners[6][4] = {{4, 5, 1, 0}, {6, 2, 3, 7}, {4, 6, 7, 5}, {5, 7, 3, 1}, {1, 3, 2, 0}, {6, 4, 0, 2}};
+    static constexpr int corners[6][4] = {{4, 5, 1, 0}, {6, 2, 3, 7}, {4, 6, 7, 5},
+                                          {5, 7, 3, 1}, {1, 3, 2, 0}, {6, 4, 0, 2}};
     Mesh mesh;
     for (const auto& face : corners) {
         const auto base = std::uint32_t(mesh.positions.size());
@@ -53,7 +56,9 @@ void place_flat(Mesh& mesh, const Matrix4d& world) {
         for (std::size_t i = 0; i < mesh.indices.size(); i += 3) std::swap(mesh.indices[i + 1], mesh.indices[i + 2]);
 }
 
-Vector3f column(const Matrix4d& m, int k) { return {float(m(0, k)), float(m(1, k)), float(m(2, k))}; }
+Vector3f column(const Matrix4d& m, int k) {
+    return {float(m(0, k)), float(m(1, k)), float(m(2, k))};
+}
 
 void fill_shape(const Object& o, Shape& shape, std::vector<std::string>& notes) {
     const Matrix4d world = o.get_transform("to_world");
@@ -137,9 +142,9 @@ double tan_half_fov(const Object& o, double aspect) {
 void build_sensor(const Object& root, const Object* relay_wall, Sensor& s, TransientFilm& transient) {
     const ObjectPtr o = relay_wall ? relay_wall->child(Category::sensor) : root.child(Category::sensor);
     if (!o) root.fail("", "the scene has no sensor");
-    s.kind = relay_wall                   ? SensorKind::nlos_capture_meter
+    s.kind = relay_wall                    ? SensorKind::nlos_capture_meter
              : o->plugin == "orthographic" ? SensorKind::orthographic
-                                          : SensorKind::perspective;
+                                           : SensorKind::perspective;
     s.world_from_camera = o->get_transform("to_world").m;
     if (relay_wall) {
         const Point3<double> origin = o->get_point("sensor_origin", {0, 0, 0});
@@ -154,7 +159,8 @@ void build_sensor(const Object& root, const Object* relay_wall, Sensor& s, Trans
         s.width = std::uint32_t(film->get_int("width", 768));
         s.height = std::uint32_t(film->get_int("height", 576));
         if (is_transient_film(*film)) {
-            transient.n_bins = std::uint32_t(film->get_int("temporal_bins", film->plugin == "phasor_hdr_film" ? 4096 : 2048));
+            transient.n_bins =
+                std::uint32_t(film->get_int("temporal_bins", film->plugin == "phasor_hdr_film" ? 4096 : 2048));
             transient.start_opl = film->get_double("start_opl", 0.0);
             transient.bin_width_opl = film->get_double("bin_width_opl", 0.003);
         }
@@ -187,8 +193,9 @@ void build_limits(const Object& root, View& view) {
     view.rr_depth = o->get_int("rr_depth", 5);
     view.hides_emitters = o->get_bool("hide_emitters", false);
     if (!transient) return;
-    view.transient.camera_segment = o->plugin == "transient_nlos_path" ? o->get_bool("account_first_and_last_bounces", false)
-                                                                       : !o->get_bool("camera_unwarp", false);
+    view.transient.camera_segment = o->plugin == "transient_nlos_path"
+                                        ? o->get_bool("account_first_and_last_bounces", false)
+                                        : !o->get_bool("camera_unwarp", false);
     if (o->get_string("temporal_filter", "box") == "gaussian")
         view.transient.sigma_opl = o->get_double("gaussian_stddev", 2.0) * view.transient.bin_width_opl;
 }
@@ -201,7 +208,8 @@ void note_near_plane(const Sensor& s, const TransientFilm& film, std::vector<std
     const std::uint32_t columns = std::min(s.width, most), rows = std::min(s.height, most);
     for (std::uint32_t j = 0; j < rows; ++j)
         for (std::uint32_t i = 0; i < columns; ++i) {
-            const std::uint32_t x = std::uint32_t((i + 0.5) * s.width / columns), y = std::uint32_t((j + 0.5) * s.height / rows);
+            const std::uint32_t x = std::uint32_t((i + 0.5) * s.width / columns),
+                                y = std::uint32_t((j + 0.5) * s.height / rows);
             const double before_plane = s.sample_ray(x, y, {0.5f, 0.5f}).t_min;
             sum += before_plane;
             least = std::min(least, before_plane);
@@ -210,9 +218,11 @@ void note_near_plane(const Sensor& s, const TransientFilm& film, std::vector<std
     const double mean = sum / (double(columns) * rows);
     constexpr double worth_saying = 0.05;  // bins
     if (!(mean > worth_saying * film.bin_width_opl)) return;
-    notes.push_back(fmt::format("near_clip {:.6g}: mitransient counts optical lengths from the near plane, Pathloom from the camera, so that light arrives {:.4g} to {:.4g} later here ({:.3g} bins); "
-                                "START={:.6g} makes the cubes agree",
-                                s.near_clip, least, longest, mean / film.bin_width_opl, film.start_opl + mean));
+    notes.push_back(
+        fmt::format("near_clip {:.6g}: mitransient counts optical lengths from the near plane, Pathloom from the "
+                    "camera, so that light arrives {:.4g} to {:.4g} later here ({:.3g} bins); "
+                    "START={:.6g} makes the cubes agree",
+                    s.near_clip, least, longest, mean / film.bin_width_opl, film.start_opl + mean));
 }
 
 Framef frame_of(const Matrix4d& world) {
@@ -228,7 +238,8 @@ int add_light_texture(const Object& texture, Scene& scene, TextureCache& cache) 
     return int(scene.textures.size()) - 1;
 }
 
-/// A parameter of an emitter that a texture may give: index of the texture, whose factor is then 1, or -1 and the constant.
+/// A parameter of an emitter that a texture may give: index of the texture, whose factor is then 1, or -1 and the
+/// constant.
 int textured_spectrum(const Object& o, const char* name, Spectrum& value, Scene& scene, TextureCache& cache) {
     const auto got = o.get_texture_or_rgb(name, Spectrum(1));
     const auto* texture = std::get_if<ObjectPtr>(&got);
@@ -244,13 +255,17 @@ bool emits_light(const Emitter& e, const Scene& scene) {
 /// Fills scene.emitter_pmf. Emitters without light keep their share, so that switching a light off changes the choice
 /// of no other light.
 void build_choice_of_lights(const std::vector<ObjectPtr>& emitters, Scene& scene) {
-    const bool any_light = std::any_of(scene.emitters.begin(), scene.emitters.end(), [&](const Emitter& e) { return emits_light(e, scene); });
+    const bool any_light = std::any_of(scene.emitters.begin(), scene.emitters.end(),
+                                       [&](const Emitter& e) { return emits_light(e, scene); });
     if (!any_light) scene.notes.push_back("no emitter of the scene emits light: its images are black");
     if (scene.emitters.empty()) return;
     std::vector<double> weights;
     for (const Emitter& e : scene.emitters) weights.push_back(e.sampling_weight);
     if (std::all_of(weights.begin(), weights.end(), [](double w) { return w == 0; })) {
-        if (any_light) emitters.front()->fail("sampling_weight", "'sampling_weight' is 0 for every emitter of the scene, so that none can be sampled");
+        if (any_light)
+            emitters.front()->fail(
+                "sampling_weight",
+                "'sampling_weight' is 0 for every emitter of the scene, so that none can be sampled");
         weights.assign(weights.size(), 1);
     }
     scene.emitter_pmf = Distribution1(weights);
@@ -300,7 +315,8 @@ void build_emitter(const Object& o, Scene& scene, TextureCache& cache) {
         if (e.kind == EmitterKind::constant) {
             e.radiance = o.get_rgb("radiance", Spectrum(1));
         } else {
-            e.map = std::make_shared<EnvironmentMap>(o.plugin == "envmap" ? load_environment(o, cache, scene.notes) : bake_sunsky(o, scene.notes));
+            e.map = std::make_shared<EnvironmentMap>(o.plugin == "envmap" ? load_environment(o, cache, scene.notes)
+                                                                          : bake_sunsky(o, scene.notes));
             if (o.plugin == "sunsky") e.frame = sunsky_frame(o, e.frame);
             if (!e.map->prepare()) {
                 e.kind = EmitterKind::constant;
@@ -328,7 +344,8 @@ bool is_parallelogram(const Object& shape) {
     return shape.plugin == "rectangle" && shape.get_transform("to_world").determinant3() > 0;
 }
 
-void build_area_light(const Object& o, bool parallelogram, std::uint32_t shape_index, Scene& scene, TextureCache& cache) {
+void build_area_light(const Object& o, bool parallelogram, std::uint32_t shape_index, Scene& scene,
+                      TextureCache& cache) {
     if (o.plugin != "area") o.fail("", "a shape can only have an area emitter");
     Emitter e;
     e.id = o.id;
@@ -407,7 +424,8 @@ View read_view(const Object& root) {
     return view;
 }
 
-std::unique_ptr<Scene> load_scene(const std::filesystem::path& file, const Defines& defines, const std::string& sensor) {
+std::unique_ptr<Scene> load_scene(const std::filesystem::path& file, const Defines& defines,
+                                  const std::string& sensor) {
     return build_scene(read_scene(file, defines, sensor));
 }
 
@@ -462,11 +480,14 @@ std::unique_ptr<Scene> build_scene(SceneDescription description) {
     find_features(*scene);
     find_bounds(*scene);
     scene->rays = scene->camera_rays = std::make_shared<RayEngine>(scene->shapes);
-    const bool has_area_lights = std::any_of(scene->shapes.begin(), scene->shapes.end(), [](const Shape& s) { return s.emitter >= 0; });
-    if (scene->hides_emitters && has_area_lights) scene->camera_rays = std::make_shared<RayEngine>(scene->shapes, RayEngine::Use::camera_rays);
+    const bool has_area_lights =
+        std::any_of(scene->shapes.begin(), scene->shapes.end(), [](const Shape& s) { return s.emitter >= 0; });
+    if (scene->hides_emitters && has_area_lights)
+        scene->camera_rays = std::make_shared<RayEngine>(scene->shapes, RayEngine::Use::camera_rays);
     scene->sensor_media = find_sensor_media(*scene);
     if (const ObjectPtr o = root.child(Category::integrator); o && o->plugin == "transient_nlos_path")
-        build_nlos(root, relay_wall < 0 ? nullptr : shapes[std::size_t(relay_wall)].get(), std::uint32_t(relay_wall), *scene);
+        build_nlos(root, relay_wall < 0 ? nullptr : shapes[std::size_t(relay_wall)].get(), std::uint32_t(relay_wall),
+                   *scene);
 
     const std::vector<std::string> unread = unread_parameters(root);
     scene->notes.insert(scene->notes.end(), unread.begin(), unread.end());

@@ -9,7 +9,8 @@ namespace loom {
 /// Reads a scene file and all it refers to, and builds the acceleration structure. Meshes and textures
 /// are loaded in parallel.
 /// throws: InputError with the place in the file
-std::unique_ptr<Scene> load_scene(const std::filesystem::path& file, const Defines& defines = {}, const std::string& sensor = {});
+std::unique_ptr<Scene> load_scene(const std::filesystem::path& file, const Defines& defines = {},
+                                  const std::string& sensor = {});
 
 /// The same from a description that has been read.
 std::unique_ptr<Scene> build_scene(SceneDescription description);

@@ -49,7 +49,8 @@ struct Layer {
     }
     ColourChannels colour() const {
         if (has({red, green, blue})) return {Kind::rgb, part, {at[red], at[green], at[blue]}, {}};
-        if (has({luminance, red_chroma, blue_chroma})) return {Kind::luminance_chroma, part, {at[red_chroma], at[luminance], at[blue_chroma]}, {}};
+        if (has({luminance, red_chroma, blue_chroma}))
+            return {Kind::luminance_chroma, part, {at[red_chroma], at[luminance], at[blue_chroma]}, {}};
         if (has({luminance}) && !has_x) return {Kind::grey, part, {at[luminance], 0, 0}, {}};
         return {};
     }
@@ -60,7 +61,8 @@ std::vector<Layer> layers_of(const std::vector<std::vector<std::string>>& parts)
     for (std::size_t part = 0; part < parts.size(); ++part)
         for (std::size_t i = 0; i < parts[part].size(); ++i) {
             const ChannelName name(parts[part][i]);
-            auto layer = std::find_if(layers.begin(), layers.end(), [&](const Layer& l) { return l.part == part && l.name == name.layer; });
+            auto layer = std::find_if(layers.begin(), layers.end(),
+                                      [&](const Layer& l) { return l.part == part && l.name == name.layer; });
             if (layer == layers.end()) layer = layers.insert(layers.end(), {part, name.layer});
             layer->has_x |= name.base == "x";
             if (const int base = base_of(name.base); base < n_bases) layer->at[std::size_t(base)] = int(i);
@@ -84,7 +86,9 @@ ColourChannels sole_channel(const std::vector<std::vector<std::string>>& parts) 
     return n_colours == 1 ? found : ColourChannels{};
 }
 
-ColourChannels none(std::string problem) { return {Kind::none, 0, {}, std::move(problem)}; }
+ColourChannels none(std::string problem) {
+    return {Kind::none, 0, {}, std::move(problem)};
+}
 
 }  // namespace
 
@@ -96,12 +100,15 @@ ColourChannels choose_colour(const std::vector<std::vector<std::string>>& parts)
     for (const bool grey : {false, true}) {
         std::vector<const Layer*> with_colour;
         for (const Layer& layer : layers)
-            if (const Kind kind = layer.colour().kind; kind != Kind::none && (kind == Kind::grey) == grey) with_colour.push_back(&layer);
+            if (const Kind kind = layer.colour().kind; kind != Kind::none && (kind == Kind::grey) == grey)
+                with_colour.push_back(&layer);
         if (with_colour.size() == 1) return with_colour[0]->colour();
         if (with_colour.empty()) continue;
         std::vector<std::string> names;
         for (const Layer* layer : with_colour) names.push_back(layer->name);
-        return none(fmt::format("which of its layers is the colour is not clear: {}; keep one of them, or name its channels R, G, B", fmt::join(names, ", ")));
+        return none(fmt::format(
+            "which of its layers is the colour is not clear: {}; keep one of them, or name its channels R, G, B",
+            fmt::join(names, ", ")));
     }
     if (const ColourChannels sole = sole_channel(parts); sole.kind != Kind::none) return sole;
     std::vector<std::string> names;

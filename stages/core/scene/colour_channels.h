@@ -17,9 +17,9 @@ struct ColourChannels {
     int count() const { return kind == Kind::grey ? 1 : 3; }
 };
 
-/// Chooses by name, never by position: R, G, B (or Y, RY, BY, or Y) without a layer in the first part that has them, else
-/// of the only layer that has them; else the only channel of the file, unless it is a depth or a coordinate. Alpha is
-/// never a colour.
+/// Chooses by name, never by position: R, G, B (or Y, RY, BY, or Y) without a layer in the first part that has them,
+/// else of the only layer that has them; else the only channel of the file, unless it is a depth or a coordinate. Alpha
+/// is never a colour.
 /// in:      parts  names of the channels of each part, such as "R" or "diffuse.R"
 ColourChannels choose_colour(const std::vector<std::vector<std::string>>& parts);
 

@@ -13,8 +13,7 @@ namespace loom {
 namespace {
 
 [[noreturn]] void missing(const Object& object, std::string_view parameter) {
-    fail(object.at,
-         fmt::format("{} '{}' needs the parameter '{}'", name(object.category), object.plugin, parameter));
+    fail(object.at, fmt::format("{} '{}' needs the parameter '{}'", name(object.category), object.plugin, parameter));
 }
 
 [[noreturn]] void wrong_kind(const Property& property, std::string_view expected) {
@@ -159,8 +158,7 @@ ObjectPtr Object::get_object(std::string_view name) const {
     return found ? as<ObjectPtr>(*found, "an object") : nullptr;
 }
 
-std::variant<Spectrum, ObjectPtr> Object::get_texture_or_rgb(std::string_view name,
-                                                             const Spectrum& fallback) const {
+std::variant<Spectrum, ObjectPtr> Object::get_texture_or_rgb(std::string_view name, const Spectrum& fallback) const {
     const Property* found = read(name);
     if (!found) return fallback;
     const Property& property = unwrapped(*found);
@@ -206,8 +204,8 @@ ObjectPtr Object::child(Category wanted) const {
     for (const auto& [child, place] : nested) {
         if (child->category != wanted) continue;
         if (result)
-            loom::fail(place, fmt::format("{} '{}' takes at most one {}", loom::name(category), plugin,
-                                          loom::name(wanted)));
+            loom::fail(place,
+                       fmt::format("{} '{}' takes at most one {}", loom::name(category), plugin, loom::name(wanted)));
         result = child;
     }
     return result;

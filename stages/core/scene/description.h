@@ -43,8 +43,8 @@ class Object;
 using ObjectPtr = std::shared_ptr<const Object>;
 
 /// A colour is linear RGB already: the schema says whether it is a reflectance or an emission.
-using Value = std::variant<bool, std::int64_t, double, std::string, Spectrum, Point3<double>, Vector3<double>,
-                           Matrix4d, ObjectPtr>;
+using Value = std::variant<bool, std::int64_t, double, std::string, Spectrum, Point3<double>, Vector3<double>, Matrix4d,
+                           ObjectPtr>;
 
 struct Property {
     std::string name;
@@ -92,8 +92,7 @@ class Object {
     Matrix4d get_transform(std::string_view name) const;
     ObjectPtr get_object(std::string_view name) const;  // null when absent
     /// A texture object, or the constant.
-    std::variant<Spectrum, ObjectPtr> get_texture_or_rgb(std::string_view name,
-                                                         const Spectrum& fallback) const;
+    std::variant<Spectrum, ObjectPtr> get_texture_or_rgb(std::string_view name, const Spectrum& fallback) const;
     std::variant<float, ObjectPtr> get_texture_or_float(std::string_view name, float fallback) const;
     /// Index of refraction by number or by name of the material (ior.h).
     float get_ior(std::string_view name, std::string_view fallback) const;
@@ -117,12 +116,12 @@ class Object {
 std::vector<std::string> unread_parameters(const Object& root);
 
 struct SceneDescription {
-    ObjectPtr root;                     // category scene; its nested objects are the scene's
-    std::vector<std::string> notes;     // what was accepted without effect, once each
-    std::vector<std::string> warnings;  // with location: unknown parameters of 0.x files and the like
-    std::vector<std::string> files;     // scene file, includes, then all files that parameters name
+    ObjectPtr root;                                 // category scene; its nested objects are the scene's
+    std::vector<std::string> notes;                 // what was accepted without effect, once each
+    std::vector<std::string> warnings;              // with location: unknown parameters of 0.x files and the like
+    std::vector<std::string> files;                 // scene file, includes, then all files that parameters name
     std::map<std::string, std::string> parameters;  // $name -> value that was used
-    int sensor = 0;                     // number of the sensor that was chosen; root has no other
+    int sensor = 0;                                 // number of the sensor that was chosen; root has no other
 };
 
 /// Values of `-D name=value`, in order; the last of a name counts.
@@ -131,6 +130,7 @@ using Defines = std::vector<std::pair<std::string, std::string>>;
 /// Reads a Mitsuba scene file (dialects 0.5, 0.6, 2 and 3) with its includes.
 /// in:     sensor  id of the sensor to keep, or its number in the order of the file, from 0; empty: the first
 /// throws: InputError with file:line:column, the line, a caret and the allowed names
-SceneDescription read_scene(const std::filesystem::path& file, const Defines& defines = {}, const std::string& sensor = {});
+SceneDescription read_scene(const std::filesystem::path& file, const Defines& defines = {},
+                            const std::string& sensor = {});
 
 }  // namespace loom

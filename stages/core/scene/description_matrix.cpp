@@ -74,13 +74,12 @@ Matrix4d Matrix4d::rotation(const Vector3<double>& axis, double angle_rad) {
              a.z * a.z * d + c, 0, 0, 0, 0, 1}};
 }
 
-Matrix4d Matrix4d::look_at(const Point3<double>& origin, const Point3<double>& target,
-                           const Vector3<double>& up) {
+Matrix4d Matrix4d::look_at(const Point3<double>& origin, const Point3<double>& target, const Vector3<double>& up) {
     const Vector3<double> view = normalize(target - origin);
     const Vector3<double> left = normalize(cross(up, view));
     const Vector3<double> above = cross(view, left);
-    return {{left.x, above.x, view.x, origin.x, left.y, above.y, view.y, origin.y, left.z, above.z, view.z,
-             origin.z, 0, 0, 0, 1}};
+    return {{left.x, above.x, view.x, origin.x, left.y, above.y, view.y, origin.y, left.z, above.z, view.z, origin.z, 0,
+             0, 0, 1}};
 }
 
 }  // namespace loom

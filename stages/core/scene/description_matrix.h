@@ -31,8 +31,7 @@ struct Matrix4d {
     static Matrix4d rotation(const Vector3<double>& axis, double angle_rad);
     /// Camera at `origin`: z to `target`, x to the left, y up (Mitsuba's handedness).
     /// needs: target != origin, up not parallel to the view
-    static Matrix4d look_at(const Point3<double>& origin, const Point3<double>& target,
-                            const Vector3<double>& up);
+    static Matrix4d look_at(const Point3<double>& origin, const Point3<double>& target, const Vector3<double>& up);
 };
 
 }  // namespace loom

@@ -56,8 +56,7 @@ struct Unsupported {
 std::string said_of(Category category, std::string_view type) {
     switch (category) {
         case Category::integrator:
-            if (type.starts_with("direct"))
-                return "rendered by path tracing with max_depth 2, which has the same mean";
+            if (type.starts_with("direct")) return "rendered by path tracing with max_depth 2, which has the same mean";
             return "rendered by path tracing with its max_depth, rr_depth and hide_emitters";
         case Category::film:
             if (type == "phasor_hdr_film") return "its cube is rendered in time, not as phasors";
@@ -89,8 +88,7 @@ class Reader {
             drop_what_shapes_hold();
             choose_sensor(sensor);
             check_used();
-            for (std::size_t i = objects_.size(); i-- > 0;)
-                check_object(*objects_[i].object, *objects_[i].plugin);
+            for (std::size_t i = objects_.size(); i-- > 0;) check_object(*objects_[i].object, *objects_[i].plugin);
             substitutions_.check_all_used();
             forget_reads();
         } catch (...) {
@@ -129,8 +127,7 @@ class Reader {
         object->at = at;
         const int order = ++made_of_category_[int(category)];
         object->id = fmt::format("{}-{}", name(category), order);
-        objects_.push_back(
-            {object, category == Category::scene ? &scene_schema() : find_plugin(category, type)});
+        objects_.push_back({object, category == Category::scene ? &scene_schema() : find_plugin(category, type)});
         return object;
     }
 
@@ -157,10 +154,9 @@ class Reader {
         if (!one_object) root.allow({"version", "id"});
         const Text version = root.text("version");
         const int major = std::atoi(version.text.c_str());
-        if (version.text.empty() || !std::isdigit(static_cast<unsigned char>(version.text[0])) ||
-            major == 1 || major > 3)
-            fail(version.at,
-                 fmt::format("version '{}' is not known; expected 0.5, 0.6, 2.x or 3.x", version.text));
+        if (version.text.empty() || !std::isdigit(static_cast<unsigned char>(version.text[0])) || major == 1 ||
+            major > 3)
+            fail(version.at, fmt::format("version '{}' is not known; expected 0.5, 0.6, 2.x or 3.x", version.text));
         file.legacy = major == 0;
         if (one_object)
             read_nested(root, *one_object, parent, parent_plugin, depth, given_name);
@@ -202,12 +198,11 @@ class Reader {
         e.allow({"id", "as"});
         const Text id = e.text("id"), as = e.text("as");
         const auto [other, added] = aliases_.emplace(as.text, id);
-        if (!added)
-            fail(as.at, fmt::format("alias '{}' exists already, at {}", as.text, other->second.at.where()));
+        if (!added) fail(as.at, fmt::format("alias '{}' exists already, at {}", as.text, other->second.at.where()));
     }
 
-    void read_children(const Element& parent, const std::shared_ptr<Object>& object,
-                       const PluginSchema& plugin, int depth) {
+    void read_children(const Element& parent, const std::shared_ptr<Object>& object, const PluginSchema& plugin,
+                       int depth) {
         constexpr int deepest = 64;
         if (depth > deepest) fail(parent.at(), fmt::format("objects are nested deeper than {}", deepest));
         const bool in_scene = object == scene_;
@@ -242,8 +237,7 @@ class Reader {
         for (const std::string& tag : object_tags()) allowed.push_back(tag);
         allowed.insert(allowed.end(), {"ref", "include"});
         if (in_scene) allowed.insert(allowed.end(), {"default", "alias", "path"});
-        fail(e.at(),
-             fmt::format("<{}> is not known here; allowed: {}", e.tag(), nearest_first(e.tag(), allowed)));
+        fail(e.at(), fmt::format("<{}> is not known here; allowed: {}", e.tag(), nearest_first(e.tag(), allowed)));
     }
 
     /// Nothing is read of it, but its $names count as used.
@@ -274,14 +268,14 @@ class Reader {
         const PluginSchema& plugin = plugin_of(e, category, type);
         const std::shared_ptr<Object> object = make_object(category, type.text, e.at(), e.file->legacy);
         if (plugin.flags & flag::unsupported)
-            unsupported_.push_back({object, type.at, fmt::format("{} '{}' is not supported yet", name(category), type.text)});
+            unsupported_.push_back(
+                {object, type.at, fmt::format("{} '{}' is not supported yet", name(category), type.text)});
         if (e.has("id")) {
             const Text id = e.text("id");
             object->id = id.text;
             object->has_own_id = true;
             const auto [other, added] = by_id_.emplace(id.text, object);
-            if (!added)
-                fail(id.at, fmt::format("id '{}' exists already, at {}", id.text, other->second->at.where()));
+            if (!added) fail(id.at, fmt::format("id '{}' exists already, at {}", id.text, other->second->at.where()));
         }
         read_children(e, object, plugin, depth + 1);
         attach(parent, parent_plugin, given_name.text, object, e.at(), parent->nested.size(), e.file->legacy);
@@ -289,16 +283,15 @@ class Reader {
 
     void read_reference(const Element& e, const std::shared_ptr<Object>& parent, const PluginSchema& plugin) {
         e.allow({"id", "name"});
-        pending_.push_back({parent, &plugin, e.has("name") ? e.text("name").text : std::string(),
-                            parent->nested.size(), e.text("id"), e.file->legacy});
+        pending_.push_back({parent, &plugin, e.has("name") ? e.text("name").text : std::string(), parent->nested.size(),
+                            e.text("id"), e.file->legacy});
         parent->nested.emplace_back(nullptr, e.at());
     }
 
     /// Gives `child` its place in the parent: as the parameter of that name, or among the unnamed children.
     /// `slot` is where it stands there; a reference has kept that place free.
-    void attach(const std::shared_ptr<Object>& parent, const PluginSchema& plugin,
-                const std::string& written_name, const std::shared_ptr<Object>& child, const Location& at,
-                std::size_t slot, bool legacy) {
+    void attach(const std::shared_ptr<Object>& parent, const PluginSchema& plugin, const std::string& written_name,
+                const std::shared_ptr<Object>& child, const Location& at, std::size_t slot, bool legacy) {
         const std::string key = legacy ? snake_case(written_name) : written_name;
         const Parameter* parameter = key.empty() ? nullptr : plugin.find(key);
         if (parameter && (parameter->flags & (legacy ? flag::modern : flag::legacy))) parameter = nullptr;
@@ -309,9 +302,8 @@ class Reader {
             return;
         }
         if (parameter)
-            fail(at,
-                 fmt::format("{} '{}': parameter '{}' must be {}, not {}", name(plugin.category), plugin.type,
-                             parameter->name, expected_kinds(*parameter), name(child->category)));
+            fail(at, fmt::format("{} '{}': parameter '{}' must be {}, not {}", name(plugin.category), plugin.type,
+                                 parameter->name, expected_kinds(*parameter), name(child->category)));
         if (plugin.rule(child->category)) {
             // Children of a category with a rule may bear any name, as in Mitsuba.
             if (slot < parent->nested.size())
@@ -329,15 +321,13 @@ class Reader {
         }
         std::string message;
         if (!key.empty()) {
-            message =
-                fmt::format("{} '{}' has no parameter '{}'; allowed: {}", name(plugin.category), plugin.type,
-                            written_name, nearest_first(written_name, parameter_names(plugin, legacy)));
+            message = fmt::format("{} '{}' has no parameter '{}'; allowed: {}", name(plugin.category), plugin.type,
+                                  written_name, nearest_first(written_name, parameter_names(plugin, legacy)));
         } else {
             std::vector<std::string> allowed;
             for (const ChildRule& rule : plugin.children) allowed.emplace_back(name(rule.category));
-            message =
-                fmt::format("{} '{}' takes no unnamed {}; allowed: {}", name(plugin.category), plugin.type,
-                            name(child->category), nearest_first(name(child->category), allowed));
+            message = fmt::format("{} '{}' takes no unnamed {}; allowed: {}", name(plugin.category), plugin.type,
+                                  name(child->category), nearest_first(name(child->category), allowed));
         }
         if (key.empty() || !legacy) fail(at, message);
         warn(at, message);
@@ -347,15 +337,16 @@ class Reader {
         return fmt::format("{} '{}'", name(plugin.category), object.plugin);
     }
 
-    void add_property(const std::shared_ptr<Object>& object, const PluginSchema& plugin,
-                      const Parameter& parameter, Value value, const Location& at) {
+    void add_property(const std::shared_ptr<Object>& object, const PluginSchema& plugin, const Parameter& parameter,
+                      Value value, const Location& at) {
         if (object->has(parameter.name))
             fail(at, fmt::format("parameter '{}' is given twice, first at {}", parameter.name,
                                  object->find(parameter.name)->at.where()));
         if (parameter.flags & flag::unsupported)
-            unsupported_.push_back({object, at, fmt::format("{}: parameter '{}' is not supported yet", title(plugin, *object), parameter.name)});
-        if (parameter.flags & flag::ignored)
-            note_ignored(title(plugin, *object), std::string(parameter.name));
+            unsupported_.push_back(
+                {object, at,
+                 fmt::format("{}: parameter '{}' is not supported yet", title(plugin, *object), parameter.name)});
+        if (parameter.flags & flag::ignored) note_ignored(title(plugin, *object), std::string(parameter.name));
         object->properties.push_back({std::string(parameter.name), std::move(value), at});
     }
 
@@ -381,8 +372,8 @@ class Reader {
             warn(written.at, message);
             return;
         }
-        Value value = read_value(e, *parameter, plugin,
-                                 [this](const Location& at, const std::string& text) { warn(at, text); });
+        Value value =
+            read_value(e, *parameter, plugin, [this](const Location& at, const std::string& text) { warn(at, text); });
         if (legacy) value = modern_value(key, std::move(value), e);
         const Location at = e.has("value") ? e.file->document.at(e.node, "value") : e.at();
         if (parameter->kind == ValueKind::file)
@@ -400,8 +391,7 @@ class Reader {
             return std::string("beckmann");
         }
         if (key == "filter_type" && (*word == "trilinear" || *word == "ewa")) {
-            note(fmt::format("texture filter '{}' is bilinear here: many samples per pixel do the rest",
-                             *word));
+            note(fmt::format("texture filter '{}' is bilinear here: many samples per pixel do the rest", *word));
             return std::string("bilinear");
         }
         return value;
@@ -526,7 +516,8 @@ class Reader {
             const Object& object = *child.first;
             if (!belongs_to_shape(object)) return false;
             if (!held.contains(&object))
-                note(fmt::format("{} '{}' at {} has no effect: no shape refers to it", name(object.category), object.plugin, object.at.where()));
+                note(fmt::format("{} '{}' at {} has no effect: no shape refers to it", name(object.category),
+                                 object.plugin, object.at.where()));
             return true;
         });
     }
@@ -540,10 +531,13 @@ class Reader {
                 for (const ObjectPtr& sensor : child->children(Category::sensor)) sensors.push_back(sensor.get());
         }
         if (sensors.empty()) return;
-        const auto listed = [&](std::size_t i) { return fmt::format("{} ({} '{}')", i, sensors[i]->plugin, sensors[i]->id); };
+        const auto listed = [&](std::size_t i) {
+            return fmt::format("{} ({} '{}')", i, sensors[i]->plugin, sensors[i]->id);
+        };
         std::size_t chosen = 0;
         if (!wanted.empty()) {
-            const auto named = std::find_if(sensors.begin(), sensors.end(), [&](const Object* o) { return o->has_own_id && o->id == wanted; });
+            const auto named = std::find_if(sensors.begin(), sensors.end(),
+                                            [&](const Object* o) { return o->has_own_id && o->id == wanted; });
             chosen = std::size_t(named - sensors.begin());
             if (named == sensors.end()) {
                 const char* end = wanted.data() + wanted.size();
@@ -551,7 +545,8 @@ class Reader {
                 if (error != std::errc{} || stop != end || chosen >= sensors.size()) {
                     std::vector<std::string> all;
                     for (std::size_t i = 0; i < sensors.size(); ++i) all.push_back(listed(i));
-                    throw InputError(fmt::format("--sensor {}: the scene has no such sensor; it has {}", wanted, fmt::join(all, ", ")));
+                    throw InputError(fmt::format("--sensor {}: the scene has no such sensor; it has {}", wanted,
+                                                 fmt::join(all, ", ")));
                 }
             }
         }
@@ -559,10 +554,13 @@ class Reader {
             std::vector<std::string> others;
             for (std::size_t i = 0; i < sensors.size(); ++i)
                 if (i != chosen) others.push_back(listed(i));
-            note(fmt::format("sensor {} is rendered; --sensor chooses another: {}", listed(chosen), fmt::join(others, ", ")));
+            note(fmt::format("sensor {} is rendered; --sensor chooses another: {}", listed(chosen),
+                             fmt::join(others, ", ")));
         }
         description_.sensor = int(chosen);
-        const auto is_other = [&](const auto& child) { return child.first->category == Category::sensor && child.first.get() != sensors[chosen]; };
+        const auto is_other = [&](const auto& child) {
+            return child.first->category == Category::sensor && child.first.get() != sensors[chosen];
+        };
         std::erase_if(scene_->nested, is_other);
         for (const Made& made : objects_)
             if (made.object->category == Category::shape) std::erase_if(made.object->nested, is_other);
@@ -607,8 +605,7 @@ class Reader {
         mine = 1;
         for (const auto& [child, place] : object.nested) descend(*child, place, state);
         for (const Property& property : object.properties)
-            if (const auto* child = std::get_if<ObjectPtr>(&property.value))
-                descend(**child, property.at, state);
+            if (const auto* child = std::get_if<ObjectPtr>(&property.value)) descend(**child, property.at, state);
         state[&object] = 2;
     }
 

@@ -82,8 +82,7 @@ std::array<double, 3> triple(const Text& text) {
 }
 
 Matrix4d look_at(const Element& e) {
-    const Vector3<double> origin = to_vector(triple(e.text("origin"))),
-                          target = to_vector(triple(e.text("target")));
+    const Vector3<double> origin = to_vector(triple(e.text("origin"))), target = to_vector(triple(e.text("target")));
     const Vector3<double> view = target - origin;
     if (!(length(view) > 0)) fail(e.text("target").at, "target and origin are the same point");
     Vector3<double> up = Frame<double>(Normal3<double>(normalize(view))).s;
@@ -165,8 +164,7 @@ Spectrum rgb_colour(const Text& text, bool encoded) {
     const std::string word = trimmed(text.text);
     if (word.starts_with('#')) return hex_colour(text, word);
     const std::vector<double> n = parse_numbers(text);
-    if (n.size() != 1 && n.size() != 3)
-        fail(text.at, fmt::format("a colour has 1 or 3 numbers, not {}", n.size()));
+    if (n.size() != 1 && n.size() != 3) fail(text.at, fmt::format("a colour has 1 or 3 numbers, not {}", n.size()));
     Spectrum rgb(float(n[0]), float(n[n.size() / 2]), float(n.back()));
     if (encoded)
         for (int i = 0; i < 3; ++i) rgb[i] = linear_from_srgb(rgb[i]);
@@ -181,8 +179,7 @@ SampledSpectrum parse_samples(const Text& text) {
     if (n.empty() || n.size() % 2 != 0) fail(text.at, "expected pairs like 400:0.5, 500:0.7");
     for (std::size_t i = 0; i < n.size(); i += 2) {
         if (!samples.empty() && !(n[i] > samples.back().first))
-            fail(text.at,
-                 fmt::format("wavelengths must increase: {} nm after {} nm", n[i], samples.back().first));
+            fail(text.at, fmt::format("wavelengths must increase: {} nm after {} nm", n[i], samples.back().first));
         samples.emplace_back(n[i], n[i + 1]);
     }
     return samples;
@@ -215,10 +212,9 @@ Spectrum spectrum_colour(const Element& e, SpectrumUse use) {
         return e.file->legacy ? Spectrum(value) : rgb_from_constant_spectrum(value, use);
     }
     if (n.size() == 3 && e.file->legacy) return {float(n[0]), float(n[1]), float(n[2])};
-    fail(text.at,
-         e.file->legacy
-             ? "a spectrum is one number, three (RGB), or pairs like 400:0.5, 500:0.7"
-             : "a spectrum is one number or pairs like 400:0.5, 500:0.7; three numbers are an <rgb>");
+    fail(text.at, e.file->legacy
+                      ? "a spectrum is one number, three (RGB), or pairs like 400:0.5, 500:0.7"
+                      : "a spectrum is one number or pairs like 400:0.5, 500:0.7; three numbers are an <rgb>");
 }
 
 Value read_colour(const Element& e, const Parameter& parameter, const PluginSchema& plugin, const Warn& warn) {
@@ -231,21 +227,21 @@ Value read_colour(const Element& e, const Parameter& parameter, const PluginSche
     } else {
         e.allow({"name", "id", "value"});
         const bool colour = e.tag() == "rgb" || e.tag() == "srgb";
-        rgb = colour ? rgb_colour(e.text("value"), e.tag() == "srgb")
-                     : Spectrum(float(parse_number(e.text("value"))));
+        rgb = colour ? rgb_colour(e.text("value"), e.tag() == "srgb") : Spectrum(float(parse_number(e.text("value"))));
     }
     const float low = std::min({rgb.r, rgb.g, rgb.b}), high = std::max({rgb.r, rgb.g, rgb.b});
     const Location at = e.file->document.at(e.node, "value");
-    if (use == SpectrumUse::emission && low < 0)
-        fail(at, fmt::format("'{}' must not be negative", parameter.name));
+    if (use == SpectrumUse::emission && low < 0) fail(at, fmt::format("'{}' must not be negative", parameter.name));
     if (use == SpectrumUse::reflectance && (low < 0 || high > 1)) {
         if (!e.file->legacy) fail(at, fmt::format("'{}' must lie between 0 and 1", parameter.name));
-        // Mitsuba 0.6 scales what would reflect more than arrives to 0.99; phong and ward are scaled by the sum of their two lobes.
+        // Mitsuba 0.6 scales what would reflect more than arrives to 0.99; phong and ward are scaled by the sum of
+        // their two lobes.
         constexpr float rounding = 1e-5f;
         if (plugin.category == Category::bsdf && low >= 0 && high > 1 + rounding) {
             if (plugin.type == "phong" || plugin.type == "ward") return rgb;
             const float scale = 0.99f / high;
-            warn(at, fmt::format("'{}' is above 1 and is scaled by {:.4g}, as in Mitsuba 0.6", camel_case(parameter.name), scale));
+            warn(at, fmt::format("'{}' is above 1 and is scaled by {:.4g}, as in Mitsuba 0.6",
+                                 camel_case(parameter.name), scale));
             return rgb * scale;
         }
         warn(at, fmt::format("'{}' is clamped to [0, 1]", camel_case(parameter.name)));
@@ -284,8 +280,8 @@ std::string one_of(const Text& text, const std::string& what, const std::vector<
     const auto found = std::find_if(allowed.begin(), allowed.end(),
                                     [&](const std::string& name) { return same_ignoring_case(name, text.text); });
     if (found == allowed.end())
-        fail(text.at, fmt::format("{} '{}' is not known; allowed: {}", what, text.text,
-                                  nearest_first(text.text, allowed)));
+        fail(text.at,
+             fmt::format("{} '{}' is not known; allowed: {}", what, text.text, nearest_first(text.text, allowed)));
     return *found;
 }
 
@@ -363,8 +359,7 @@ Text Element::text(const char* attribute) const {
 }
 
 std::vector<std::string> value_tags() {
-    return {"boolean", "integer",  "float", "string", "rgb",
-            "srgb",    "spectrum", "point", "vector", "transform"};
+    return {"boolean", "integer", "float", "string", "rgb", "srgb", "spectrum", "point", "vector", "transform"};
 }
 
 bool is_value_tag(std::string_view tag) {
@@ -404,11 +399,15 @@ std::vector<double> parse_numbers(const Text& text) {
 }
 
 std::filesystem::path find_file(const Text& name, const Folders& folders) {
-    return find_in(folders, name, "file", [](const std::filesystem::path& path, std::error_code& error) { return std::filesystem::is_regular_file(path, error); });
+    return find_in(folders, name, "file", [](const std::filesystem::path& path, std::error_code& error) {
+        return std::filesystem::is_regular_file(path, error);
+    });
 }
 
 std::filesystem::path find_folder(const Text& name, const Folders& folders) {
-    return find_in(folders, name, "folder", [](const std::filesystem::path& path, std::error_code& error) { return std::filesystem::is_directory(path, error); });
+    return find_in(folders, name, "folder", [](const std::filesystem::path& path, std::error_code& error) {
+        return std::filesystem::is_directory(path, error);
+    });
 }
 
 void add_file(std::vector<std::string>& files, const std::filesystem::path& file) {
@@ -418,8 +417,8 @@ void add_file(std::vector<std::string>& files, const std::filesystem::path& file
 Value read_value(const Element& e, const Parameter& parameter, const PluginSchema& plugin, const Warn& warn) {
     const std::string_view tag = e.tag();
     if (!tag_fits(tag, parameter))
-        fail(e.at(), fmt::format("{} '{}': parameter '{}' must be {}, not {}", name(plugin.category),
-                                 plugin.type, parameter.name, expected_kinds(parameter), tag));
+        fail(e.at(), fmt::format("{} '{}': parameter '{}' must be {}, not {}", name(plugin.category), plugin.type,
+                                 parameter.name, expected_kinds(parameter), tag));
     switch (parameter.kind) {
         case ValueKind::reflectance:
         case ValueKind::emission:
@@ -434,8 +433,7 @@ Value read_value(const Element& e, const Parameter& parameter, const PluginSchem
             e.allow({"name", "id", "value", "x", "y", "z"});
             const std::array<double, 3> v = xyz(e, 0);
             if (parameter.kind == ValueKind::point) return Point3<double>(v[0], v[1], v[2]);
-            if (v == std::array<double, 3>{})
-                fail(e.at(), fmt::format("'{}' must not be zero", parameter.name));
+            if (v == std::array<double, 3>{}) fail(e.at(), fmt::format("'{}' must not be zero", parameter.name));
             return to_vector(v);
         }
         default:

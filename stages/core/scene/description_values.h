@@ -53,8 +53,7 @@ std::vector<std::string> value_tags();
 /// Reads the element as a value for the parameter. A file name stays as written.
 /// throws: InputError for a wrong kind, text that is not of the kind, numbers not finite or out of range,
 ///         a singular matrix, a spectrum file that is not there
-Value read_value(const Element& element, const Parameter& parameter, const PluginSchema& plugin,
-                 const Warn& warn);
+Value read_value(const Element& element, const Parameter& parameter, const PluginSchema& plugin, const Warn& warn);
 
 double parse_number(const Text& text);
 std::int64_t parse_integer(const Text& text);

@@ -52,8 +52,7 @@ bool intersect_sphere(const Shape& s, const Ray& r, AnalyticHit& hit) {
 
 bool intersect_disk(const Shape& s, const Ray& r, AnalyticHit& hit) {
     const Vector3<double> u(s.u_axis), v(s.v_axis), n = cross(u, v), d(r.d);
-    const Vector3<double> to_center{double(s.center.x) - r.o.x, double(s.center.y) - r.o.y,
-                                    double(s.center.z) - r.o.z};
+    const Vector3<double> to_center{double(s.center.x) - r.o.x, double(s.center.y) - r.o.y, double(s.center.z) - r.o.z};
     const double slope = dot(n, d);
     if (slope == 0) return false;
     const double t = dot(n, to_center) / slope;
@@ -88,7 +87,8 @@ void analytic_intersect(const RTCIntersectFunctionNArguments* args) {
     RTCHitN* hits = RTCRayHitN_HitN(args->rayhit, n);
     for (unsigned i = 0; i < n; ++i) {
         AnalyticHit hit;
-        if (!args->valid[i] || !intersect_analytic(*static_cast<const Shape*>(args->geometryUserPtr), lane(rays, n, i), hit))
+        if (!args->valid[i] ||
+            !intersect_analytic(*static_cast<const Shape*>(args->geometryUserPtr), lane(rays, n, i), hit))
             continue;
         RTCRayN_tfar(rays, n, i) = float(hit.t);
         RTCHitN_u(hits, n, i) = hit.u;
@@ -109,8 +109,9 @@ void collect_triangle(const RTCFilterFunctionNArguments* args) {
     for (unsigned i = 0; i < args->N; ++i) {
         if (!args->valid[i]) continue;
         args->valid[i] = 0;
-        const Hit hit{RTCRayN_tfar(args->ray, args->N, i), RTCHitN_u(args->hit, args->N, i), RTCHitN_v(args->hit, args->N, i),
-                      RTCHitN_geomID(args->hit, args->N, i), RTCHitN_primID(args->hit, args->N, i)};
+        const Hit hit{RTCRayN_tfar(args->ray, args->N, i), RTCHitN_u(args->hit, args->N, i),
+                      RTCHitN_v(args->hit, args->N, i), RTCHitN_geomID(args->hit, args->N, i),
+                      RTCHitN_primID(args->hit, args->N, i)};
         // A triangle that the builder has split is met in each of its parts.
         const auto same = [&](const Hit& h) { return h.shape == hit.shape && h.primitive == hit.primitive; };
         if (std::none_of(hits.begin(), hits.end(), same)) hits.push_back(hit);
@@ -133,12 +134,15 @@ void analytic_occluded(const RTCOccludedFunctionNArguments* args) {
     if (args->context->filter == collect_triangle) {
         std::vector<Hit>& hits = *reinterpret_cast<CollectingContext*>(args->context)->hits;
         for (unsigned i = 0; i < n; ++i)
-            if (args->valid[i]) collect_analytic(*static_cast<const Shape*>(args->geometryUserPtr), args->geomID, lane(args->ray, n, i), hits);
+            if (args->valid[i])
+                collect_analytic(*static_cast<const Shape*>(args->geometryUserPtr), args->geomID, lane(args->ray, n, i),
+                                 hits);
         return;
     }
     for (unsigned i = 0; i < n; ++i) {
         AnalyticHit hit;
-        if (args->valid[i] && intersect_analytic(*static_cast<const Shape*>(args->geometryUserPtr), lane(args->ray, n, i), hit))
+        if (args->valid[i] &&
+            intersect_analytic(*static_cast<const Shape*>(args->geometryUserPtr), lane(args->ray, n, i), hit))
             RTCRayN_tfar(args->ray, n, i) = -INFINITY;
     }
 }
@@ -174,8 +178,8 @@ RayEngine::RayEngine(const std::vector<Shape>& shapes, Use use) : impl_(std::mak
             geometry = rtcNewGeometry(impl_->device, RTC_GEOMETRY_TYPE_TRIANGLE);
             // Embree reads 16 bytes from the last vertex on, so the buffer is its own, padded.
             const auto& p = shape.mesh.positions;
-            auto* vertices = static_cast<float*>(rtcSetNewGeometryBuffer(geometry, RTC_BUFFER_TYPE_VERTEX, 0,
-                                                                         RTC_FORMAT_FLOAT3, 12, p.size()));
+            auto* vertices = static_cast<float*>(
+                rtcSetNewGeometryBuffer(geometry, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3, 12, p.size()));
             for (std::size_t k = 0; k < p.size(); ++k)
                 for (int axis = 0; axis < 3; ++axis) vertices[3 * k + axis] = p[k][axis];
             auto* indices = static_cast<std::uint32_t*>(rtcSetNewGeometryBuffer(

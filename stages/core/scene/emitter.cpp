@@ -204,8 +204,11 @@ Spectrum beam_radiance(const Scene& scene, const Emitter& projector, float x, fl
 
 Spectrum projected(const Scene& scene, const Emitter& projector, const Framef& beam, const Point3f& p) {
     const Vector3f local = beam.to_local(p - projector.position);
-    if (!(local.z > 0 && std::abs(local.x) <= projector.tan_x * local.z && std::abs(local.y) <= projector.tan_y * local.z)) return Spectrum(0);
-    const Spectrum radiance = beam_radiance(scene, projector, local.x / (local.z * projector.tan_x), local.y / (local.z * projector.tan_y));
+    if (!(local.z > 0 && std::abs(local.x) <= projector.tan_x * local.z &&
+          std::abs(local.y) <= projector.tan_y * local.z))
+        return Spectrum(0);
+    const Spectrum radiance =
+        beam_radiance(scene, projector, local.x / (local.z * projector.tan_x), local.y / (local.z * projector.tan_y));
     return radiance * (pi<float> * length(local) / (local.z * local.z * local.z));
 }
 

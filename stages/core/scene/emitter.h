@@ -71,12 +71,12 @@ Spectrum beam_radiance(const Scene& scene, const Emitter& projector, float x, fl
 
 /// A light point seen from a surface point.
 struct LightSample {
-    Vector3f wi;                // unit, towards the light
-    Spectrum Li;                // f_cos * Li / pdf_w estimates the reflected light
-    float pdf_w = 0;            // sr^-1 with the choice of the emitter; a pmf for delta lights
-    Point3f y;                  // the light point; meaningless when at_infinity
-    Normal3f n;                 // its normal (area lights)
-    float hit_error = 0;        // of its shape (area lights)
+    Vector3f wi;          // unit, towards the light
+    Spectrum Li;          // f_cos * Li / pdf_w estimates the reflected light
+    float pdf_w = 0;      // sr^-1 with the choice of the emitter; a pmf for delta lights
+    Point3f y;            // the light point; meaningless when at_infinity
+    Normal3f n;           // its normal (area lights)
+    float hit_error = 0;  // of its shape (area lights)
     bool at_infinity = false;
     bool delta = false;
     std::uint16_t emitter = 0;
@@ -86,13 +86,13 @@ struct LightSample {
 
 /// A point on an emitter, or a direction towards one, chosen without a look at what it will light.
 struct LightPoint {
-    Spectrum Li;         // that it sends to the side of n
-    Point3f y;           // or the direction towards it, when at_infinity
-    Normal3f n;          // unit, of the side that shines; meaningless when at_infinity
-    float hit_error = 0; // of its shape
-    float area = 1;      // y is uniform over it, m^2
-    float pdf_w = 0;     // of a direction, sr^-1; meaningless for a point
-    float pmf = 1;       // of its emitter
+    Spectrum Li;          // that it sends to the side of n
+    Point3f y;            // or the direction towards it, when at_infinity
+    Normal3f n;           // unit, of the side that shines; meaningless when at_infinity
+    float hit_error = 0;  // of its shape
+    float area = 1;       // y is uniform over it, m^2
+    float pdf_w = 0;      // of a direction, sr^-1; meaningless for a point
+    float pmf = 1;        // of its emitter
     bool at_infinity = false;
     std::uint16_t emitter = 0;
 };
@@ -119,15 +119,20 @@ inline LightSample seen_from(const LightPoint& point, const Point3f& from) {
 /// What a step of a path asks of the lights, whatever its surface is like: at a hit, an emitter by its weight and a
 /// point on it; at a miss, what shines from infinity.
 struct LightQuery {
-    enum class Ask : std::uint8_t { nothing, point, environment } ask = Ask::point;  // at a hit point, at a miss environment
-    Point2f u;          // of a hit; once an emitter is chosen, uniform again
-    Vector3f d;         // of a miss: unit direction of the ray
+    enum class Ask : std::uint8_t {
+        nothing,
+        point,
+        environment
+    } ask = Ask::point;  // at a hit point, at a miss environment
+    Point2f u;           // of a hit; once an emitter is chosen, uniform again
+    Vector3f d;          // of a miss: unit direction of the ray
     // out, for a hit
     LightPoint point;
-    bool placed = false;  // false: which point, or what arrives from it, depends on what it lights (spheres, delta lights)
+    // false: which point, or what arrives from it, depends on what it lights (spheres, delta lights)
+    bool placed = false;
     // out, for a miss
     Spectrum Le;
-    float pdf_w = 0;    // sr^-1, with which a hit's query finds this direction
+    float pdf_w = 0;  // sr^-1, with which a hit's query finds this direction
 };
 void look_up_light(const Scene& scene, LightQuery& query);
 /// Many at once: the same values, but the tables of an environment map are waited for together.

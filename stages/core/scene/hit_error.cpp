@@ -9,8 +9,9 @@ namespace {
 /// Keeps the start of a ray off a plane through 0 along an axis, where nothing is rounded; part of the size of a shape.
 constexpr double least = 0x1p-40;
 
-/// Sum of the terms (m) that rounding bounds along the normal of a triangle: its corners relative to one another, and its normal,
-/// which the ray engine computes as a cross product of rounded edges and which a sliver loses to cancellation.
+/// Sum of the terms (m) that rounding bounds along the normal of a triangle: its corners relative to one another, and
+/// its normal, which the ray engine computes as a cross product of rounded edges and which a sliver loses to
+/// cancellation.
 double rounded_terms(const Vector3<double>& a, const Vector3<double>& b) {
     const Vector3<double> n = cross(a, b);
     const double area = length(n);
@@ -23,7 +24,8 @@ double rounded_terms(const Vector3<double>& a, const Vector3<double>& b) {
     return sum;
 }
 
-/// Largest error of the triangles of a mesh but for its worst slivers, a ten-thousandth of its area. Rounded up to a power of two.
+/// Largest error of the triangles of a mesh but for its worst slivers, a ten-thousandth of its area. Rounded up to a
+/// power of two.
 float mesh_error(const Shape& shape) {
     constexpr int lowest = -200, highest = 200;
     std::array<double, highest - lowest + 1> area_of{};  // by exponent of the error
@@ -49,11 +51,14 @@ float mesh_error(const Shape& shape) {
 
 float hit_error(const Shape& shape) {
     switch (shape.kind) {
-        case ShapeKind::mesh: return mesh_error(shape);
-        case ShapeKind::sphere: return 2 * rounding_bound * shape.radius;
+        case ShapeKind::mesh:
+            return mesh_error(shape);
+        case ShapeKind::sphere:
+            return 2 * rounding_bound * shape.radius;
         case ShapeKind::disk: {
             const Vector3<double> u(shape.u_axis), v(shape.v_axis), n = normalize(cross(u, v));
-            return float(rounding_bound * (absolute_dot(n, u) + absolute_dot(n, v)) + least * std::max(length(u), length(v)));
+            return float(rounding_bound * (absolute_dot(n, u) + absolute_dot(n, v)) +
+                         least * std::max(length(u), length(v)));
         }
     }
     return 0;

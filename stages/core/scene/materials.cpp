@@ -74,7 +74,8 @@ void MaterialBuilder::decode_images(const ObjectPtr& bsdf) {
 
 MaterialBuilder::Sides MaterialBuilder::build(const Object& o) {
     const auto inner = o.children(Category::bsdf);
-    const bool wrapper = o.plugin == "mask" || o.plugin == "twosided" || o.plugin == "bumpmap" || o.plugin == "normalmap";
+    const bool wrapper =
+        o.plugin == "mask" || o.plugin == "twosided" || o.plugin == "bumpmap" || o.plugin == "normalmap";
     if (!wrapper) return {build_plain(o), std::nullopt};
     const std::size_t most = o.plugin == "twosided" ? 2 : 1;
     if (inner.empty() || inner.size() > most)
@@ -105,12 +106,14 @@ MaterialBuilder::Sides MaterialBuilder::build(const Object& o) {
     } else {
         ObjectPtr map;
         for (const Property& p : o.properties)
-            if (const auto* t = std::get_if<ObjectPtr>(&p.value); t && (*t)->category == Category::texture) map = o.get_object(p.name);
+            if (const auto* t = std::get_if<ObjectPtr>(&p.value); t && (*t)->category == Category::texture)
+                map = o.get_object(p.name);
         if (!map) map = o.child(Category::texture);
         if (!map) o.fail("", "'" + o.plugin + "' needs a texture");
         const int index = texture(map);
         const float scale = o.get_float("scale", 1.0f);
-        const bool flips = o.get_bool("flip_invalid_normals", true), shadows = o.get_bool("use_shadowing_function", true);
+        const bool flips = o.get_bool("flip_invalid_normals", true),
+                   shadows = o.get_bool("use_shadowing_function", true);
         each([&](Material& m) {
             if (m.perturbed()) o.fail("", "a bump or normal map inside another is not supported yet");
             (o.plugin == "normalmap" ? m.normal_map : m.bump_map) = index;
@@ -184,7 +187,8 @@ Material MaterialBuilder::build_plain(const Object& o) {
         const std::string distribution = o.get_string("distribution", "beckmann");
         if (distribution == "ggx") model.distribution = Microfacet::ggx;
         if (distribution == "phong" || distribution == "as")
-            scene_.notes.push_back("the '" + distribution + "' microfacet distribution is rendered as Beckmann of the same roughness");
+            scene_.notes.push_back("the '" + distribution +
+                                   "' microfacet distribution is rendered as Beckmann of the same roughness");
         model.sample_visible = o.get_bool("sample_visible", true);
     }
     return m;
@@ -219,7 +223,9 @@ int MaterialBuilder::scalar_texture(const ObjectPtr& description) {
     const int index = texture(description);
     const Texture& t = scene_.textures[std::size_t(index)];
     if (t.kind == TextureKind::checkerboard && t.swaps_numbers && t.color0 != t.color1)
-        scene_.notes.push_back("texture '" + t.id + "' (checkerboard): as a number it has the value of color1 where its colour is color0, as in Mitsuba 3");
+        scene_.notes.push_back(
+            "texture '" + t.id +
+            "' (checkerboard): as a number it has the value of color1 where its colour is color0, as in Mitsuba 3");
     return index;
 }
 
@@ -231,7 +237,8 @@ int MaterialBuilder::colour(const Object& o, const char* name, Spectrum& value) 
 }
 
 int MaterialBuilder::base_colour(const Object& o, Spectrum& value) {
-    return colour(o, o.has("diffuse_reflectance") && !o.has("reflectance") ? "diffuse_reflectance" : "reflectance", value);
+    return colour(o, o.has("diffuse_reflectance") && !o.has("reflectance") ? "diffuse_reflectance" : "reflectance",
+                  value);
 }
 
 int MaterialBuilder::number(const Object& o, const char* name, float& value) {
@@ -252,7 +259,9 @@ void MaterialBuilder::derive(Material& m) {
     const bool two_lobes = model.kind == BsdfKind::phong || model.kind == BsdfKind::ward;
     if (two_lobes && (m.diffuse >= 0 || m.specular >= 0)) {
         // By the largest values of the textures, as Mitsuba 0.6; a constant is darkened with them.
-        const auto most = [&](int texture, const Spectrum& constant) { return texture >= 0 ? scene_.textures[texture].maximum() : constant; };
+        const auto most = [&](int texture, const Spectrum& constant) {
+            return texture >= 0 ? scene_.textures[texture].maximum() : constant;
+        };
         const BsdfModel before = model;
         model.diffuse = most(m.diffuse, model.diffuse);
         model.specular = most(m.specular, model.specular);
@@ -280,7 +289,8 @@ EnvironmentMap load_environment(const Object& o, TextureCache& cache, std::vecto
     for (int y = 0; y < map.height; ++y)
         for (int x = 0; x < map.width; ++x) {
             Spectrum texel = image->texel(x, y) * scale;
-            if (!all_finite(texel)) o.fail("scale", fmt::format("pixel ({}, {}) of the map times the scale is not finite", x, y));
+            if (!all_finite(texel))
+                o.fail("scale", fmt::format("pixel ({}, {}) of the map times the scale is not finite", x, y));
             const float low = std::min({texel.r, texel.g, texel.b});
             if (low < 0) {
                 ++n_negative;
@@ -290,8 +300,9 @@ EnvironmentMap load_environment(const Object& o, TextureCache& cache, std::vecto
             map.texels.push_back(texel);
         }
     if (n_negative > 0)
-        notes.push_back(fmt::format("warning: {}: {} of {} pixels have negative values (lowest {:.3g}); they count as 0",
-                                    o.get_path("filename").filename().string(), n_negative, map.texels.size(), lowest));
+        notes.push_back(
+            fmt::format("warning: {}: {} of {} pixels have negative values (lowest {:.3g}); they count as 0",
+                        o.get_path("filename").filename().string(), n_negative, map.texels.size(), lowest));
     return map;
 }
 

@@ -20,7 +20,8 @@ Vector3f direction(int i) {
 }
 
 bool lets_through(const Material& m) {
-    return is_interface(m.model) || m.model.kind == BsdfKind::thin_dielectric || m.model.kind == BsdfKind::null || m.model.opacity < 1 || m.opacity >= 0;
+    return is_interface(m.model) || m.model.kind == BsdfKind::thin_dielectric || m.model.kind == BsdfKind::null ||
+           m.model.opacity < 1 || m.opacity >= 0;
 }
 
 /// What the rays say of one shape.
@@ -48,7 +49,8 @@ class Survey {
             ray = spawn_ray(at.end(), d);
             const BsdfModel& model = material.model;
             if (!is_interface(model)) continue;
-            const bool entering = dot(at.ns_smooth, d) < 0, first = std::find(seen.begin(), seen.end(), at.shape) == seen.end();
+            const bool entering = dot(at.ns_smooth, d) < 0,
+                       first = std::find(seen.begin(), seen.end(), at.shape) == seen.end();
             if (entering && seen.empty()) ++outer[model.ext_ior];
             seen.push_back(at.shape);
             const bool entered = media.cross(at.shape, entering, model.int_ior, model.ext_ior);
@@ -85,7 +87,10 @@ MediumStack media_at(const Scene& scene, const Point3f& p) {
         media.cross(shape, true, votes.int_ior, votes.ext_ior);
     }
     if (around.empty() && !survey.outer.empty())
-        media.start_outside(std::max_element(survey.outer.begin(), survey.outer.end(), [](const auto& a, const auto& b) { return a.second < b.second; })->first);
+        media.start_outside(
+            std::max_element(survey.outer.begin(), survey.outer.end(), [](const auto& a, const auto& b) {
+                return a.second < b.second;
+            })->first);
     return media;
 }
 

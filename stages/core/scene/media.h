@@ -12,7 +12,9 @@ namespace loom {
 struct Scene;
 
 /// Light goes on in another index of refraction when it passes such a surface.
-inline bool is_interface(const BsdfModel& model) { return model.kind == BsdfKind::dielectric || model.kind == BsdfKind::rough_dielectric; }
+inline bool is_interface(const BsdfModel& model) {
+    return model.kind == BsdfKind::dielectric || model.kind == BsdfKind::rough_dielectric;
+}
 
 /// The dielectric objects that a path is inside of, innermost last; gives the absolute index of refraction
 /// of the segment that comes next, right for nested and immersed objects. Leaving an object removes its own
@@ -30,7 +32,8 @@ class MediumStack {
     /// Innermost last.
     std::span<const Entry> entries() const { return {entries_.data(), std::size_t(size_)}; }
     bool operator==(const MediumStack& other) const {
-        return outside_ == other.outside_ && std::equal(entries().begin(), entries().end(), other.entries().begin(), other.entries().end());
+        return outside_ == other.outside_ &&
+               std::equal(entries().begin(), entries().end(), other.entries().begin(), other.entries().end());
     }
 
     /// Starts outside of everything, in a medium of this index.
@@ -66,10 +69,11 @@ class MediumStack {
     std::array<Entry, max_nesting> entries_;
 };
 
-/// Media around a point, by what is seen from there: rays in all directions pass straight through whatever lets light through, and
-/// stop at the rest. The point is inside of an object where more of them leave it first than enter it first; so an open
-/// surface, such as the plane of a pool, has the point inside that sees its back. Outside of everything it is in the outer medium
-/// of what most rays enter first. A medium of which nothing is seen, behind opaque walls, does not count.
+/// Media around a point, by what is seen from there: rays in all directions pass straight through whatever lets light
+/// through, and stop at the rest. The point is inside of an object where more of them leave it first than enter it
+/// first; so an open surface, such as the plane of a pool, has the point inside that sees its back. Outside of
+/// everything it is in the outer medium of what most rays enter first. A medium of which nothing is seen, behind opaque
+/// walls, does not count.
 MediumStack media_at(const Scene& scene, const Point3f& p);
 
 /// Media in which camera paths start.
@@ -78,7 +82,9 @@ struct SensorMedia {
     bool vacuum = true;   // everywhere
     bool varies = false;  // from origin to origin, of an orthographic sensor
 
-    MediumStack at(const Scene& scene, const Point3f& origin) const { return varies ? media_at(scene, origin) : everywhere; }
+    MediumStack at(const Scene& scene, const Point3f& origin) const {
+        return varies ? media_at(scene, origin) : everywhere;
+    }
 };
 SensorMedia find_sensor_media(const Scene& scene);
 

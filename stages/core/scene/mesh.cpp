@@ -27,8 +27,7 @@ double unit_angle(const Vector3d& a, const Vector3d& b) {
 }
 
 void flip_orientation(Mesh& mesh) {
-    for (std::size_t i = 0; i < mesh.indices.size(); i += 3)
-        std::swap(mesh.indices[i + 1], mesh.indices[i + 2]);
+    for (std::size_t i = 0; i < mesh.indices.size(); i += 3) std::swap(mesh.indices[i + 1], mesh.indices[i + 2]);
     for (Normal3f& n : mesh.normals) n = -n;
 }
 
@@ -38,8 +37,7 @@ bool all_finite(const Point2f& p) {
 using loom::all_finite;
 
 template <class T>
-void require_finite(const std::vector<T>& values, const char* what, const std::string& file,
-                    const char* where) {
+void require_finite(const std::vector<T>& values, const char* what, const std::string& file, const char* where) {
     for (std::size_t i = 0; i < values.size(); ++i)
         if (!all_finite(values[i]))
             throw InputError(fmt::format("{}: {} of vertex {} is not finite{}", file, what, i, where));
@@ -56,8 +54,8 @@ Mesh load_file(const Object& shape) {
 
 void check_mesh(const Mesh& mesh, const std::string& file) {
     if (mesh.positions.empty() || mesh.indices.empty())
-        throw InputError(fmt::format("{}: empty mesh ({} vertices, {} triangles)", file,
-                                     mesh.positions.size(), mesh.n_triangles()));
+        throw InputError(
+            fmt::format("{}: empty mesh ({} vertices, {} triangles)", file, mesh.positions.size(), mesh.n_triangles()));
     for (std::size_t i = 0; i < mesh.indices.size(); ++i)
         if (mesh.indices[i] >= mesh.positions.size())
             throw InputError(fmt::format("{}: triangle {} refers to vertex {}, the mesh has {}", file, i / 3,
@@ -136,8 +134,8 @@ Mesh load_mesh(const Object& shape, std::vector<std::string>& notes) {
         if (mesh.indices.empty() && shape.child(Category::emitter))
             shape.fail("filename",
                        fmt::format("{}: an emitter without area: all {} triangles have none", file, dropped));
-        notes.push_back(fmt::format("shape '{}' ({}): {} of {} triangles have no area and were dropped",
-                                    shape.id, file, dropped, dropped + mesh.n_triangles()));
+        notes.push_back(fmt::format("shape '{}' ({}): {} of {} triangles have no area and were dropped", shape.id, file,
+                                    dropped, dropped + mesh.n_triangles()));
     }
     if (shape.get_bool("face_normals", false)) {
         mesh.normals.clear();
@@ -153,8 +151,8 @@ Mesh load_mesh(const Object& shape, std::vector<std::string>& notes) {
                 mesh.normals[v] = computed.normals[v];
                 ++replaced;
             }
-        notes.push_back(fmt::format("shape '{}' ({}): {} vertex normals of length 0 were computed", shape.id,
-                                    file, replaced));
+        notes.push_back(
+            fmt::format("shape '{}' ({}): {} vertex normals of length 0 were computed", shape.id, file, replaced));
     }
     if (shape.get_bool("flip_normals", false)) flip_orientation(mesh);
     return mesh;

@@ -61,9 +61,7 @@ class PlyReader {
     }
 
   private:
-    [[noreturn]] void fail(const std::string& what) const {
-        throw InputError(fmt::format("{}: {}", file_, what));
-    }
+    [[noreturn]] void fail(const std::string& what) const { throw InputError(fmt::format("{}: {}", file_, what)); }
 
     std::string_view header_line() {
         const std::size_t end = bytes_.find('\n', at_);
@@ -131,8 +129,7 @@ class PlyReader {
             fail(fmt::format("'{}' is not a number of elements", count));
         // A row has at least one byte: a larger count cannot be true, and must not be allocated.
         if (element.count > bytes_.size())
-            fail(fmt::format("truncated: {} elements '{}' in {} bytes", element.count, element.name,
-                             bytes_.size()));
+            fail(fmt::format("truncated: {} elements '{}' in {} bytes", element.count, element.name, bytes_.size()));
         elements_.push_back(std::move(element));
     }
 
@@ -205,8 +202,7 @@ class PlyReader {
             present[int(targets.back())] = true;
         }
         const auto has = [&](Target t) { return present[int(t)]; };
-        if (!has(Target::x) || !has(Target::y) || !has(Target::z))
-            fail("vertices need the properties x, y, z");
+        if (!has(Target::x) || !has(Target::y) || !has(Target::z)) fail("vertices need the properties x, y, z");
         const bool normals = has(Target::nx) && has(Target::ny) && has(Target::nz);
         const bool uvs = has(Target::u) && has(Target::v);
         mesh_.positions.resize(element.count);
@@ -264,8 +260,7 @@ class PlyReader {
         for (std::uint64_t k = 0; k < n_corners; ++k) {
             const double value = number(property.type);
             if (!(value >= 0 && value < double(mesh_.positions.size())))
-                fail(fmt::format("face {} refers to vertex {}, the mesh has {}", face, value,
-                                 mesh_.positions.size()));
+                fail(fmt::format("face {} refers to vertex {}, the mesh has {}", face, value, mesh_.positions.size()));
             const auto index = std::uint32_t(value);
             if (k >= 3) corners[1] = corners[2];
             corners[std::min<std::uint64_t>(k, 2)] = index;

@@ -49,8 +49,8 @@ NlosCapture::Point describe(const Scene& scene, const Ray& ray, const Hit& hit) 
     return at;
 }
 
-/// What the sensor sees of the points of the wall. A grid point often lies on the very edge of two triangles, where a ray
-/// may slip through: only what is before the wall is left to the ray engine.
+/// What the sensor sees of the points of the wall. A grid point often lies on the very edge of two triangles, where a
+/// ray may slip through: only what is before the wall is left to the ray engine.
 void look_at_grid(const Object& wall, const Object& sensor, const Scene& scene, NlosCapture& capture) {
     const Shape& shape = scene.shapes[capture.relay_wall];
     const NlosCapture::Grid grid = capture.sensor_grid;
@@ -61,13 +61,16 @@ void look_at_grid(const Object& wall, const Object& sensor, const Scene& scene, 
             const double u = (i + 0.5) / grid.width, v = (j + 0.5) / grid.height;
             Hit target;
             if (!point_at_uv(shape.mesh, u, v, target))
-                wall.fail("", fmt::format("the relay wall has no point of texture coordinates ({:.4g}, {:.4g}), where grid point ({}, {}) is", u, v, i, j));
+                wall.fail("", fmt::format("the relay wall has no point of texture coordinates ({:.4g}, {:.4g}), where "
+                                          "grid point ({}, {}) is",
+                                          u, v, i, j));
             target.shape = capture.relay_wall;
             const TrianglePoint point = triangle_point(shape, target, false);
             const Vector3f d = point.p - capture.sensor_origin;
             target.t = length(d);
             const Ray ray{capture.sensor_origin, d / target.t};
-            const Hit before = scene.intersect(spawn_segment({capture.sensor_origin}, {point.p, point.ng, shape.hit_error}));
+            const Hit before =
+                scene.intersect(spawn_segment({capture.sensor_origin}, {point.p, point.ng, shape.hit_error}));
             capture.sensor_points.push_back(describe(scene, {ray.o, ray.d}, before ? before : target));
         }
 }
@@ -118,7 +121,8 @@ void list_hidden(const Scene& scene, std::uint32_t wall, NlosCapture& capture) {
             areas.push_back(area);
         };
         if (shape.kind == ShapeKind::sphere) add(0, 4 * pi_double * sqr(double(shape.radius)));
-        if (shape.kind == ShapeKind::disk) add(0, pi_double * length(cross(Vector3<double>(shape.u_axis), Vector3<double>(shape.v_axis))));
+        if (shape.kind == ShapeKind::disk)
+            add(0, pi_double * length(cross(Vector3<double>(shape.u_axis), Vector3<double>(shape.v_axis))));
         for (std::uint32_t t = 0; t < shape.triangles.size(); ++t) add(t, triangle_area(shape.mesh, t));
     }
     if (areas.empty()) return;
@@ -128,9 +132,12 @@ void list_hidden(const Scene& scene, std::uint32_t wall, NlosCapture& capture) {
 
 void read_integrator(const Object& o, NlosCapture& c, bool& includes_wall) {
     if (o.get_bool("camera_unwarp", false))
-        o.fail("camera_unwarp", "in a capture around a corner it is account_first_and_last_bounces that says which lengths count");
+        o.fail("camera_unwarp",
+               "in a capture around a corner it is account_first_and_last_bounces that says which lengths count");
     const std::string type = o.get_string("capture_type", "single");
-    c.type = type == "confocal" ? CaptureType::confocal : type == "exhaustive" ? CaptureType::exhaustive : CaptureType::single;
+    c.type = type == "confocal"     ? CaptureType::confocal
+             : type == "exhaustive" ? CaptureType::exhaustive
+                                    : CaptureType::single;
     c.laser_sampling = o.get_bool("nlos_laser_sampling", false);
     c.discard_direct = o.get_bool("discard_direct_paths", false);
     c.filter_depth = o.get_int("filter_depth", -1);
@@ -139,7 +146,8 @@ void read_integrator(const Object& o, NlosCapture& c, bool& includes_wall) {
         c.filter_depth = bounces + 1;
     }
     if (const int depth = o.get_int("max_depth", 6); c.filter_depth != -1 && depth != -1 && c.filter_depth > depth)
-        o.fail(o.has("filter_depth") ? "filter_depth" : "filter_bounces", fmt::format("paths of {} edges are longer than max_depth {}", c.filter_depth, depth));
+        o.fail(o.has("filter_depth") ? "filter_depth" : "filter_bounces",
+               fmt::format("paths of {} edges are longer than max_depth {}", c.filter_depth, depth));
     if (o.get_bool("nlos_hidden_geometry_sampling", false))
         c.hidden_probability = o.get_bool("nlos_hidden_geometry_sampling_do_rroulette", false) ? 0.5f : mostly_hidden;
     includes_wall = o.get_bool("nlos_hidden_geometry_sampling_includes_relay_wall", false);
@@ -150,16 +158,25 @@ void read_integrator(const Object& o, NlosCapture& c, bool& includes_wall) {
 
 /// Laser points of an exhaustive capture: those of the sensor, or a grid that a projector of that field of view sees,
 /// at the corners (i / width, j / height) of its cells.
-void scan(const Object& integrator, const Object& film, const Emitter& projector, const Scene& scene, NlosCapture& c, std::vector<std::string>& notes) {
-    if (!film.get_bool("exhaustive_scan", false)) film.fail("exhaustive_scan", "an exhaustive capture needs a film with exhaustive_scan");
-    c.laser_grid = {std::uint32_t(film.get_int("laser_scan_width", 0)), std::uint32_t(film.get_int("laser_scan_height", 0))};
-    const auto same = [&] { return c.laser_grid.width == c.sensor_grid.width && c.laser_grid.height == c.sensor_grid.height; };
-    if (c.laser_grid.size() == 0) film.fail("laser_scan_width", "laser_scan_width and laser_scan_height must be positive");
+void scan(const Object& integrator, const Object& film, const Emitter& projector, const Scene& scene, NlosCapture& c,
+          std::vector<std::string>& notes) {
+    if (!film.get_bool("exhaustive_scan", false))
+        film.fail("exhaustive_scan", "an exhaustive capture needs a film with exhaustive_scan");
+    c.laser_grid = {std::uint32_t(film.get_int("laser_scan_width", 0)),
+                    std::uint32_t(film.get_int("laser_scan_height", 0))};
+    const auto same = [&] {
+        return c.laser_grid.width == c.sensor_grid.width && c.laser_grid.height == c.sensor_grid.height;
+    };
+    if (c.laser_grid.size() == 0)
+        film.fail("laser_scan_width", "laser_scan_width and laser_scan_height must be positive");
     if (integrator.get_bool("force_equal_illumination_scanning", true)) {
         if (!same())
-            film.fail("laser_scan_width", fmt::format("force_equal_illumination_scanning: {} x {} laser points are not the {} x {} sensor points", c.laser_grid.width,
-                                                      c.laser_grid.height, c.sensor_grid.width, c.sensor_grid.height));
-        for (const NlosCapture::Point& at : c.sensor_points) c.laser_points.push_back(aim(scene, projector.position, at));
+            film.fail(
+                "laser_scan_width",
+                fmt::format("force_equal_illumination_scanning: {} x {} laser points are not the {} x {} sensor points",
+                            c.laser_grid.width, c.laser_grid.height, c.sensor_grid.width, c.sensor_grid.height));
+        for (const NlosCapture::Point& at : c.sensor_points)
+            c.laser_points.push_back(aim(scene, projector.position, at));
         return;
     }
     const double fov = integrator.get_double("illumination_scan_fov", 20.0);
@@ -168,12 +185,17 @@ void scan(const Object& integrator, const Object& film, const Emitter& projector
     std::size_t missing = 0;
     for (std::uint32_t j = 0; j < c.laser_grid.height; ++j)
         for (std::uint32_t i = 0; i < c.laser_grid.width; ++i) {
-            const Vector3f d{(1 - 2 * float(i) / float(c.laser_grid.width)) * tan_fov, (1 - 2 * float(j) / float(c.laser_grid.height)) * tan_fov, 1};
-            c.laser_points.push_back(aim(scene, projector.position, beam_along(normalize(projector.frame.to_world(d)))));
+            const Vector3f d{(1 - 2 * float(i) / float(c.laser_grid.width)) * tan_fov,
+                             (1 - 2 * float(j) / float(c.laser_grid.height)) * tan_fov, 1};
+            c.laser_points.push_back(
+                aim(scene, projector.position, beam_along(normalize(projector.frame.to_world(d)))));
             missing += !c.laser_points.back().hit;
         }
-    if (missing == c.laser_points.size()) integrator.fail("illumination_scan_fov", "no ray of the laser's scan meets the scene");
-    if (missing > 0) notes.push_back(fmt::format("{} of {} laser points lie beside the scene and light nothing", missing, c.laser_points.size()));
+    if (missing == c.laser_points.size())
+        integrator.fail("illumination_scan_fov", "no ray of the laser's scan meets the scene");
+    if (missing > 0)
+        notes.push_back(fmt::format("{} of {} laser points lie beside the scene and light nothing", missing,
+                                    c.laser_points.size()));
 }
 
 }  // namespace
@@ -225,7 +247,8 @@ float pdf_hidden_w(const Scene& scene, const Point3f& from, const SurfacePoint& 
 }
 
 void build_nlos(const Object& root, const Object* wall, std::uint32_t relay_wall, Scene& scene) {
-    const ObjectPtr sensor = (wall ? *wall : root).child(Category::sensor), integrator = root.child(Category::integrator);
+    const ObjectPtr sensor = (wall ? *wall : root).child(Category::sensor),
+                    integrator = root.child(Category::integrator);
     auto capture = std::make_shared<NlosCapture>();
     NlosCapture& c = *capture;
     if (wall) c.relay_wall = relay_wall;
@@ -235,7 +258,9 @@ void build_nlos(const Object& root, const Object* wall, std::uint32_t relay_wall
     const ObjectPtr film = sensor->child(Category::film);
     c.sensor_grid = {scene.sensor.width, scene.sensor.height};
     if (!wall && c.type != CaptureType::single)
-        integrator->fail("capture_type", fmt::format("a sensor '{}' takes single captures only; confocal and exhaustive ones need an nlos_capture_meter inside the relay wall", sensor->plugin));
+        integrator->fail("capture_type", fmt::format("a sensor '{}' takes single captures only; confocal and "
+                                                     "exhaustive ones need an nlos_capture_meter inside the relay wall",
+                                                     sensor->plugin));
     if (scene.emitters.size() != 1 || scene.emitters[0].kind != EmitterKind::projector)
         fail(sensor->at, "a capture around a corner needs one emitter, a projector, and no other");
     const Emitter& projector = scene.emitters[0];
@@ -247,7 +272,8 @@ void build_nlos(const Object& root, const Object* wall, std::uint32_t relay_wall
         if (c.laser_sampling && !c.laser_points[0].hit) root.fail("", "the projector aims at nothing");
     } else if (c.type == CaptureType::confocal) {
         c.laser_grid = c.sensor_grid;
-        for (const NlosCapture::Point& at : c.sensor_points) c.laser_points.push_back(aim(scene, projector.position, at));
+        for (const NlosCapture::Point& at : c.sensor_points)
+            c.laser_points.push_back(aim(scene, projector.position, at));
     } else {
         scan(*integrator, *film, projector, scene, c, scene.notes);
         if (c.laser_points.size() * c.sensor_points.size() > std::size_t(1) << 31)
@@ -257,9 +283,12 @@ void build_nlos(const Object& root, const Object* wall, std::uint32_t relay_wall
     }
     if (c.hidden_probability > 0) {
         // Before a camera the wall is what the laser lights.
-        const std::uint32_t relay_or_lit = wall ? relay_wall : c.laser_points[0].hit ? c.laser_points[0].hit.shape : NlosCapture::no_wall;
+        const std::uint32_t relay_or_lit = wall                    ? relay_wall
+                                           : c.laser_points[0].hit ? c.laser_points[0].hit.shape
+                                                                   : NlosCapture::no_wall;
         list_hidden(scene, includes_wall ? NlosCapture::no_wall : relay_or_lit, c);
-        if (c.hidden.empty()) integrator->fail("nlos_hidden_geometry_sampling", "there is no geometry but the relay wall");
+        if (c.hidden.empty())
+            integrator->fail("nlos_hidden_geometry_sampling", "there is no geometry but the relay wall");
     }
     scene.nlos = std::move(capture);
 }

@@ -21,10 +21,10 @@ struct NlosCapture {
     };
     /// What the ray of a sensor, or of the laser, meets.
     struct Point {
-        Hit hit;      // of that ray; none: it meets nothing
+        Hit hit;  // of that ray; none: it meets nothing
         Ray ray;
         Point3f p;
-        Normal3f ng;  // geometric
+        Normal3f ng;    // geometric
         Normal3f flat;  // of the triangle itself: ng before it was rounded
         float hit_error = 0;
 
@@ -40,23 +40,24 @@ struct NlosCapture {
     std::uint32_t relay_wall = no_wall;  // shape that the sensor scans; none: a camera looks at the scene
     Point3f sensor_origin;               // of a scan
     Grid sensor_grid, laser_grid;
-    std::vector<Point> sensor_points;      // of a scan, row by row of the wall's v, along its u: ((i + 1/2) / width, (j + 1/2) / height)
+    // of a scan, row by row of the wall's v, along its u: ((i + 1/2) / width, (j + 1/2) / height)
+    std::vector<Point> sensor_points;
     std::vector<LaserPoint> laser_points;  // single: one; confocal: of each sensor point
 
-    bool laser_sampling = false;    // a lit spot is a light; else the projector itself is
-    bool discard_direct = false;    // no light that only one surface has reflected
-    int filter_depth = -1;          // only paths of that many edges; -1: all
-    float hidden_probability = 0;   // of sampling hidden geometry instead of the BSDF at a vertex
-    int hidden_depth = -1;          // at this many first vertices only; -1: all
+    bool laser_sampling = false;   // a lit spot is a light; else the projector itself is
+    bool discard_direct = false;   // no light that only one surface has reflected
+    int filter_depth = -1;         // only paths of that many edges; -1: all
+    float hidden_probability = 0;  // of sampling hidden geometry instead of the BSDF at a vertex
+    int hidden_depth = -1;         // at this many first vertices only; -1: all
 
     /// Surfaces whose points are sampled, uniformly by area.
     struct Element {
         std::uint32_t shape, primitive;
     };
     std::vector<Element> hidden;
-    Distribution1 hidden_pmf;       // by area
-    double hidden_area = 0;         // m^2
-    std::vector<bool> is_hidden;    // by shape
+    Distribution1 hidden_pmf;     // by area
+    double hidden_area = 0;       // m^2
+    std::vector<bool> is_hidden;  // by shape
 
     /// Which points a pixel of the film is of.
     std::size_t sensor_point(std::uint64_t pixel) const {

@@ -22,11 +22,12 @@ struct RayEnd {
     float hit_error = 0;  // Shape::hit_error, m
 };
 
-/// Bound of a sum of rounding errors, relative to its terms: twice what was needed by millions of rays (README.md of loom-trace).
+/// Bound of a sum of rounding errors, relative to its terms: twice what was needed by millions of rays (README.md of
+/// loom-trace).
 inline constexpr float rounding_bound = 4 * 0x1p-24f;
 
-/// A ray that ends at a surface ends short of it by this part of its length, one that ends at a point of no surface by the other:
-/// a point light may lie in the very plane of a ceiling.
+/// A ray that ends at a surface ends short of it by this part of its length, one that ends at a point of no surface by
+/// the other: a point light may lie in the very plane of a ceiling.
 inline constexpr float surface_epsilon = 0x1p-21f, point_epsilon = 0x1p-16f;
 
 /// Sum of |n_k v_k|: what n . v loses to rounding is a part of it.
@@ -35,9 +36,12 @@ inline T absolute_dot(const Triple<T, A>& n, const Triple<T, B>& v) {
     return std::abs(n.x * v.x) + std::abs(n.y * v.y) + std::abs(n.z * v.z);
 }
 
-/// Distance (m) by which a ray must start off a surface to be on its right side in spite of rounding: of the point p, by its
+/// Distance (m) by which a ray must start off a surface to be on its right side in spite of rounding: of the point p,
+/// by its
 /// coordinates along n, and of the plane in which the ray engine sees its triangle.  [Pharr2016] section 3.9
-inline float surface_offset(const Point3f& p, const Normal3f& n, float hit_error) { return rounding_bound * absolute_dot(n, p) + hit_error; }
+inline float surface_offset(const Point3f& p, const Normal3f& n, float hit_error) {
+    return rounding_bound * absolute_dot(n, p) + hit_error;
+}
 
 /// Origin of a ray that leaves p into direction d.
 inline Point3f offset_origin(const Point3f& p, const Normal3f& n, float hit_error, const Vector3f& d) {
@@ -45,15 +49,17 @@ inline Point3f offset_origin(const Point3f& p, const Normal3f& n, float hit_erro
     return p + Vector3f(n) * (dot(n, d) >= 0 ? offset : -offset);
 }
 
-/// End of a segment from o that reaches the surface point q: on the side of o, off the surface by what rounding may make of
-/// their distance, too.
+/// End of a segment from o that reaches the surface point q: on the side of o, off the surface by what rounding may
+/// make of their distance, too.
 inline Point3f offset_end(const Point3f& q, const Normal3f& n, float hit_error, const Point3f& o) {
     const Vector3f back = o - q;
     const float offset = surface_offset(q, n, hit_error) + rounding_bound * absolute_dot(n, back);
     return q + Vector3f(n) * (dot(n, back) >= 0 ? offset : -offset);
 }
 
-inline Ray spawn_ray(const RayEnd& from, const Vector3f& d) { return {offset_origin(from.p, from.n, from.hit_error, d), d, 0, INFINITY}; }
+inline Ray spawn_ray(const RayEnd& from, const Vector3f& d) {
+    return {offset_origin(from.p, from.n, from.hit_error, d), d, 0, INFINITY};
+}
 
 /// The open segment between two points.
 inline Ray spawn_segment(const RayEnd& from, const RayEnd& to) {

@@ -13,9 +13,13 @@ namespace {
 
 constexpr float largest_half = 65504;
 
-float half_round(float value) { return float_from_half(half_from_float(std::min(value, largest_half))); }
+float half_round(float value) {
+    return float_from_half(half_from_float(std::min(value, largest_half)));
+}
 
-Spectrum half_round(const Spectrum& s) { return {half_round(s.r), half_round(s.g), half_round(s.b)}; }
+Spectrum half_round(const Spectrum& s) {
+    return {half_round(s.r), half_round(s.g), half_round(s.b)};
+}
 
 struct Partials {
     Vector3f dp_du, dp_dv;
@@ -51,15 +55,22 @@ Normal3f perturbed_normal(const Scene& scene, const Material& m, const Framef& b
         if (dot(bumped, base.n) < 0) bumped = -bumped;
         local = base.to_local(bumped);
     }
-    if (m.flips_invalid_normals && dot(base.n, wo) * dot(local, base.to_local(wo)) <= 0) local = {-local.x, -local.y, local.z};
+    if (m.flips_invalid_normals && dot(base.n, wo) * dot(local, base.to_local(wo)) <= 0)
+        local = {-local.x, -local.y, local.z};
     return Normal3f(base.to_world(local));
 }
 
 }  // namespace
 
-Hit Scene::intersect(const Ray& ray) const { return rays->intersect(ray); }
-Hit Scene::intersect_from_camera(const Ray& ray) const { return camera_rays->intersect(ray); }
-bool Scene::occluded(const Ray& ray) const { return rays->occluded(ray); }
+Hit Scene::intersect(const Ray& ray) const {
+    return rays->intersect(ray);
+}
+Hit Scene::intersect_from_camera(const Ray& ray) const {
+    return camera_rays->intersect(ray);
+}
+bool Scene::occluded(const Ray& ray) const {
+    return rays->occluded(ray);
+}
 
 void Scene::prefetch_triangle(const Hit& hit) const {
     if (!hit || shapes[hit.shape].kind != ShapeKind::mesh) return;
@@ -179,14 +190,18 @@ Bsdf<float> Scene::bsdf(const SurfacePoint& at) const {
     if (m.specular >= 0) b.specular = half_round(textures[m.specular].eval(at.uv) * m.reflectance_scale);
     if (m.transmittance >= 0) b.transmittance = half_round(textures[m.transmittance].eval(at.uv));
     if (m.alpha_u >= 0 || m.alpha_v >= 0) {
-        const auto alpha = [&](int texture, float constant) { return half_round(texture >= 0 ? std::max(textures[texture].eval_float(at.uv), smallest_alpha) : constant); };
+        const auto alpha = [&](int texture, float constant) {
+            return half_round(texture >= 0 ? std::max(textures[texture].eval_float(at.uv), smallest_alpha) : constant);
+        };
         b.alpha_u = alpha(m.alpha_u, m.model.alpha_u);
         b.alpha_v = alpha(m.alpha_v, m.model.alpha_v);
     }
     if (m.opacity >= 0) b.opacity = half_round(clamp(textures[m.opacity].eval_float(at.uv), 0.0f, 1.0f));
     if (m.exponent >= 0) b.exponent = std::max(textures[m.exponent].eval_float(at.uv), 0.0f);
     if (m.textured_index()) {
-        const auto index = [&](int texture, const Spectrum& constant) { return half_round(texture >= 0 ? textures[texture].eval(at.uv) * m.index_scale : constant); };
+        const auto index = [&](int texture, const Spectrum& constant) {
+            return half_round(texture >= 0 ? textures[texture].eval(at.uv) * m.index_scale : constant);
+        };
         b.eta_c = index(m.eta_c, m.model.eta_c);
         b.k_c = index(m.k_c, m.model.k_c);
     }

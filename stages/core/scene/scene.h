@@ -48,7 +48,7 @@ struct Material {
     int normal_map = -1, bump_map = -1;
     float bump_scale = 1;
     bool flips_invalid_normals = true;  // of a map: see perturbed_normal()
-    int back = -1;  // material seen from behind; -1: this one
+    int back = -1;                      // material seen from behind; -1: this one
     BsdfModel model;
     bool textured() const {
         return diffuse >= 0 || specular >= 0 || transmittance >= 0 || alpha_u >= 0 || alpha_v >= 0 || opacity >= 0 ||
@@ -78,15 +78,16 @@ struct Shape {
     ShapeKind kind = ShapeKind::mesh;
     std::uint32_t material = 0;
     int emitter = -1;
-    Mesh mesh;  // world space; empty for analytic shapes
+    Mesh mesh;                              // world space; empty for analytic shapes
     std::vector<TriangleRecord> triangles;  // of the mesh
     // sphere: centre, radius, and its own x, y, z. disk: centre; u_axis and v_axis span the unit disk.
     Point3f center;
     float radius = 1;
     Vector3f u_axis, v_axis, w_axis;
     bool flip_normals = false;
-    float hit_error = 0;  // m along the normal: how far a hit point may be off the plane that the ray engine tests, by the size of the
-                          // shape; what its distance from the origin adds is in surface_offset()
+    // m along the normal: how far a hit point may be off the plane that the ray engine tests, by the size of the shape;
+    // what its distance from the origin adds is in surface_offset()
+    float hit_error = 0;
 
     Box3f bounds() const;  // world space
     /// Texture coordinates of a sphere: longitude about w_axis from u_axis, and colatitude, both over [0, 1].
@@ -123,10 +124,10 @@ struct SceneFeatures {
     bool textured_diffuse = false, textured_specular = false, textured_transmittance = false;
     bool textured_alpha = false, textured_opacity = false;
     bool textured_exponent = false, textured_index = false;
-    bool smooth_normals = false;   // shading normal may differ from the geometric one
+    bool smooth_normals = false;  // shading normal may differ from the geometric one
     bool perturbed_normals = false;
     bool anisotropic = false;
-    bool dielectric = false;       // light travels in more than one index of refraction
+    bool dielectric = false;  // light travels in more than one index of refraction
     bool null_lobes = false;
     bool delta_lobes = false;
 };
@@ -149,16 +150,17 @@ struct Scene {
     std::vector<Texture> textures;
     std::vector<Emitter> emitters;
     Distribution1 emitter_pmf;
-    int environment = -1;  // index of the emitter that shines from infinity all around
+    int environment = -1;                     // index of the emitter that shines from infinity all around
     std::shared_ptr<const NlosCapture> nlos;  // of a capture around a corner; null for any other scene
     SceneFeatures features;
     SensorMedia sensor_media;
     Point3f center;
-    float radius = 1;  // bounding sphere of all shapes
-    std::uint64_t content_hash = 0;           // of the scene file, its overrides and all it refers to
+    float radius = 1;                // bounding sphere of all shapes
+    std::uint64_t content_hash = 0;  // of the scene file, its overrides and all it refers to
     std::vector<std::string> notes;
     std::shared_ptr<const RayEngine> rays;
-    bool hides_emitters = false;  // camera rays pass through area lights, and the sky is black until a path has been scattered
+    // camera rays pass through area lights, and the sky is black until a path has been scattered
+    bool hides_emitters = false;
     std::shared_ptr<const RayEngine> camera_rays;  // what they meet
 
     Hit intersect(const Ray& ray) const;

@@ -24,12 +24,12 @@ void check_children(const Object& object, const PluginSchema& plugin) {
         for (const auto& [child, at] : object.nested) {
             if (child->category != rule.category) continue;
             if (++count > rule.at_most)
-                fail(at, fmt::format("{} '{}' takes at most {} {}", name(plugin.category), plugin.type,
-                                     rule.at_most, name(rule.category)));
+                fail(at, fmt::format("{} '{}' takes at most {} {}", name(plugin.category), plugin.type, rule.at_most,
+                                     name(rule.category)));
         }
         if (count < rule.at_least)
-            fail(object.at, fmt::format("{} '{}' needs a {} inside", name(plugin.category), plugin.type,
-                                        name(rule.category)));
+            fail(object.at,
+                 fmt::format("{} '{}' needs a {} inside", name(plugin.category), plugin.type, name(rule.category)));
     }
 }
 
@@ -58,7 +58,8 @@ void check_scene(const Object& scene) {
     if (!sensor && !capture) fail(scene.at, "scene 'scene' needs a sensor inside");
     const ObjectPtr integrator = scene.child(Category::integrator);
     const bool around_corner = integrator && integrator->plugin == "transient_nlos_path";
-    if (capture && !around_corner) fail(capture->at, "sensor 'nlos_capture_meter' needs the integrator 'transient_nlos_path'");
+    if (capture && !around_corner)
+        fail(capture->at, "sensor 'nlos_capture_meter' needs the integrator 'transient_nlos_path'");
 }
 
 void check_integrator(const Object& object) {
@@ -66,7 +67,9 @@ void check_integrator(const Object& object) {
         object.fail("max_depth", "'max_depth' must be -1 (no limit) or not negative");
     // It also drops what paths reflect: all light that BSDF sampling finds, but not that of next-event estimation.
     if (object.plugin == "transient_path" && object.get_bool("discard_direct_light", false))
-        object.fail("discard_direct_light", "'discard_direct_light' is not supported: in mitransient it drops a part of the reflected light, too");
+        object.fail(
+            "discard_direct_light",
+            "'discard_direct_light' is not supported: in mitransient it drops a part of the reflected light, too");
 }
 
 void check_conductor(const Object& object) {
@@ -83,7 +86,8 @@ void check_rawconstant(const Object& object, const Parameter& parameter) {
     const float low = std::min({value.r, value.g, value.b}), high = std::max({value.r, value.g, value.b});
     if (parameter.kind == ValueKind::reflectance && (low < 0 || high > 1))
         (*texture)->fail("value", fmt::format("'{}' must lie between 0 and 1", parameter.name));
-    if ((parameter.flags & flag::positive) && !(low > 0)) (*texture)->fail("value", fmt::format("'{}' must be greater than 0", parameter.name));
+    if ((parameter.flags & flag::positive) && !(low > 0))
+        (*texture)->fail("value", fmt::format("'{}' must be greater than 0", parameter.name));
     if (((parameter.flags & flag::non_negative) || object.category == Category::emitter) && low < 0)
         (*texture)->fail("value", fmt::format("'{}' must not be negative", parameter.name));
 }
@@ -174,8 +178,8 @@ bool is_transient_film(const Object& film) {
 void check_object(const Object& object, const PluginSchema& plugin) {
     for (const Parameter& parameter : plugin.parameters)
         if ((parameter.flags & flag::required) && !object.has(parameter.name))
-            fail(object.at, fmt::format("{} '{}' needs the parameter '{}' ({})", name(plugin.category),
-                                        plugin.type, parameter.name, expected_kinds(parameter)));
+            fail(object.at, fmt::format("{} '{}' needs the parameter '{}' ({})", name(plugin.category), plugin.type,
+                                        parameter.name, expected_kinds(parameter)));
     for (const Parameter& parameter : plugin.parameters) check_rawconstant(object, parameter);
     check_children(object, plugin);
     switch (object.category) {
@@ -186,12 +190,11 @@ void check_object(const Object& object, const PluginSchema& plugin) {
             check_scene(object);
             break;
         case Category::shape:
-            if (const ObjectPtr sensor = object.child(Category::sensor); sensor && sensor->plugin != "nlos_capture_meter")
+            if (const ObjectPtr sensor = object.child(Category::sensor);
+                sensor && sensor->plugin != "nlos_capture_meter")
                 fail(sensor->at, fmt::format("sensor '{}' does not belong inside a shape", sensor->plugin));
-            if (const ObjectPtr emitter = object.child(Category::emitter);
-                emitter && emitter->plugin != "area")
-                fail(emitter->at,
-                     fmt::format("emitter '{}' does not belong inside a shape", emitter->plugin));
+            if (const ObjectPtr emitter = object.child(Category::emitter); emitter && emitter->plugin != "area")
+                fail(emitter->at, fmt::format("emitter '{}' does not belong inside a shape", emitter->plugin));
             break;
         case Category::integrator:
             check_integrator(object);
@@ -203,11 +206,9 @@ void check_object(const Object& object, const PluginSchema& plugin) {
             if (const ObjectPtr film = object.child(Category::film);
                 object.plugin == "nlos_capture_meter" && !(film && is_transient_film(*film)))
                 fail(film ? film->at : object.at, "sensor 'nlos_capture_meter' needs a film 'transient_hdr_film'");
-            if (object.get_double("fov", 90) >= 180)
-                object.fail("fov", "'fov' must be less than 180 degrees");
+            if (object.get_double("fov", 90) >= 180) object.fail("fov", "'fov' must be less than 180 degrees");
             if (!(object.get_double("near_clip", 1e-2) < object.get_double("far_clip", 1e4)))
-                object.fail(object.has("near_clip") ? "near_clip" : "far_clip",
-                            "near clip must be before far clip");
+                object.fail(object.has("near_clip") ? "near_clip" : "far_clip", "near clip must be before far clip");
             break;
         default:
             break;

@@ -5,8 +5,8 @@ namespace {
 
 using enum Category;
 using enum ValueKind;
-using flag::ignored, flag::legacy, flag::modern, flag::non_negative, flag::numbered, flag::open, flag::positive, flag::required,
-    flag::textured, flag::unsupported;
+using flag::ignored, flag::legacy, flag::modern, flag::non_negative, flag::numbered, flag::open, flag::positive,
+    flag::required, flag::textured, flag::unsupported;
 using Parameters = std::vector<Parameter>;
 
 constexpr int any_number = 1 << 30;
@@ -64,11 +64,11 @@ std::vector<PluginSchema> make_table() {
     const Parameters base_and_gloss{{"diffuse_reflectance", reflectance, textured},
                                     {"specular_reflectance", reflectance, textured}};
     const Parameters map_options{{"flip_invalid_normals", boolean}, {"use_shadowing_function", boolean}};
-    const Parameters base{{"reflectance", reflectance, textured}, {"diffuse_reflectance", reflectance, textured | legacy}};
+    const Parameters base{{"reflectance", reflectance, textured},
+                          {"diffuse_reflectance", reflectance, textured | legacy}};
     add(bsdf, "diffuse", base);
     add(bsdf, "roughdiffuse",
-        base + Parameters{{"alpha", number, textured | non_negative},
-                          {"use_fast_approx", boolean, legacy | ignored}});
+        base + Parameters{{"alpha", number, textured | non_negative}, {"use_fast_approx", boolean, legacy | ignored}});
     add(bsdf, "conductor", metal);
     add(bsdf, "roughconductor", metal + rough);
     add(bsdf, "dielectric", interface + specular_both);
@@ -91,9 +91,9 @@ std::vector<PluginSchema> make_table() {
     add(bsdf, "twosided", {}, {{bsdf, 1, 2}});
     add(bsdf, "bumpmap", Parameters{{"scale", number}} + map_options, {{texture, 1, 1}, {bsdf, 1, 1}});
     add(bsdf, "normalmap", map_options, {{texture, 1, 1}, {bsdf, 1, 1}});
-    not_yet(bsdf, {"principled", "principledthin", "blendbsdf", "mixturebsdf", "coating", "roughcoating",
-                   "difftrans", "hk", "irawan", "measured", "measured_polarized", "hair", "circular",
-                   "polarizer", "retarder", "pplastic", "rtrans", "dipole"});
+    not_yet(bsdf, {"principled", "principledthin", "blendbsdf", "mixturebsdf", "coating", "roughcoating", "difftrans",
+                   "hk", "irawan", "measured", "measured_polarized", "hair", "circular", "polarizer", "retarder",
+                   "pplastic", "rtrans", "dipole"});
 
     // Shapes
     const std::vector<ChildRule> of_a_shape{{bsdf}, {emitter}, {sensor}, {medium, 0, 2}};
@@ -116,8 +116,7 @@ std::vector<PluginSchema> make_table() {
     // Emitters
     const Parameters weight{{"sampling_weight", number, non_negative}};
     add(emitter, "area", weight + Parameters{{"radiance", emission, textured}});
-    add(emitter, "point",
-        weight + Parameters{{"intensity", emission}, {"position", point}, {"to_world", transform}});
+    add(emitter, "point", weight + Parameters{{"intensity", emission}, {"position", point}, {"to_world", transform}});
     add(emitter, "spot",
         weight + Parameters{{"intensity", emission},
                             {"cutoff_angle", number, positive},
@@ -164,8 +163,8 @@ std::vector<PluginSchema> make_table() {
                             {"fov_axis", string, 0, "x|y|diagonal|smaller|larger"},
                             {"focal_length", string},
                             {"to_world", transform}});
-    not_yet(emitter, {"directionalarea", "angulararea", "sun", "sky", "collimated", "timedsunsky",
-                      "volumelight", "transientarea"});
+    not_yet(emitter, {"directionalarea", "angulararea", "sun", "sky", "collimated", "timedsunsky", "volumelight",
+                      "transientarea"});
 
     // Sensors, films, filters, samplers
     const std::vector<ChildRule> of_a_sensor{{film}, {sampler}, {medium}};
@@ -180,8 +179,8 @@ std::vector<PluginSchema> make_table() {
                             {"principal_point_offset_y", number}},
         of_a_sensor);
     add(sensor, "orthographic", camera, of_a_sensor);
-    not_yet(sensor, {"thinlens", "telecentric", "spherical", "radiancemeter", "irradiancemeter",
-                     "fluencemeter", "distant", "batch", "perspective_rdist"});
+    not_yet(sensor, {"thinlens", "telecentric", "spherical", "radiancemeter", "irradiancemeter", "fluencemeter",
+                     "distant", "batch", "perspective_rdist"});
     add(sensor, "nlos_capture_meter",
         {{"sensor_origin", point},
          {"account_first_and_last_bounces", boolean, ignored},  // the integrator's counts
@@ -205,7 +204,8 @@ std::vector<PluginSchema> make_table() {
                            {"gamma", number, legacy | ignored}};
     add(film, "hdrfilm", image, {{rfilter}});
     const Parameters in_bins =
-        image + Parameters{{"temporal_bins", integer, positive}, {"start_opl", number}, {"bin_width_opl", number, positive}};
+        image +
+        Parameters{{"temporal_bins", integer, positive}, {"start_opl", number}, {"bin_width_opl", number, positive}};
     add(film, "transient_hdr_film",
         in_bins + Parameters{{"exhaustive_scan", boolean},
                              {"laser_scan_width", integer, non_negative},
@@ -272,8 +272,8 @@ std::vector<PluginSchema> make_table() {
     add(texture, "bitmap", bitmap_options);
     add(texture, "checkerboard", {{"color0", reflectance}, {"color1", reflectance}, {"to_uv", uv_transform}});
     add(texture, "rawconstant", {{"value", index, required}});
-    not_yet(texture, {"scale", "gridtexture", "wireframe", "curvature", "vertexcolors", "mesh_attribute",
-                      "volume", "uniform", "d65", "srgb"});
+    not_yet(texture, {"scale", "gridtexture", "wireframe", "curvature", "vertexcolors", "mesh_attribute", "volume",
+                      "uniform", "d65", "srgb"});
 
     not_yet(medium, {"homogeneous", "heterogeneous"});
     not_yet(phase, {"hg", "isotropic", "rayleigh", "tabphase", "blendphase", "sggx", "microflake"});

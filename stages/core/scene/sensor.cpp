@@ -52,7 +52,8 @@ float Sensor::sample_offset(float u, float low, float high) const {
     low = std::max(low, -r);
     high = std::min(high, r);
     switch (filter) {
-        case Filter::box: return low + u * (high - low);
+        case Filter::box:
+            return low + u * (high - low);
         case Filter::tent: {
             if (low == -r && high == r) return r * (u < 0.5f ? std::sqrt(2 * u) - 1 : 1 - std::sqrt(2 * (1 - u)));
             const float c = lerp(u, tent_distribution(low, r), tent_distribution(high, r));
@@ -77,12 +78,15 @@ float Sensor::offset_density(float x, float low, float high) const {
     high = std::min(high, r);
     if (!(x >= low && x <= high)) return 0;
     switch (filter) {
-        case Filter::box: break;
-        case Filter::tent: return (1 - std::abs(x) / r) / r / (tent_distribution(high, r) - tent_distribution(low, r));
+        case Filter::box:
+            break;
+        case Filter::tent:
+            return (1 - std::abs(x) / r) / r / (tent_distribution(high, r) - tent_distribution(low, r));
         case Filter::gaussian: {
             constexpr int cells = 256;
             const int i = clamp(int((x / r + 1) * 0.5f * cells), 0, cells - 1);
-            return (gaussian_cdf_[i + 1] - gaussian_cdf_[i]) * (cells / (2 * r)) / (gaussian_distribution(high) - gaussian_distribution(low));
+            return (gaussian_cdf_[i + 1] - gaussian_cdf_[i]) * (cells / (2 * r)) /
+                   (gaussian_distribution(high) - gaussian_distribution(low));
         }
     }
     return 1 / (high - low);
@@ -104,7 +108,8 @@ std::optional<FilmPoint> Sensor::project(const Point3f& p) const {
     const bool perspective = kind == SensorKind::perspective;
     const double x = perspective ? a / c : a, y = perspective ? b / c : b;
     FilmPoint at;
-    at.film = {float((0.5 * (1 - x / scale_x_) - principal_x) * width), float((0.5 * (1 - y / scale_y_) - principal_y) * height)};
+    at.film = {float((0.5 * (1 - x / scale_x_) - principal_x) * width),
+               float((0.5 * (1 - y / scale_y_) - principal_y) * height)};
     if (perspective) {
         const double distance = length(v), slant = distance / c;
         at.from = origin;

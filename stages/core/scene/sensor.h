@@ -30,13 +30,13 @@ struct Sensor {
     SensorKind kind = SensorKind::perspective;
     std::uint32_t width = 768, height = 576;
     Filter filter = Filter::gaussian;
-    float filter_radius = 2;                       // pixels
-    float gaussian_stddev = 0.5f;                  // pixels
+    float filter_radius = 2;                                                                   // pixels
+    float gaussian_stddev = 0.5f;                                                              // pixels
     std::array<double, 16> world_from_camera{1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1};  // row-major
-    double tan_half_fov_x = 1;                     // perspective
-    float principal_x = 0, principal_y = 0;        // offset of the optical axis, in film widths and heights
-    double near_clip = 1e-2, far_clip = 1e4;       // m along the axis; only camera rays are clipped
-    Point3f origin;                                // perspective: the pinhole
+    double tan_half_fov_x = 1;                                                                 // perspective
+    float principal_x = 0, principal_y = 0;   // offset of the optical axis, in film widths and heights
+    double near_clip = 1e-2, far_clip = 1e4;  // m along the axis; only camera rays are clipped
+    Point3f origin;                           // perspective: the pinhole
 
     std::uint64_t n_pixels() const { return std::uint64_t(width) * height; }
     /// Derived members; call once after the others are set.
@@ -48,7 +48,8 @@ struct Sensor {
     std::optional<FilmPoint> project(const Point3f& p) const;
     /// Where on the film a ray of sample_ray() goes through.
     FilmPoint film_of(const Ray& ray, float t) const;
-    /// Density of the film positions of pixel (x, y), pixels^-2: its reconstruction filter as sample_ray() draws from it.
+    /// Density of the film positions of pixel (x, y), pixels^-2: its reconstruction filter as sample_ray() draws from
+    /// it.
     float filter_density(std::uint32_t x, std::uint32_t y, Point2f film) const;
 
   private:
@@ -58,10 +59,10 @@ struct Sensor {
     /// Of the Gaussian, over its whole support; x within it.
     float gaussian_distribution(float x) const;
 
-    std::array<Vector3f, 3> axes_;  // camera x, y, z in world space
+    std::array<Vector3f, 3> axes_;              // camera x, y, z in world space
     std::array<Vector3<double>, 3> film_axes_;  // rows of the inverse of axes_
     double cell_ = 1;                           // |det axes_| times the size of a pixel at distance 1, squared
-    double scale_x_ = 1, scale_y_ = 1;  // orthographic half-extents
+    double scale_x_ = 1, scale_y_ = 1;          // orthographic half-extents
     std::array<float, 257> gaussian_cdf_{};
 };
 

@@ -23,8 +23,7 @@ constexpr std::uint32_t has_normals = 0x1, has_uvs = 0x2, has_colors = 0x8, doub
 /// Decompresses a stream piece by piece.
 class Inflater {
   public:
-    Inflater(std::span<const std::byte> compressed, const std::string& file)
-        : file_(file), bytes_(compressed.size()) {
+    Inflater(std::span<const std::byte> compressed, const std::string& file) : file_(file), bytes_(compressed.size()) {
         stream_.next_in = reinterpret_cast<Bytef*>(const_cast<std::byte*>(compressed.data()));
         stream_.avail_in = uInt(std::min<std::size_t>(compressed.size(), ~uInt{0}));
         if (inflateInit(&stream_) != Z_OK) throw std::bad_alloc();
@@ -57,8 +56,8 @@ class Inflater {
     /// Refuses counts that the compressed bytes cannot hold: deflate packs at most about 1032 to 1.
     void require_plausible(std::uint64_t count, std::size_t bytes_each) const {
         if (count > std::uint64_t(bytes_) * 1100 / bytes_each)
-            throw InputError(fmt::format("{}: truncated or damaged: {} entries in {} compressed bytes", file_,
-                                         count, bytes_));
+            throw InputError(
+                fmt::format("{}: truncated or damaged: {} entries in {} compressed bytes", file_, count, bytes_));
     }
     std::vector<float> floats(std::uint64_t count, bool doubles) {
         require_plausible(count, doubles ? sizeof(double) : sizeof(float));
@@ -87,8 +86,7 @@ T at_byte(std::span<const std::byte> bytes, std::size_t offset) {
 }
 
 /// The bytes of one shape, header included.
-std::span<const std::byte> shape_bytes(std::span<const std::byte> bytes, int shape_index,
-                                       const std::string& file) {
+std::span<const std::byte> shape_bytes(std::span<const std::byte> bytes, int shape_index, const std::string& file) {
     const auto bad = [&](const std::string& what) { return InputError(fmt::format("{}: {}", file, what)); };
     if (bytes.size() < 12) throw bad("truncated: shorter than its header");
     if (at_byte<std::uint16_t>(bytes, 0) != magic) throw bad("not a Mitsuba .serialized file");
@@ -107,10 +105,8 @@ std::span<const std::byte> shape_bytes(std::span<const std::byte> bytes, int sha
                             : at_byte<std::uint64_t>(bytes, place);
     };
     const std::uint64_t start = offset(std::uint64_t(shape_index));
-    const std::uint64_t end =
-        std::uint64_t(shape_index) + 1 < count ? offset(std::uint64_t(shape_index) + 1) : table;
-    if (start + 4 > end || end > table)
-        throw bad(fmt::format("damaged: shape {} ends before it starts", shape_index));
+    const std::uint64_t end = std::uint64_t(shape_index) + 1 < count ? offset(std::uint64_t(shape_index) + 1) : table;
+    if (start + 4 > end || end > table) throw bad(fmt::format("damaged: shape {} ends before it starts", shape_index));
     if (at_byte<std::uint16_t>(bytes, start) != magic || at_byte<std::uint16_t>(bytes, start + 2) != version)
         throw bad(fmt::format("damaged: shape {} has no header", shape_index));
     return bytes.subspan(start, end - start);
@@ -129,8 +125,7 @@ Mesh load_serialized(const std::filesystem::path& path, int shape_index) {
         }
     const auto n_vertices = in.value<std::uint64_t>(), n_triangles = in.value<std::uint64_t>();
     if (n_vertices > 0xFFFFFFFFu)
-        throw InputError(
-            fmt::format("{}: shape {} has {} vertices, more than 2^32", file, shape_index, n_vertices));
+        throw InputError(fmt::format("{}: shape {} has {} vertices, more than 2^32", file, shape_index, n_vertices));
     in.require_plausible(n_triangles, 3 * sizeof(std::uint32_t));
     const bool doubles = (flags & double_precision) != 0;
     Mesh mesh;

@@ -405,9 +405,8 @@ SkyCoefficients sky_coefficients(double turbidity, double albedo, double sun_ele
     // Elevations near the horizon, where the sky changes most, get most of the parameter's range.
     const double t = std::cbrt(sun_elevation_rad / (pi_double / 2));
     const double s = 1 - t;
-    const double bernstein[n_control_points] = {s * s * s * s * s,      5 * s * s * s * s * t,
-                                                10 * s * s * s * t * t, 10 * s * s * t * t * t,
-                                                5 * s * t * t * t * t,  t * t * t * t * t};
+    const double bernstein[n_control_points] = {s * s * s * s * s,      5 * s * s * s * s * t, 10 * s * s * s * t * t,
+                                                10 * s * s * t * t * t, 5 * s * t * t * t * t, t * t * t * t * t};
     const int below = std::min(int(turbidity), n_turbidities - 1) - 1;
     const double above_weight = turbidity - (below + 1);
 
@@ -415,11 +414,10 @@ SkyCoefficients sky_coefficients(double turbidity, double albedo, double sun_ele
     for (int high = 0; high < 2; ++high)
         for (int bright = 0; bright < n_albedos; ++bright)
             for (int point = 0; point < n_control_points; ++point) {
-                const double weight = (high ? above_weight : 1 - above_weight) *
-                                      (bright ? albedo : 1 - albedo) * bernstein[point];
+                const double weight =
+                    (high ? above_weight : 1 - above_weight) * (bright ? albedo : 1 - albedo) * bernstein[point];
                 const double* row =
-                    table[(((below + high) * n_albedos + bright) * n_control_points + point) * n_channels +
-                          channel];
+                    table[(((below + high) * n_albedos + bright) * n_control_points + point) * n_channels + channel];
                 for (int i = 0; i < n_sky_coefficients; ++i) result.shape[i] += weight * row[i];
                 result.radiance += weight * row[n_sky_coefficients];
             }

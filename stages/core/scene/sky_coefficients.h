@@ -10,7 +10,7 @@ inline constexpr int n_sky_coefficients = 9;
 /// Shape and level of the Hosek-Wilkie sky dome in one channel of linear sRGB.
 struct SkyCoefficients {
     std::array<double, n_sky_coefficients> shape{};  // A...I of sky_radiance()
-    double radiance = 0;  // level, in the unit of the data set (sky_unit in sunsky.cpp)
+    double radiance = 0;                             // level, in the unit of the data set (sky_unit in sunsky.cpp)
 };
 
 /// Interpolates the data set of the model.                                        [HosekWilkie2012]

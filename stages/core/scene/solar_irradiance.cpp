@@ -333,7 +333,8 @@ static_assert(std::size(table) == n_turbidities * n_elevations);
 
 Rgb<double> solar_irradiance(double turbidity, double sun_elevation_rad) {
     const double place = (sun_elevation_rad * 180 / pi_double - first_elevation_deg) / elevation_step_deg;
-    const double t = std::clamp(turbidity - 1, 0.0, n_turbidities - 1.0), e = std::clamp(place, 0.0, n_elevations - 1.0);
+    const double t = std::clamp(turbidity - 1, 0.0, n_turbidities - 1.0),
+                 e = std::clamp(place, 0.0, n_elevations - 1.0);
     const int t0 = std::min(int(t), n_turbidities - 2), e0 = std::min(int(e), n_elevations - 2);
     Rgb<double> sum;
     for (int high_t = 0; high_t < 2; ++high_t)

@@ -70,8 +70,7 @@ CieRow observer(double nm) {
     const double t = position - row;
     const CieRow& a = cie_table[row];
     const CieRow& b = cie_table[row + 1];
-    return {std::lerp(a.x, b.x, t), std::lerp(a.y, b.y, t), std::lerp(a.z, b.z, t),
-            std::lerp(a.d65, b.d65, t)};
+    return {std::lerp(a.x, b.x, t), std::lerp(a.y, b.y, t), std::lerp(a.z, b.z, t), std::lerp(a.d65, b.d65, t)};
 }
 
 double sample_at(const SampledSpectrum& samples, double nm) {

@@ -21,7 +21,9 @@ constexpr double half_pi = pi_double / 2, two_pi = 2 * pi_double, rad_per_deg = 
 constexpr double sun_radius_rad = 0.5358 / 2 * rad_per_deg;  // mean over the year, as Mitsuba 0.6 has it
 // The data set is an integral over the observer; this is the integral of the observer's y (in 0.6 the sum at 1 nm), so
 // that radiances are per nm like the sun's.
-double sky_unit(SunskyModel model) { return model == SunskyModel::mitsuba06 ? 106.856980 : 106.7502593994140625; }
+double sky_unit(SunskyModel model) {
+    return model == SunskyModel::mitsuba06 ? 106.856980 : 106.7502593994140625;
+}
 constexpr int max_width = 16384;
 
 double polar_angle(const Vector3<double>& d) {
@@ -53,16 +55,14 @@ class Dome {
         const double sky_theta = std::min(theta / stretch_, half_pi);
         const double cos_theta = std::max(std::cos(sky_theta), 0.0), sin_theta = std::sin(sky_theta);
         const double cos_gamma = clamp(
-            cos_theta * std::cos(sun_theta_) + sin_theta * std::sin(sun_theta_) * std::cos(phi - sun_phi_),
-            -1.0, 1.0);
+            cos_theta * std::cos(sun_theta_) + sin_theta * std::sin(sun_theta_) * std::cos(phi - sun_phi_), -1.0, 1.0);
         const double gamma = std::acos(cos_gamma), cos2_gamma = cos_gamma * cos_gamma;
         Rgb<double> result;
         for (int c = 0; c < 3; ++c) {
             const auto& [a, b, cc, d, e, f, g, h, i] = channels_[c].shape;
             const double chi = (1 + cos2_gamma) / std::pow(1 + i * i - 2 * i * cos_gamma, 1.5);
-            const double shape =
-                (1 + a * std::exp(b / (cos_theta + 0.01))) *
-                (cc + d * std::exp(e * gamma) + f * cos2_gamma + g * chi + h * std::sqrt(cos_theta));
+            const double shape = (1 + a * std::exp(b / (cos_theta + 0.01))) *
+                                 (cc + d * std::exp(e * gamma) + f * cos2_gamma + g * chi + h * std::sqrt(cos_theta));
             result[c] = std::max(shape * channels_[c].radiance, lowest_) * scale_ * fade(theta);
         }
         return result;
@@ -132,8 +132,7 @@ const SampledSpectrum& water_vapour() {
 SampledSpectrum sun_radiance(double turbidity, double sun_theta) {
     constexpr double ozone_cm = 0.35, water_cm = 2, aerosol_exponent = 1.3;
     const double beta = 0.04608365822050 * turbidity - 0.04586025928522;  // amount of aerosol
-    const double air_mass =
-        1 / (std::cos(sun_theta) + 0.15 * std::pow(93.885 - sun_theta / rad_per_deg, -1.253));
+    const double air_mass = 1 / (std::cos(sun_theta) + 0.15 * std::pow(93.885 - sun_theta / rad_per_deg, -1.253));
     SampledSpectrum result;
     for (double nm = 350; nm <= 800; nm += 5) {
         const double um = nm / 1000;
@@ -185,8 +184,7 @@ std::vector<double> disk_shares(double sun_theta, double sun_phi, double radius,
 double texel_solid_angle(int row, int width, int height) {
     const double step = pi_double / (height - 1);
     const bool pole = row == 0 || row == height - 1;
-    const double over_theta =
-        pole ? 1 - std::sin(step) / step : 2 * std::sin(row * step) * (1 - std::cos(step)) / step;
+    const double over_theta = pole ? 1 - std::sin(step) / step : 2 * std::sin(row * step) * (1 - std::cos(step)) / step;
     return two_pi / width * over_theta;
 }
 
@@ -226,8 +224,7 @@ Vector3<double> sun_direction_at(const SunTime& t) {
     const double node = 2.1429 - 0.0010394594 * days;
     const double anomaly = 6.2400600 + 0.0172019699 * days;
     const double ecliptic_longitude = 4.8950630 + 0.017202791698 * days + 0.03341607 * std::sin(anomaly) +
-                                      0.00034894 * std::sin(2 * anomaly) - 0.0001134 -
-                                      0.0000203 * std::sin(node);
+                                      0.00034894 * std::sin(2 * anomaly) - 0.0001134 - 0.0000203 * std::sin(node);
     const double obliquity = 0.4090928 - 6.2140e-9 * days + 0.0000396 * std::cos(node);
 
     const double right_ascension =
@@ -237,13 +234,13 @@ Vector3<double> sun_direction_at(const SunTime& t) {
     const double hour_angle = (sidereal_hours * 15 + t.longitude_deg) * rad_per_deg - right_ascension;
 
     const double latitude = t.latitude_deg * rad_per_deg;
-    const double cos_zenith = std::cos(latitude) * std::cos(hour_angle) * std::cos(declination) +
-                              std::sin(declination) * std::sin(latitude);
+    const double cos_zenith =
+        std::cos(latitude) * std::cos(hour_angle) * std::cos(declination) + std::sin(declination) * std::sin(latitude);
     const double from_centre = std::acos(clamp(cos_zenith, -1.0, 1.0));
     constexpr double parallax = 6371.01 / 149597890;  // radius of the Earth over that of its orbit
     const double theta = from_centre + parallax * std::sin(from_centre);
-    const double phi = std::atan2(-std::sin(hour_angle), std::tan(declination) * std::cos(latitude) -
-                                                             std::sin(latitude) * std::cos(hour_angle));
+    const double phi = std::atan2(
+        -std::sin(hour_angle), std::tan(declination) * std::cos(latitude) - std::sin(latitude) * std::cos(hour_angle));
     return {std::sin(phi) * std::sin(theta), std::cos(theta), -std::cos(phi) * std::sin(theta)};
 }
 
@@ -276,11 +273,11 @@ Sunsky read_sunsky(const Object& o) {
         const Vector3<double> d = o.get_vector("sun_direction", {});
         // The environment turns with the directions of the axes of to_world; their lengths do not matter.
         for (int axis = 0; axis < 3; ++axis)
-            s.sun_direction[axis] =
-                dot(d, normalize(Vector3<double>(world(0, axis), world(1, axis), world(2, axis))));
+            s.sun_direction[axis] = dot(d, normalize(Vector3<double>(world(0, axis), world(1, axis), world(2, axis))));
         if (!(length2(s.sun_direction) > 0)) o.fail("sun_direction", "the direction has no length");
         s.sun_direction = normalize(s.sun_direction);
-        if (s.model == SunskyModel::mitsuba3) s.sun_direction = {s.sun_direction.y, s.sun_direction.z, s.sun_direction.x};
+        if (s.model == SunskyModel::mitsuba3)
+            s.sun_direction = {s.sun_direction.y, s.sun_direction.z, s.sun_direction.x};
     } else {
         SunTime t;
         t.year = o.get_int("year", t.year);
@@ -311,7 +308,8 @@ Rgb<double> sky_radiance(const Sunsky& sunsky, const Vector3<double>& d) {
 }
 
 Rgb<double> sun_irradiance(const Sunsky& s) {
-    if (s.model == SunskyModel::mitsuba3) return solar_irradiance(s.turbidity, half_pi - polar_angle(s.sun_direction)) * s.sun_scale;
+    if (s.model == SunskyModel::mitsuba3)
+        return solar_irradiance(s.turbidity, half_pi - polar_angle(s.sun_direction)) * s.sun_scale;
     const SampledSpectrum spectrum = sun_radiance(s.turbidity, polar_angle(s.sun_direction));
     const double solid_angle = 2 * two_pi * sqr(std::sin(sun_radius_rad / 2));
     return Rgb<double>(rgb_from_spectrum(spectrum, SpectrumUse::emission)) * (solid_angle * s.sun_scale);
@@ -328,20 +326,25 @@ void bake_sky(const Sunsky& s, EnvironmentMap& map) {
         const double above = s.extend ? 1 : clamp(0.5 * s.stretch * (s.height - 1) - y + 0.5, 0.0, 1.0);
         if (above == 0) return;
         for (int x = 0; x < s.width; ++x)
-            map.texels[std::size_t(y) * s.width + x] = Spectrum(dome.radiance(y * row_rad, (x + 0.5) * two_pi / s.width) * above);
+            map.texels[std::size_t(y) * s.width + x] =
+                Spectrum(dome.radiance(y * row_rad, (x + 0.5) * two_pi / s.width) * above);
     });
 }
 
 /// Adds the sun to a map.
 void bake_sun(const Sunsky& s, EnvironmentMap& map) {
-    const double theta = polar_angle(s.sun_direction) * s.stretch, phi = azimuth(s.sun_direction), radius = sun_radius_rad * s.sun_radius_scale;
+    const double theta = polar_angle(s.sun_direction) * s.stretch, phi = azimuth(s.sun_direction),
+                 radius = sun_radius_rad * s.sun_radius_scale;
     const double row_rad = pi_double / (s.height - 1), column_rad = two_pi / s.width;
     const std::vector<double> shares = disk_shares(theta, phi, radius, s.width, s.height);
     const auto profile = [&](std::size_t texel) {
         if (!s.limb_darkening) return Rgb<double>(1);
-        const double at_theta = double(texel / std::size_t(s.width)) * row_rad, at_phi = (double(texel % std::size_t(s.width)) + 0.5) * column_rad;
-        const double cos_gamma = std::cos(theta) * std::cos(at_theta) + std::sin(theta) * std::sin(at_theta) * std::cos(at_phi - phi);
-        const double from_centre = std::min(std::sin(std::acos(clamp(cos_gamma, 0.0, 1.0))) / std::sin(std::min(radius, half_pi)), 1.0);
+        const double at_theta = double(texel / std::size_t(s.width)) * row_rad,
+                     at_phi = (double(texel % std::size_t(s.width)) + 0.5) * column_rad;
+        const double cos_gamma =
+            std::cos(theta) * std::cos(at_theta) + std::sin(theta) * std::sin(at_theta) * std::cos(at_phi - phi);
+        const double from_centre =
+            std::min(std::sin(std::acos(clamp(cos_gamma, 0.0, 1.0))) / std::sin(std::min(radius, half_pi)), 1.0);
         return limb_darkening(std::sqrt(1 - sqr(from_centre)));
     };
     Rgb<double> total;
@@ -351,7 +354,8 @@ void bake_sun(const Sunsky& s, EnvironmentMap& map) {
     const int last_row = s.model == SunskyModel::mitsuba3 ? (s.height - 1) / 2 : s.height - 1;
     for (std::size_t i = 0; i < std::size_t(last_row + 1) * s.width; ++i) {
         if (shares[i] == 0) continue;
-        const Rgb<double> share = profile(i) * (shares[i] / texel_solid_angle(int(i / std::size_t(s.width)), s.width, s.height));
+        const Rgb<double> share =
+            profile(i) * (shares[i] / texel_solid_angle(int(i / std::size_t(s.width)), s.width, s.height));
         for (int c = 0; c < 3; ++c) map.texels[i][c] += float(irradiance[c] * share[c] / total[c]);
     }
 }
@@ -374,9 +378,9 @@ EnvironmentMap bake_sunsky(const Sunsky& s) {
 EnvironmentMap bake_sunsky(const Object& emitter, std::vector<std::string>& notes) {
     const Sunsky sunsky = read_sunsky(emitter);
     if (sunsky.sun_radius_scale == 0)
-        emitter.fail("sun_radius_scale",
-                     "0 (a directional sun) is not supported; a sun of 1 is smaller than a texel");
-    if (sunsky.sun_direction.y < 0) notes.push_back("sunsky: the sun is below the horizon; it gives no light, nor does the sky");
+        emitter.fail("sun_radius_scale", "0 (a directional sun) is not supported; a sun of 1 is smaller than a texel");
+    if (sunsky.sun_direction.y < 0)
+        notes.push_back("sunsky: the sun is below the horizon; it gives no light, nor does the sky");
     return bake_sunsky(sunsky);
 }
 

@@ -2,8 +2,8 @@
 // The sun and the clear sky of the `sunsky` emitter of Mitsuba 0.6 and of Mitsuba 3, as a latitude-longitude map.
 //
 // Local frame: +y is up, +x east, -z north. A direction has a polar angle theta from +y and an azimuth
-// phi from -z towards +x, as the columns of EnvironmentMap have. In the frame of Mitsuba 3 +z is up: its x, y, z are our
-// z, x, y (sunsky_frame).
+// phi from -z towards +x, as the columns of EnvironmentMap have. In the frame of Mitsuba 3 +z is up: its x, y, z are
+// our z, x, y (sunsky_frame).
 
 #include <string>
 #include <vector>
@@ -28,8 +28,8 @@ struct SunTime {
 /// differs: no refraction, like the source
 Vector3<double> sun_direction_at(const SunTime& time);
 
-/// Both have the same sky, but for its unit (0.1 %) and for negative values, which 0.6 sets to 0. The sun of 0.6 is that
-/// of Preetham, the sun of Mitsuba 3 that of Hosek and Wilkie, brighter by half and more near the horizon.
+/// Both have the same sky, but for its unit (0.1 %) and for negative values, which 0.6 sets to 0. The sun of 0.6 is
+/// that of Preetham, the sun of Mitsuba 3 that of Hosek and Wilkie, brighter by half and more near the horizon.
 enum class SunskyModel { mitsuba06, mitsuba3 };
 
 struct Sunsky {

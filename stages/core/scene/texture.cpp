@@ -14,8 +14,7 @@ constexpr float below_one = 0x1.fffffep-1f;
 /// is not finite becomes 0, so that no pixel outside the image is ever read.
 float folded(float u, WrapMode mode) {
     if (mode == WrapMode::clamp) return u > 0 ? std::min(u, 1.0f) : 0.0f;
-    const float period = mode == WrapMode::mirror ? 2.0f : 1.0f,
-                inverse = mode == WrapMode::mirror ? 0.5f : 1.0f;
+    const float period = mode == WrapMode::mirror ? 2.0f : 1.0f, inverse = mode == WrapMode::mirror ? 0.5f : 1.0f;
     const float t = u - period * std::floor(u * inverse);
     return t >= 0 ? std::min(t, period * below_one) : 0.0f;
 }
@@ -46,8 +45,7 @@ Footprint footprint(const TextureImage& image, Point2f uv, WrapMode mode) {
     const float py = folded(uv.y, mode) * float(image.height) - 0.5f;
     const float fx = std::floor(px), fy = std::floor(py);
     const int ix = int(fx), iy = int(fy);
-    const auto x0 = std::size_t(wrapped(ix, image.width, mode)),
-               x1 = std::size_t(wrapped(ix + 1, image.width, mode));
+    const auto x0 = std::size_t(wrapped(ix, image.width, mode)), x1 = std::size_t(wrapped(ix + 1, image.width, mode));
     const std::size_t row0 = std::size_t(wrapped(iy, image.height, mode)) * std::size_t(image.width);
     const std::size_t row1 = std::size_t(wrapped(iy + 1, image.height, mode)) * std::size_t(image.width);
     return {row0 + x0, row0 + x1, row1 + x0, row1 + x1, px - fx, py - fy};
@@ -130,8 +128,10 @@ void Texture::prefetch(Point2f uv) const {
         __builtin_prefetch(pixels + width * f.p00);
         __builtin_prefetch(pixels + width * f.p01);
     };
-    if (!image->bytes.empty()) ask(image->bytes.data(), image->grey ? 1 : 4);
-    else ask(image->floats.data(), image->grey ? 1 : 3);
+    if (!image->bytes.empty())
+        ask(image->bytes.data(), image->grey ? 1 : 4);
+    else
+        ask(image->floats.data(), image->grey ? 1 : 3);
 }
 
 float Texture::eval_float(Point2f uv) const {
@@ -205,8 +205,7 @@ Texture make_texture(const Object& o, TextureCache& cache) {
     texture.id = o.id;
     const Matrix4d m = o.get_transform("to_uv");
     // The third coordinate of the scene file's transform has no meaning for (u, v).
-    texture.to_uv = {float(m(0, 0)), float(m(0, 1)), float(m(0, 3)),
-                     float(m(1, 0)), float(m(1, 1)), float(m(1, 3))};
+    texture.to_uv = {float(m(0, 0)), float(m(0, 1)), float(m(0, 3)), float(m(1, 0)), float(m(1, 1)), float(m(1, 3))};
     if (o.plugin == "checkerboard") {
         texture.kind = TextureKind::checkerboard;
         texture.color0 = o.get_rgb("color0", texture.color0);

@@ -34,8 +34,7 @@ Spectrum mean_of_bytes(const TextureImage& image) {
     Spectrum mean;
     for (std::size_t c = 0; c < 3; ++c) {
         double sum = 0;
-        for (std::size_t v = 0; v < 256; ++v)
-            sum += double(counts[c < n_channels ? c : 0][v]) * image.decode[v];
+        for (std::size_t v = 0; v < 256; ++v) sum += double(counts[c < n_channels ? c : 0][v]) * image.decode[v];
         mean[int(c)] = float(sum / (double(image.width) * image.height));
     }
     return mean;
@@ -59,8 +58,7 @@ TextureImage read_image(const std::filesystem::path& file, Decode decode) {
     if (!in.note.empty()) image.note = fmt::format("{}: {}", file.string(), in.note);
     if (!in.bytes.empty()) {
         image.bytes = image.grey ? std::move(in.bytes) : padded(in.bytes);
-        for (int v = 0; v < 256; ++v)
-            image.decode[std::size_t(v)] = decoded(float(v) / 255.0f, decode, in.integers);
+        for (int v = 0; v < 256; ++v) image.decode[std::size_t(v)] = decoded(float(v) / 255.0f, decode, in.integers);
         image.mean = mean_of_bytes(image);
     } else {
         image.floats = std::move(in.floats);
@@ -69,8 +67,7 @@ TextureImage read_image(const std::filesystem::path& file, Decode decode) {
             if (!std::isfinite(image.floats[i])) {
                 const std::size_t pixel = i / (image.grey ? 1 : 3);
                 throw InputError(fmt::format("{}: pixel ({}, {}) is not finite", file.string(),
-                                             pixel % std::size_t(image.width),
-                                             pixel / std::size_t(image.width)));
+                                             pixel % std::size_t(image.width), pixel / std::size_t(image.width)));
             }
         }
         image.mean = mean_of_floats(image);
@@ -100,8 +97,7 @@ std::shared_ptr<const TextureImage> TextureCache::image(const std::filesystem::p
         if (!slot) slot = std::make_shared<Entry>();
         entry = slot;
     }
-    std::call_once(entry->once,
-                   [&] { entry->image = std::make_shared<const TextureImage>(read_image(file, decode)); });
+    std::call_once(entry->once, [&] { entry->image = std::make_shared<const TextureImage>(read_image(file, decode)); });
     return entry->image;
 }
 

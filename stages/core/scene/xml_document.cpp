@@ -16,8 +16,7 @@ namespace {
 std::string read_text(const std::filesystem::path& file, const std::string& name) {
     std::error_code error;
     if (!std::filesystem::exists(file, error)) throw InputError(name + ": no such file");
-    if (std::filesystem::is_directory(file, error))
-        throw InputError(name + ": a folder, expected a scene file");
+    if (std::filesystem::is_directory(file, error)) throw InputError(name + ": a folder, expected a scene file");
     std::ifstream in(file, std::ios::binary);
     std::string text{std::istreambuf_iterator<char>(in), {}};
     if (!in) throw InputError(name + ": cannot be read");
@@ -36,8 +35,8 @@ bool is_name_character(char c) {
 XmlDocument::XmlDocument(const std::filesystem::path& file, const std::string& name)
     : source_(std::make_shared<const SourceText>(SourceText{name, read_text(file, name)})) {
     // load_buffer works on a copy, so that offsets count in the text that messages quote.
-    const pugi::xml_parse_result result = tree_.load_buffer(source_->text.data(), source_->text.size(),
-                                                            pugi::parse_default, pugi::encoding_utf8);
+    const pugi::xml_parse_result result =
+        tree_.load_buffer(source_->text.data(), source_->text.size(), pugi::parse_default, pugi::encoding_utf8);
     if (!result)
         fail({source_, std::size_t(std::max<std::ptrdiff_t>(result.offset, 0))},
              fmt::format("malformed XML: {}", result.description()));
@@ -75,8 +74,7 @@ Location XmlDocument::at(const pugi::xml_node& node, std::string_view attribute)
     return start;
 }
 
-void XmlDocument::allow_attributes(const pugi::xml_node& node,
-                                   std::initializer_list<std::string_view> allowed) const {
+void XmlDocument::allow_attributes(const pugi::xml_node& node, std::initializer_list<std::string_view> allowed) const {
     for (const pugi::xml_attribute& attribute : node.attributes())
         if (std::find(allowed.begin(), allowed.end(), attribute.name()) == allowed.end())
             fail(at(node, attribute.name()),
@@ -107,9 +105,8 @@ std::string Substitutions::apply(std::string_view text, const Location& at) {
         if (found == values_.end()) {
             std::vector<std::string> known;
             for (const auto& [key, value] : values_) known.push_back(key);
-            fail(at,
-                 fmt::format("${} has no value: no <default> before this place and no -D {}=...; known: {}",
-                             name, name, nearest_first(name, known)));
+            fail(at, fmt::format("${} has no value: no <default> before this place and no -D {}=...; known: {}", name,
+                                 name, nearest_first(name, known)));
         }
         used_.insert(name);
         result += found->second;
@@ -121,8 +118,8 @@ std::string Substitutions::apply(std::string_view text, const Location& at) {
 void Substitutions::check_all_used() const {
     for (const auto& [name, value] : defines_)
         if (!used_.contains(name))
-            throw InputError(fmt::format("-D {}={}: the scene does not use ${}; it uses: {}", name, value,
-                                         name, nearest_first(name, {used_.begin(), used_.end()})));
+            throw InputError(fmt::format("-D {}={}: the scene does not use ${}; it uses: {}", name, value, name,
+                                         nearest_first(name, {used_.begin(), used_.end()})));
 }
 
 std::map<std::string, std::string> Substitutions::used() const {

@@ -11,7 +11,9 @@ namespace loom {
 
 /// Largest cluster that fits; columns are padded to whole blocks of lanes.
 inline constexpr int max_lanes = 256, lane_block = 16;
-constexpr int padded_lanes(int n) { return (n + lane_block - 1) / lane_block * lane_block; }
+constexpr int padded_lanes(int n) {
+    return (n + lane_block - 1) / lane_block * lane_block;
+}
 
 /// Rows are a block longer than they need be, so that the same lanes of different columns do not share a cache set.
 using LaneColumn = float[max_lanes + lane_block];
@@ -32,7 +34,8 @@ struct ClusterColumns {
     alignas(64) LaneColumn px, py, pz;
     LaneColumn sx, sy, sz, tx, ty, tz, nx, ny, nz;  // shading frame
     LaneColumn wo_x, wo_y, wo_z;
-    std::uint32_t ns[max_lanes + lane_block], tangent[max_lanes + lane_block];  // as on disk: two octahedral int16, u low
+    std::uint32_t ns[max_lanes + lane_block],
+        tangent[max_lanes + lane_block];  // as on disk: two octahedral int16, u low
     bool has_tangent = false;
     LaneColumn diffuse_r, diffuse_g, diffuse_b, specular_r, specular_g, specular_b;
     LaneColumn transmittance_r, transmittance_g, transmittance_b, alpha_u, alpha_v, eta, opacity;
@@ -48,30 +51,32 @@ struct ClusterColumns {
 };
 
 // Every function answers for all lanes; lanes from n up to the next whole block get 0.
-#define LOOM_CLUSTER_KERNELS                                                                                    \
-    /* From ns and tangent the shading frames, wo from world to local, and in each run the parameters of its */ \
-    /* material. */                                                                                             \
-    void prepare_lanes(ClusterColumns& c);                                                                      \
-    /* Light from direction (x, y, z), world space: values in sr^-1. */                                         \
-    void evaluate_direction(ClusterColumns& c, float x, float y, float z);                                      \
-    /* Where every coat is grey: tints and p_coat, once, then base, coat and density for a direction as above. */          \
-    void prepare_tints(ClusterColumns& c);                                                                      \
-    void evaluate_lobes(ClusterColumns& c, float x, float y, float z);                                          \
-    /* Light from the point (x, y, z) of a surface with normal (nx, ny, nz), seen from its front: values per */ \
-    /* m^2 of that surface, f cos G and pdf G with G = cos_y / d^2. */                                          \
-    void evaluate_point(ClusterColumns& c, float x, float y, float z, float nx, float ny, float nz);            \
-    /* Light from the point (x, y, z), which has no surface: f cos / d^2, densities without meaning. */         \
-    void evaluate_delta_point(ClusterColumns& c, float x, float y, float z);                                    \
-    /* f in 16 bits of its largest value: row[rgb][lane]; largest[rgb], and sum[rgb] of f times a weight. */    \
-    void fix_row(const ClusterColumns& c, const float* weight, std::uint16_t* row, float* largest, float* sum); \
-    /* Of base and coat those that are asked for, one after the other: row[lobe][lane], largest[lobe]; and */   \
-    /* sum[rgb] over the lanes of f times a weight. */                                                          \
-    void fix_lobes(const ClusterColumns& c, bool base, bool coat, const float* weight, std::uint16_t* row, float* largest, float* sum); \
-    /* sum_e L_e c_e of one cluster: coefficient[e][rgb][lane] 16-bit fixed point, radiance[e][rgb] holds */    \
-    /* their scale; out[rgb][lane]. */                                                                          \
+#define LOOM_CLUSTER_KERNELS                                                                                       \
+    /* From ns and tangent the shading frames, wo from world to local, and in each run the parameters of its */    \
+    /* material. */                                                                                                \
+    void prepare_lanes(ClusterColumns& c);                                                                         \
+    /* Light from direction (x, y, z), world space: values in sr^-1. */                                            \
+    void evaluate_direction(ClusterColumns& c, float x, float y, float z);                                         \
+    /* Where every coat is grey: tints and p_coat, once, then base, coat and density for a direction as above. */  \
+    void prepare_tints(ClusterColumns& c);                                                                         \
+    void evaluate_lobes(ClusterColumns& c, float x, float y, float z);                                             \
+    /* Light from the point (x, y, z) of a surface with normal (nx, ny, nz), seen from its front: values per */    \
+    /* m^2 of that surface, f cos G and pdf G with G = cos_y / d^2. */                                             \
+    void evaluate_point(ClusterColumns& c, float x, float y, float z, float nx, float ny, float nz);               \
+    /* Light from the point (x, y, z), which has no surface: f cos / d^2, densities without meaning. */            \
+    void evaluate_delta_point(ClusterColumns& c, float x, float y, float z);                                       \
+    /* f in 16 bits of its largest value: row[rgb][lane]; largest[rgb], and sum[rgb] of f times a weight. */       \
+    void fix_row(const ClusterColumns& c, const float* weight, std::uint16_t* row, float* largest, float* sum);    \
+    /* Of base and coat those that are asked for, one after the other: row[lobe][lane], largest[lobe]; and */      \
+    /* sum[rgb] over the lanes of f times a weight. */                                                             \
+    void fix_lobes(const ClusterColumns& c, bool base, bool coat, const float* weight, std::uint16_t* row,         \
+                   float* largest, float* sum);                                                                    \
+    /* sum_e L_e c_e of one cluster: coefficient[e][rgb][lane] 16-bit fixed point, radiance[e][rgb] holds */       \
+    /* their scale; out[rgb][lane]. */                                                                             \
     void apply_block(const std::uint16_t* coefficient, const float* radiance, int n_edges, int lanes, float* out); \
-    /* The same of coefficients without colour, [e][lane], rows of edges `stride` apart. */                     \
-    void apply_plane(const std::uint16_t* coefficient, int stride, const float* radiance, int n_edges, int lanes, float* out);
+    /* The same of coefficients without colour, [e][lane], rows of edges `stride` apart. */                        \
+    void apply_plane(const std::uint16_t* coefficient, int stride, const float* radiance, int n_edges, int lanes,  \
+                     float* out);
 
 namespace v2 {
 LOOM_CLUSTER_KERNELS

@@ -38,8 +38,9 @@ inline bool continues_shared(const PathGraph& graph, std::size_t j) {
 /// Normal at vertex j, on the side that light leaves from.
 Normal3f facing_normal(const PathGraph& graph, std::size_t j);
 
-/// Density of the cluster for the direction of a continuation, of which shading answers. Where it ends at a vertex without
-/// a cluster, like a mirror, vertices whose own continuation must end there are no technique: they cannot bring its light.
+/// Density of the cluster for the direction of a continuation, of which shading answers. Where it ends at a vertex
+/// without a cluster, like a mirror, vertices whose own continuation must end there are no technique: they cannot bring
+/// its light.
 inline float continuation_density(const ClusterShading& shading, const VertexRow& row) {
     if (!(row.bits & vertex_bit::ends_alone) || !shading.has_last_steps()) return shading.pdf_bsdf_sum();
     if (row.dead_end()) return 0;
@@ -52,7 +53,8 @@ inline float continuation_density(const ClusterShading& shading, const VertexRow
 /// Calls sink(lane, vertex, inv_rho) for each continuation, whose end is `vertex`; shading then answers for its light.
 /// An edge that nobody could have sampled, by rounding, or that brings no light (dead_end), has inv_rho 0.
 template <class Sink>
-void for_each_indirect_edge(ClusterShading& shading, const PathGraph& graph, const SharingOptions& options, Sink&& sink) {
+void for_each_indirect_edge(ClusterShading& shading, const PathGraph& graph, const SharingOptions& options,
+                            Sink&& sink) {
     for (int lane = 0; lane < shading.size(); ++lane) {
         const std::size_t j = shading.vertex(lane);
         const VertexRow& row = shading.row(lane);
@@ -93,7 +95,8 @@ void for_each_light_edge(ClusterShading& shading, const SharingOptions& options,
     if (options.as_printed)
         for (int k = 0; k < shading.size(); ++k) {
             found_nee[k] = found_bsdf[k] = false;
-            for (const LightRow& e : lights(shading, k)) (e.technique == LightTechnique::next_event ? found_nee : found_bsdf)[k] = true;
+            for (const LightRow& e : lights(shading, k))
+                (e.technique == LightTechnique::next_event ? found_nee : found_bsdf)[k] = true;
         }
     for (int lane = 0; lane < shading.size(); ++lane) {
         const VertexRow& row = shading.row(lane);
@@ -123,9 +126,13 @@ void for_each_light_edge(ClusterShading& shading, const SharingOptions& options,
                     delta = true;
                     shading.light_delta_point(e.y);
                     break;
-                case EmitterKind::directional: delta = true; [[fallthrough]];
+                case EmitterKind::directional:
+                    delta = true;
+                    [[fallthrough]];
                 case EmitterKind::constant:
-                case EmitterKind::envmap: shading.light_direction(Vector3f(e.y)); break;
+                case EmitterKind::envmap:
+                    shading.light_direction(Vector3f(e.y));
+                    break;
             }
             float rho = pdf_nee * float(shading.n_next_event()) + (delta ? 0.0f : shading.pdf_bsdf_sum());
             if (options.as_printed) {
@@ -155,9 +162,10 @@ void for_each_light_edge(ClusterShading& shading, const PathGraph&, std::span<co
         for (std::uint32_t i = offsets[j]; i < offsets[j + 1]; ++i) rows.push_back(at.make_row().light(i));
         return rows;
     };
-    for_each_light_edge(shading, options, lights, [&](int lane, const LightRow& edge, const Spectrum& light, float inv_rho) {
-        sink(lane, edge.edge, light, inv_rho);
-    });
+    for_each_light_edge(shading, options, lights,
+                        [&](int lane, const LightRow& edge, const Spectrum& light, float inv_rho) {
+                            sink(lane, edge.edge, light, inv_rho);
+                        });
 }
 
 }  // namespace loom

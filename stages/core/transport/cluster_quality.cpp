@@ -52,9 +52,10 @@ ClusterSizes cluster_sizes(const Clusters& clusters) {
 }
 
 std::string text_of(const ClusterSizes& s) {
-    return fmt::format("{} clusters of {} vertices; size: mean {:.2f}, weighted by size {:.2f}, min {}, median {}, p99 {}, "
-                       "max {}",
-                       s.n_clusters, s.n_members, s.mean, s.size_weighted_mean, s.min, s.median, s.p99, s.max);
+    return fmt::format(
+        "{} clusters of {} vertices; size: mean {:.2f}, weighted by size {:.2f}, min {}, median {}, p99 {}, "
+        "max {}",
+        s.n_clusters, s.n_members, s.mean, s.size_weighted_mean, s.min, s.median, s.p99, s.max);
 }
 
 ClusterSpread cluster_spread(const PathGraph& graph, const Clusters& clusters, std::size_t max_clusters) {
@@ -101,14 +102,18 @@ ClusterSpread cluster_spread(const PathGraph& graph, const Clusters& clusters, s
 }
 
 std::string text_of(const Clusters::Separation& s) {
-    const auto count = [](const Column<std::uint64_t>& n, const char* what) { return n.empty() ? fmt::format("{}: not tested", what) : fmt::format("{} {}", n[0], what); };
-    return fmt::format("{}, {}, {}", count(s.other_media, "in another medium"), count(s.same_path, "of a path that is there already"), count(s.occluded, "hidden by a surface"));
+    const auto count = [](const Column<std::uint64_t>& n, const char* what) {
+        return n.empty() ? fmt::format("{}: not tested", what) : fmt::format("{} {}", n[0], what);
+    };
+    return fmt::format("{}, {}, {}", count(s.other_media, "in another medium"),
+                       count(s.same_path, "of a path that is there already"), count(s.occluded, "hidden by a surface"));
 }
 
 std::string text_of(const ClusterSpread& s) {
-    return fmt::format("distance to the centroid: mean {:.4g} m, median radius {:.4g} m; normals more than 26 degrees off: "
-                       "{:.2f} %, opposed: {:.2f} % (of {} members)",
-                       s.mean_distance, s.median_radius, 100 * s.share_off_normal, 100 * s.share_opposed, s.n_members);
+    return fmt::format(
+        "distance to the centroid: mean {:.4g} m, median radius {:.4g} m; normals more than 26 degrees off: "
+        "{:.2f} %, opposed: {:.2f} % (of {} members)",
+        s.mean_distance, s.median_radius, 100 * s.share_off_normal, 100 * s.share_opposed, s.n_members);
 }
 
 }  // namespace loom

@@ -16,11 +16,11 @@ ClusterSizes cluster_sizes(const Clusters& clusters);
 std::string text_of(const ClusterSizes& sizes);  // one line
 
 struct ClusterSpread {
-    std::size_t n_members = 0;           // that were looked at
-    double mean_distance = 0;            // m, of a member to the centroid of its cluster
-    double median_radius = 0;            // m, of a cluster: root mean square distance to its centroid
-    double share_off_normal = 0;         // share of members whose normal is more than 26 degrees off the mean one
-    double share_opposed = 0;            // share of members that face away from the mean normal
+    std::size_t n_members = 0;    // that were looked at
+    double mean_distance = 0;     // m, of a member to the centroid of its cluster
+    double median_radius = 0;     // m, of a cluster: root mean square distance to its centroid
+    double share_off_normal = 0;  // share of members whose normal is more than 26 degrees off the mean one
+    double share_opposed = 0;     // share of members that face away from the mean normal
 };
 /// Looks at every cluster, or at evenly drawn ones of at most `max_clusters` (0: no limit). Normals are the shading
 /// normals on the side of wo.

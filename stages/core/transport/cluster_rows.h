@@ -17,7 +17,8 @@ inline constexpr std::uint16_t perturbed = 16;     // by a bump or normal map
 inline constexpr std::uint16_t delta = 32;         // the path went on by a lobe without width
 inline constexpr std::uint16_t other_medium = 64;  // it goes on in a medium of another index
 inline constexpr std::uint16_t ends_alone = 128;   // it goes on to a vertex without a cluster
-inline constexpr std::uint16_t last_step = 2048;   // where it goes on to, or would, it must end: that vertex draws no sample
+inline constexpr std::uint16_t last_step =
+    2048;  // where it goes on to, or would, it must end: that vertex draws no sample
 }  // namespace vertex_bit
 
 struct alignas(64) VertexRow {
@@ -29,8 +30,13 @@ struct alignas(64) VertexRow {
     Half diffuse[3];  // of a texture
 
     /// A continuation that says nothing of the light at its end: that vertex drew no sample and has no neighbours.
-    bool dead_end() const { return (bits & (vertex_bit::ends_alone | vertex_bit::last_step)) == (vertex_bit::ends_alone | vertex_bit::last_step); }
-    bool continues_shared() const { return (bits & (vertex_flag::continued | vertex_bit::delta)) == vertex_flag::continued; }
+    bool dead_end() const {
+        return (bits & (vertex_bit::ends_alone | vertex_bit::last_step)) ==
+               (vertex_bit::ends_alone | vertex_bit::last_step);
+    }
+    bool continues_shared() const {
+        return (bits & (vertex_flag::continued | vertex_bit::delta)) == vertex_flag::continued;
+    }
 };
 
 struct LightRow {
@@ -66,8 +72,8 @@ class ClusterRows {
                 std::span<const std::uint32_t> offsets, int threads);
 
     /// Takes the light edges of the vertices at places begin to end in place of those it has.
-    void load_lights(const GraphReader& reader, std::span<const std::uint32_t> place, std::size_t begin, std::size_t end,
-                     std::span<const std::uint32_t> offsets, int threads);
+    void load_lights(const GraphReader& reader, std::span<const std::uint32_t> place, std::size_t begin,
+                     std::size_t end, std::span<const std::uint32_t> offsets, int threads);
     /// needs:   a place whose light edges are loaded
     std::span<const LightRow> lights_of(std::size_t place) const {
         return {lights_.data() + (first_light_[place] - first_loaded_), first_light_[place + 1] - first_light_[place]};
@@ -82,7 +88,8 @@ class ClusterRows {
 /// f cos Li w / pdf of a light edge, as own_light() of its graph.
 /// in:      pdf_w  of the vertex
 /// needs:   the edge was not found by a delta lobe
-inline Spectrum own_light(const LightRow& light, const Spectrum& f_cos, float pdf_w, Heuristic heuristic = Heuristic::power) {
+inline Spectrum own_light(const LightRow& light, const Spectrum& f_cos, float pdf_w,
+                          Heuristic heuristic = Heuristic::power) {
     const bool next_event = light.technique == LightTechnique::next_event;
     return own_light(f_cos, light.Li, next_event, light.pdf_nee, light.pdf_bsdf, pdf_w, heuristic);
 }

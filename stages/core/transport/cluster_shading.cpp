@@ -15,18 +15,25 @@ ClusterShading::Lobes lobes_of(const BsdfModel& m, std::uint8_t textured) {
     const bool grey_specular = grey(m.specular) && !(textured & textured_parameter::specular);
     switch (m.kind) {
         case BsdfKind::diffuse:
-        case BsdfKind::plastic: return {.split = true, .base = true};
+        case BsdfKind::plastic:
+            return {.split = true, .base = true};
         case BsdfKind::rough_plastic:
         case BsdfKind::phong:
-        case BsdfKind::ward: return {.split = grey_specular, .base = true, .coat = true};
-        case BsdfKind::rough_diffuse: return {.split = grey(m.diffuse) && !(textured & textured_parameter::diffuse), .coat = true};
-        case BsdfKind::rough_conductor: return {.split = grey_specular && grey(m.eta_c) && grey(m.k_c) && !(textured & textured_parameter::index), .coat = true};
+        case BsdfKind::ward:
+            return {.split = grey_specular, .base = true, .coat = true};
+        case BsdfKind::rough_diffuse:
+            return {.split = grey(m.diffuse) && !(textured & textured_parameter::diffuse), .coat = true};
+        case BsdfKind::rough_conductor:
+            return {.split = grey_specular && grey(m.eta_c) && grey(m.k_c) && !(textured & textured_parameter::index),
+                    .coat = true};
         case BsdfKind::rough_dielectric:
-            return {.split = grey_specular && grey(m.transmittance) && !(textured & textured_parameter::transmittance), .coat = true};
+            return {.split = grey_specular && grey(m.transmittance) && !(textured & textured_parameter::transmittance),
+                    .coat = true};
         case BsdfKind::conductor:
         case BsdfKind::dielectric:
         case BsdfKind::thin_dielectric:
-        case BsdfKind::null: break;
+        case BsdfKind::null:
+            break;
     }
     return {.split = true};
 }
@@ -70,7 +77,8 @@ void ClusterShading::load(std::span<const std::uint32_t> vertices, std::span<con
     has_last_steps_ = false;
     for (int l = 0; l < n; ++l) {
         const VertexRow& at = row(l);
-        if (l == 0 || material[l] != material[l - 1]) c.runs.push_back({&reader_.model(material[l]), l, l, has_own(material[l])});
+        if (l == 0 || material[l] != material[l - 1])
+            c.runs.push_back({&reader_.model(material[l]), l, l, has_own(material[l])});
         c.runs.back().end = l + 1;
         c.px[l] = at.p.x, c.py[l] = at.p.y, c.pz[l] = at.p.z;
         c.wo_x[l] = at.wo.x, c.wo_y[l] = at.wo.y, c.wo_z[l] = at.wo.z;
@@ -101,7 +109,8 @@ void ClusterShading::load(std::span<const std::uint32_t> vertices, std::span<con
 bool ClusterShading::has_one_base(std::uint8_t textured) const {
     const ClusterColumns& c = columns_;
     const BsdfModel& model = *c.runs[0].model;
-    if (c.runs.size() > 1 || model.opacity < 1 || (textured & textured_parameter::opacity) || !perturbed_.empty()) return false;
+    if (c.runs.size() > 1 || model.opacity < 1 || (textured & textured_parameter::opacity) || !perturbed_.empty())
+        return false;
     if (!(c.wo_z[0] > 0) && !model.two_sided) return false;
     for (int l = 0; l < c.n; ++l)
         if (c.ns[l] != c.ns[0] || c.wo_z[l] == 0 || (c.wo_z[l] > 0) != (c.wo_z[0] > 0)) return false;
@@ -126,7 +135,8 @@ void ClusterShading::load_textures(const ClusterColumns::Run& run, std::uint8_t 
     if (textured & textured_parameter::diffuse)
         for (int l = run.begin; l < run.end; ++l) {
             const Half* at = row(l).diffuse;
-            c.diffuse_r[l] = float_from_half(at[0]), c.diffuse_g[l] = float_from_half(at[1]), c.diffuse_b[l] = float_from_half(at[2]);
+            c.diffuse_r[l] = float_from_half(at[0]), c.diffuse_g[l] = float_from_half(at[1]),
+            c.diffuse_b[l] = float_from_half(at[2]);
         }
     read(textured_parameter::specular, v.specular, c.specular_r, c.specular_g, c.specular_b);
     read(textured_parameter::transmittance, v.transmittance, c.transmittance_r, c.transmittance_g, c.transmittance_b);

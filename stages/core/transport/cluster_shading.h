@@ -10,7 +10,8 @@ namespace loom {
 /// their own sampling would have found it. Reused from cluster to cluster.
 class ClusterShading {
   public:
-    explicit ClusterShading(const GraphReader& reader) : reader_(reader), make_row_(reader), kernels_(cluster_kernels()) {}
+    explicit ClusterShading(const GraphReader& reader)
+        : reader_(reader), make_row_(reader), kernels_(cluster_kernels()) {}
 
     /// Lanes are in the order of materials, then of `vertices`, which are borrowed.
     /// needs:   at most max_lanes vertices
@@ -37,14 +38,19 @@ class ClusterShading {
     void light_delta_point(const Point3f& y);
 
     // Answers, by lane; 0 up to padded().
-    const float* f(int channel) const { return channel == 0 ? columns_.f_r : channel == 1 ? columns_.f_g : columns_.f_b; }
+    const float* f(int channel) const {
+        return channel == 0 ? columns_.f_r : channel == 1 ? columns_.f_g : columns_.f_b;
+    }
     /// f cos / f: what takes the answer at a lane back to sr^-1; 0 where that is lost.
     float to_solid_angle(int lane) const { return columns_.geometry[lane] > 0 ? 1 / columns_.geometry[lane] : 0.0f; }
     Spectrum f(int lane, float scale) const {
         return {columns_.f_r[lane] * scale, columns_.f_g[lane] * scale, columns_.f_b[lane] * scale};
     }
-    /// The answers as 16-bit fractions of their largest: row[rgb][lane]; largest, and sum of weighted answers, by channel.
-    void fix_row(const float* weight, std::uint16_t* row, float* largest, float* sum) const { kernels_.fix_row(columns_, weight, row, largest, sum); }
+    /// The answers as 16-bit fractions of their largest: row[rgb][lane]; largest, and sum of weighted answers, by
+    /// channel.
+    void fix_row(const float* weight, std::uint16_t* row, float* largest, float* sum) const {
+        kernels_.fix_row(columns_, weight, row, largest, sum);
+    }
     bool sees(int lane) const { return columns_.f_r[lane] + columns_.f_g[lane] + columns_.f_b[lane] > 0; }
     /// Density of BSDF sampling with survival of roulette; 0 where it was not attempted.
     float pdf_bsdf(int lane) const { return columns_.pdf[lane]; }
@@ -58,7 +64,7 @@ class ClusterShading {
 
     /// How f cos splits into tint * base + coat at all vertices.
     struct Lobes {
-        bool split = false;     // it does: every coat is grey
+        bool split = false;  // it does: every coat is grey
         bool base = false, coat = false;
         bool one_base = false;  // the base is the same at all lanes, whatever the direction
     };
@@ -67,7 +73,8 @@ class ClusterShading {
     Spectrum f_of_lobes(int lane, float scale) const {
         const ClusterColumns& c = columns_;
         const float base = c.base[lane], coat = c.coat[lane];
-        return Spectrum{c.tint_r[lane] * base + coat, c.tint_g[lane] * base + coat, c.tint_b[lane] * base + coat} * scale;
+        return Spectrum{c.tint_r[lane] * base + coat, c.tint_g[lane] * base + coat, c.tint_b[lane] * base + coat} *
+               scale;
     }
     void fix_lobes(bool base, bool coat, const float* weight, std::uint16_t* row, float* largest, float* sum) const {
         kernels_.fix_lobes(columns_, base, coat, weight, row, largest, sum);

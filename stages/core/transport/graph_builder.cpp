@@ -17,11 +17,17 @@ struct RowsPlacer : FieldVisitor<RowsPlacer> {
     std::vector<std::span<std::byte>> columns;
 
     explicit RowsPlacer(const PathRecords& records)
-        : n_paths(records.paths.size()), n_vertices(records.vertices.size()), n_light_edges(records.light_edges.size()), n_misses(records.misses.size()) {}
+        : n_paths(records.paths.size()),
+          n_vertices(records.vertices.size()),
+          n_light_edges(records.light_edges.size()),
+          n_misses(records.misses.size()) {}
 
     template <class T>
     void column_of(const Field& field, PlacedColumn<T>& column) {
-        const std::size_t rows = field.axes.starts_with("path") ? n_paths : field.axes.starts_with("vertex") ? n_vertices : field.axes.starts_with("edge") ? n_light_edges : n_misses;
+        const std::size_t rows = field.axes.starts_with("path")     ? n_paths
+                                 : field.axes.starts_with("vertex") ? n_vertices
+                                 : field.axes.starts_with("edge")   ? n_light_edges
+                                                                    : n_misses;
         const std::size_t n = column.wanted ? rows * field.row_size() : 0;
         if (!block.empty()) {
             const auto bytes = block.subspan(n_bytes, n * sizeof(T));
@@ -53,7 +59,9 @@ Column<T> gather(const std::vector<Material>& materials, Get get) {
     return values;
 }
 
-std::array<float, 3> triple(const Spectrum& s) { return {s.r, s.g, s.b}; }
+std::array<float, 3> triple(const Spectrum& s) {
+    return {s.r, s.g, s.b};
+}
 
 template <class Points>
 void put_points(const Points& points, Column<float>& p, Column<float>& n) {
@@ -70,7 +78,8 @@ void put_points(const Points& points, Column<float>& p, Column<float>& n) {
 void describe_capture(const Scene& scene, const NlosCapture& capture, bool true_area, PathGraphHeader::Nlos& out) {
     out.capture = {std::uint8_t(capture.type)};
     out.true_area = {std::uint8_t(true_area)};
-    out.grids = {capture.sensor_grid.width, capture.sensor_grid.height, capture.laser_grid.width, capture.laser_grid.height};
+    out.grids = {capture.sensor_grid.width, capture.sensor_grid.height, capture.laser_grid.width,
+                 capture.laser_grid.height};
     const Point3f& laser = scene.emitters[0].position;
     out.laser = {laser.x, laser.y, laser.z};
     put_points(capture.sensor_points, out.sensor_points, out.sensor_normals);
@@ -90,7 +99,8 @@ void describe_coats(const std::vector<Material>& materials, PathGraphHeader::Coa
             alpha.push_back(coats->alpha(k));
             fdr_int.push_back(row.fdr_int);
             fdr_ext.push_back(row.fdr_ext);
-            transmittance.insert(transmittance.end(), row.external_transmittance.begin(), row.external_transmittance.end());
+            transmittance.insert(transmittance.end(), row.external_transmittance.begin(),
+                                 row.external_transmittance.end());
         }
     }
     if (material.empty()) return;
@@ -104,7 +114,9 @@ void describe_coats(const std::vector<Material>& materials, PathGraphHeader::Coa
 void describe_scene(const Scene& scene, PathGraphHeader& g) {
     const Sensor& s = scene.sensor;
     const bool perspective = s.kind == SensorKind::perspective;
-    g.sensor.kind = s.kind == SensorKind::nlos_capture_meter ? "nlos_capture_meter" : perspective ? "perspective" : "orthographic";
+    g.sensor.kind = s.kind == SensorKind::nlos_capture_meter ? "nlos_capture_meter"
+                    : perspective                            ? "perspective"
+                                                             : "orthographic";
     g.sensor.width = s.width;
     g.sensor.height = s.height;
     for (int row = 0; row < 4; ++row)
@@ -136,7 +148,9 @@ void describe_scene(const Scene& scene, PathGraphHeader& g) {
     out.two_sided = gather<std::uint8_t>(in, one(&M::two_sided));
     out.nonlinear = gather<std::uint8_t>(in, one(&M::nonlinear));
     out.sample_visible = gather<std::uint8_t>(in, one(&M::sample_visible));
-    const auto any_material = [&in](auto differs) { return std::any_of(in.begin(), in.end(), [&](const Material& m) { return differs(m.model); }); };
+    const auto any_material = [&in](auto differs) {
+        return std::any_of(in.begin(), in.end(), [&](const Material& m) { return differs(m.model); });
+    };
     if (any_material([](const M& m) { return m.variant != WardVariant::balanced; }))
         out.variant = gather<std::uint8_t>(in, one(&M::variant));
     if (any_material([](const M& m) { return !m.bump_shadowing; }))
@@ -155,13 +169,12 @@ void describe_scene(const Scene& scene, PathGraphHeader& g) {
     out.fdr_ext = gather<float>(in, [](const M& m) { return std::array{m.coat.fdr_ext}; });
     std::vector<std::uint8_t> textured;
     for (const Material& m : in)
-        textured.push_back((m.diffuse >= 0 ? textured_parameter::diffuse : 0) |
-                           (m.specular >= 0 ? textured_parameter::specular : 0) |
-                           (m.transmittance >= 0 ? textured_parameter::transmittance : 0) |
-                           (m.alpha_u >= 0 || m.alpha_v >= 0 ? textured_parameter::alpha : 0) |
-                           (m.opacity >= 0 ? textured_parameter::opacity : 0) |
-                           (m.exponent >= 0 ? textured_parameter::exponent : 0) |
-                           (m.textured_index() ? textured_parameter::index : 0));
+        textured.push_back(
+            (m.diffuse >= 0 ? textured_parameter::diffuse : 0) | (m.specular >= 0 ? textured_parameter::specular : 0) |
+            (m.transmittance >= 0 ? textured_parameter::transmittance : 0) |
+            (m.alpha_u >= 0 || m.alpha_v >= 0 ? textured_parameter::alpha : 0) |
+            (m.opacity >= 0 ? textured_parameter::opacity : 0) | (m.exponent >= 0 ? textured_parameter::exponent : 0) |
+            (m.textured_index() ? textured_parameter::index : 0));
     out.textured = std::move(textured);
     const bool rough_plastic =
         std::any_of(in.begin(), in.end(), [](const Material& m) { return m.model.kind == BsdfKind::rough_plastic; });
@@ -177,7 +190,8 @@ void describe_scene(const Scene& scene, PathGraphHeader& g) {
         const bool projector = e.kind == EmitterKind::projector;
         has_projector |= projector;
         g.emitters.id.push_back(e.id);
-        kinds.push_back(std::uint8_t(projector && scene.nlos && scene.nlos->laser_sampling ? EmitterKind::laser_spot : e.kind));
+        kinds.push_back(
+            std::uint8_t(projector && scene.nlos && scene.nlos->laser_sampling ? EmitterKind::laser_spot : e.kind));
         pmfs.push_back(scene.emitter_pmf.pmf(i));
         for (int k = 0; k < 3; ++k) positions.push_back(projector ? e.position[k] : 0.0f);
     }
@@ -189,7 +203,8 @@ void describe_scene(const Scene& scene, PathGraphHeader& g) {
 
 }  // namespace
 
-GraphBuilder::GraphBuilder(const Scene& scene, const PathOptions& options, std::size_t n_pieces, std::shared_ptr<Arena> memory, bool misses)
+GraphBuilder::GraphBuilder(const Scene& scene, const PathOptions& options, std::size_t n_pieces,
+                           std::shared_ptr<Arena> memory, bool misses)
     : scene_(scene), options_(options), pieces_(n_pieces), arena_(std::move(memory)) {
     arena_->reset();
     const SceneFeatures& f = scene.features;

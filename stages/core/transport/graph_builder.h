@@ -16,7 +16,8 @@ namespace loom {
 class GraphBuilder {
   public:
     /// in:      n_pieces  batches to come   memory  for their columns; what it held is gone   misses  kept, too
-    GraphBuilder(const Scene& scene, const PathOptions& options, std::size_t n_pieces, std::shared_ptr<Arena> memory, bool misses);
+    GraphBuilder(const Scene& scene, const PathOptions& options, std::size_t n_pieces, std::shared_ptr<Arena> memory,
+                 bool misses);
 
     /// Takes a batch as the i-th piece. From any thread, once for each i.
     void set(std::size_t i, const PathRecords& records);

@@ -17,9 +17,11 @@ Spectrum rgb(const Column<Half>& column, std::size_t i) {
 
 }  // namespace
 
-void require_scene_of(const PathGraph& graph, const std::string& graph_file, const Scene& scene, const std::string& scene_file) {
+void require_scene_of(const PathGraph& graph, const std::string& graph_file, const Scene& scene,
+                      const std::string& scene_file) {
     if (graph.provenance.inputs.empty() || graph.provenance.inputs[0].hash != content_hash_text(scene.content_hash))
-        throw InputError(fmt::format("{}: {} was traced in another scene, or with other -D values", scene_file, graph_file));
+        throw InputError(
+            fmt::format("{}: {} was traced in another scene, or with other -D values", scene_file, graph_file));
 }
 
 GraphReader::GraphReader(const PathGraph& graph) : graph_(graph) {
@@ -57,7 +59,8 @@ GraphReader::GraphReader(const PathGraph& graph) : graph_(graph) {
         if (mine.rows.empty()) mine.alpha_min = coats.alpha[i];
         mine.alpha_max = coats.alpha[i];
         RoughCoat& row = mine.rows.emplace_back(RoughCoat{coats.fdr_int[i], coats.fdr_ext[i], {}});
-        std::copy_n(coats.external_transmittance.data() + i * n_transmittance, n_transmittance, row.external_transmittance.begin());
+        std::copy_n(coats.external_transmittance.data() + i * n_transmittance, n_transmittance,
+                    row.external_transmittance.begin());
     }
     for (const auto& [material, table] : coats_) models_[material].coats = &table;
 }

@@ -12,7 +12,8 @@ namespace loom {
 struct Scene;
 
 /// throws: InputError when the graph was traced in another scene, or with other values of its parameters
-void require_scene_of(const PathGraph& graph, const std::string& graph_file, const Scene& scene, const std::string& scene_file);
+void require_scene_of(const PathGraph& graph, const std::string& graph_file, const Scene& scene,
+                      const std::string& scene_file);
 
 /// Row i of a column of colours.
 inline Spectrum rgb(const Column<float>& column, std::size_t i) {

@@ -17,13 +17,16 @@ class HugeArray {
     explicit HugeArray(std::size_t n) : size_(n) {
         if (n == 0) return;
         bytes_ = (n * sizeof(T) + page - 1) / page * page;
-        void* memory = mmap(nullptr, bytes_, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1, 0);
+        void* memory =
+            mmap(nullptr, bytes_, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1, 0);
         if (memory == MAP_FAILED) throw std::bad_alloc();
         madvise(memory, bytes_, MADV_HUGEPAGE);
         data_ = static_cast<T*>(memory);
     }
     HugeArray(HugeArray&& other) noexcept
-        : data_(std::exchange(other.data_, nullptr)), size_(std::exchange(other.size_, 0)), bytes_(std::exchange(other.bytes_, 0)) {}
+        : data_(std::exchange(other.data_, nullptr)),
+          size_(std::exchange(other.size_, 0)),
+          bytes_(std::exchange(other.bytes_, 0)) {}
     HugeArray& operator=(HugeArray&& other) noexcept {
         std::swap(data_, other.data_);
         std::swap(size_, other.size_);
@@ -47,7 +50,8 @@ class HugeArray {
     template <class U>
     HugeArray<U> reused() && {
         static_assert(sizeof(U) == sizeof(T));
-        return HugeArray<U>(reinterpret_cast<U*>(std::exchange(data_, nullptr)), std::exchange(size_, 0), std::exchange(bytes_, 0));
+        return HugeArray<U>(reinterpret_cast<U*>(std::exchange(data_, nullptr)), std::exchange(size_, 0),
+                            std::exchange(bytes_, 0));
     }
 
   private:

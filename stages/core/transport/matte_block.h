@@ -28,7 +28,8 @@ class MatteBlock {
             surface.vertex.describe(Bsdf<float>(model), scene.features);
             surface.vertex.shape = std::uint32_t(surfaces_.size() - 1);
             surface.vertex.material = std::uint16_t(shape.material);
-            surface.vertex.flags = vertex_flag::attempted_bsdf | (scene.emitters.empty() ? 0 : vertex_flag::attempted_nee);
+            surface.vertex.flags =
+                vertex_flag::attempted_bsdf | (scene.emitters.empty() ? 0 : vertex_flag::attempted_nee);
         }
     }
 
@@ -57,8 +58,8 @@ class MatteBlock {
         c.hit_error[m] = surface.hit_error;
         c.n.set(m, at.n);
         c.side[m] = length2(at.n) > 0 ? surface.side : 0.0f;
-        c.reflectance.set(m, surface.textured ? scene_.diffuse(scene_.materials[shape.material], at.uv)
-                                              : surface.reflectance);
+        c.reflectance.set(
+            m, surface.textured ? scene_.diffuse(scene_.materials[shape.material], at.uv) : surface.reflectance);
         c.two_sided[m] = surface.two_sided;
         c.wo.set(m, -path.ray.d);
         c.beta.set(m, path.beta);
@@ -82,7 +83,8 @@ class MatteBlock {
 
     /// What shade() has found for path m of the block; as arrive().
     template <bool recording>
-    Step finish(std::size_t m, int depth, const Hit& hit, PathState& path, ShadowRequest& shadow, PathRecorder record) const {
+    Step finish(std::size_t m, int depth, const Hit& hit, PathState& path, ShadowRequest& shadow,
+                PathRecorder record) const {
         const MatteColumns& c = columns_;
         ++path.result.n_vertices;
         if (depth == 1) path.result.first = {c.albedo.get<Spectrum>(m), c.ns.get<Normal3f>(m), hit.t};

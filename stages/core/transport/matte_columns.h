@@ -35,11 +35,11 @@ struct MatteColumns {
     };
 
     // in: the surface, the path that arrives, random numbers
-    Triples p, ng, n;      // n: interpolated, not of unit length
+    Triples p, ng, n;  // n: interpolated, not of unit length
     Numbers hit_error;
-    Numbers side;          // turns n: 1 or -1; 0: shade with ng
+    Numbers side;  // turns n: 1 or -1; 0: shade with ng
     Triples reflectance;
-    Numbers two_sided;     // 1 or 0
+    Numbers two_sided;  // 1 or 0
     Triples wo, beta;
     Numbers eta_scale;
     Numbers u_direction_x, u_direction_y, u_roulette;
@@ -50,9 +50,9 @@ struct MatteColumns {
 
     // out: the vertex
     Triples ns, albedo;
-    Triples wo_local;      // turned to the front
-    Numbers turn;          // -1 where the front is the mirror image of the surface, else 1
-    Numbers q;             // survival probability of roulette
+    Triples wo_local;  // turned to the front
+    Numbers turn;      // -1 where the front is the mirror image of the surface, else 1
+    Numbers q;         // survival probability of roulette
     // out: the shadow ray and what it is worth; asks for none where its pdf or its BSDF value is 0
     Triples light_wi;
     Triples shadow_o, shadow_d, contribution;

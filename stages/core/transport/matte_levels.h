@@ -2,9 +2,9 @@
 #include "stages/core/transport/matte_columns.h"
 
 // One shade_matte for each x86-64 level.
-#define LOOM_DECLARE_LEVEL(level)                                                \
-    namespace loom::level {                                                      \
-    void shade_matte(MatteColumns& columns, std::size_t n, Roulette roulette);   \
+#define LOOM_DECLARE_LEVEL(level)                                              \
+    namespace loom::level {                                                    \
+    void shade_matte(MatteColumns& columns, std::size_t n, Roulette roulette); \
     }
 LOOM_DECLARE_LEVEL(v2)
 LOOM_DECLARE_LEVEL(v3)

@@ -1,7 +1,7 @@
 #include "stages/core/transport/nlos_tracer.h"
 
-#include "stages/core/scene/nlos.h"
 #include "stages/core/scene/media.h"
+#include "stages/core/scene/nlos.h"
 #include "stages/core/transport/path_step.h"
 
 namespace loom {
@@ -11,17 +11,24 @@ namespace {
 bool in_one_plane(const Normal3f& n, const Vector3f& d, const Point3f& p) {
     constexpr double flat = 1e-5;
     const double size = std::max({std::abs(p.x), std::abs(p.y), std::abs(p.z)});
-    return std::abs(dot(Vector3<double>(n), Vector3<double>(d))) < flat * std::max(length(Vector3<double>(d)), flat * size);
+    return std::abs(dot(Vector3<double>(n), Vector3<double>(d))) <
+           flat * std::max(length(Vector3<double>(d)), flat * size);
 }
 
 class NlosPath {
   public:
     NlosPath(const Scene& scene, const PathOptions& options, PathId id)
-        : scene_(scene), options_(options), capture_(*scene.nlos), laser_(capture_.laser_points[capture_.laser_point(id.pixel)]),
-          projector_(scene.emitters[0]), sampler_(options.sampler, options.seed, id.pixel, id.sample), media_(scene.sensor_media.everywhere) {
+        : scene_(scene),
+          options_(options),
+          capture_(*scene.nlos),
+          laser_(capture_.laser_points[capture_.laser_point(id.pixel)]),
+          projector_(scene.emitters[0]),
+          sampler_(options.sampler, options.seed, id.pixel, id.sample),
+          media_(scene.sensor_media.everywhere) {
         if (capture_.relay_wall == NlosCapture::no_wall) {
             const std::uint64_t width = scene.sensor.width;
-            ray_ = scene.sensor.sample_ray(std::uint32_t(id.pixel % width), std::uint32_t(id.pixel / width), sampler_.pair(film_pair));
+            ray_ = scene.sensor.sample_ray(std::uint32_t(id.pixel % width), std::uint32_t(id.pixel / width),
+                                           sampler_.pair(film_pair));
             hit_ = scene.intersect(ray_);
             ++result_.n_rays;
         } else {
@@ -74,7 +81,8 @@ class NlosPath {
 
         const int lit = depth + (capture_.laser_sampling ? 2 : 1);  // edges of a path that is lit here
         const bool smooth = has_smooth_lobe(here.bsdf);
-        const bool wanted = lit <= longest_ && (capture_.filter_depth < 0 || lit == capture_.filter_depth) && !(capture_.discard_direct && lit == 2);
+        const bool wanted = lit <= longest_ && (capture_.filter_depth < 0 || lit == capture_.filter_depth) &&
+                            !(capture_.discard_direct && lit == 2);
         if (wanted && smooth) {
             if constexpr (recording) record.last().flags |= vertex_flag::attempted_nee;
             add_light<recording>(here, at, depth, record);
@@ -95,7 +103,8 @@ class NlosPath {
 
         const bool hidden_here = smooth && (capture_.hidden_depth < 0 || depth <= capture_.hidden_depth);
         const float c = hidden_here ? capture_.hidden_probability : 0.0f;
-        const Point2f choice = sampler_.pair(dimension(depth, Place::lobe)), u = sampler_.pair(dimension(depth, Place::direction));
+        const Point2f choice = sampler_.pair(dimension(depth, Place::lobe)),
+                      u = sampler_.pair(dimension(depth, Place::direction));
         BsdfSample<float> s;
         Vector3f wi;
         HiddenPoint aimed;
@@ -105,7 +114,8 @@ class NlosPath {
             const Vector3f d = aimed.p - here.p;
             wi = d / length(d);
             s.wi = here.frame.to_local(wi);
-            const bool reflected = s.wi.z * here.wo_local.z > 0, matte = model.kind == BsdfKind::diffuse || model.kind == BsdfKind::rough_diffuse;
+            const bool reflected = s.wi.z * here.wo_local.z > 0,
+                       matte = model.kind == BsdfKind::diffuse || model.kind == BsdfKind::rough_diffuse;
             s.lobe = !reflected ? Lobe::glossy_transmission : matte ? Lobe::diffuse : Lobe::glossy_reflection;
             s.eta = s.wi.z > 0 ? model.ext_ior / model.int_ior : model.int_ior / model.ext_ior;
         } else {
@@ -212,7 +222,8 @@ class NlosPath {
             const float cos_surface = std::abs(dot(spot.ng, spot.ray.d));
             if (!spot.hit || !(cos_surface > 0)) return false;
             // Over the beam's section, irradiance times area is constant but for the surface's slant.
-            E = beam_radiance(scene_, projector_, x, y) * (pi<float> * 4 * projector_.tan_x * projector_.tan_y / cos_surface);
+            E = beam_radiance(scene_, projector_, x, y) *
+                (pi<float> * 4 * projector_.tan_x * projector_.tan_y / cos_surface);
         }
         const Vector3f d = spot.p - here.p;
         if (in_one_plane(spot.flat, d, spot.p)) return false;
@@ -247,8 +258,8 @@ class NlosPath {
 
 }  // namespace
 
-void trace_nlos(const Scene& scene, const PathOptions& options, std::span<const PathId> ids, std::span<PathResult> results,
-                PathRecords* records) {
+void trace_nlos(const Scene& scene, const PathOptions& options, std::span<const PathId> ids,
+                std::span<PathResult> results, PathRecords* records) {
     if (records) records->start(ids.size());
     for (std::size_t i = 0; i < ids.size(); ++i) {
         NlosPath path(scene, options, ids[i]);

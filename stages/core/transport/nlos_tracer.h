@@ -16,7 +16,7 @@ namespace loom {
 /// Depths count edges, the laser's among them: wall, hidden surface, wall is 4 whether or not lasers are sampled.
 /// needs:   scene.nlos
 /// in:      records  null: the radiance alone
-void trace_nlos(const Scene& scene, const PathOptions& options, std::span<const PathId> ids, std::span<PathResult> results,
-                PathRecords* records);
+void trace_nlos(const Scene& scene, const PathOptions& options, std::span<const PathId> ids,
+                std::span<PathResult> results, PathRecords* records);
 
 }  // namespace loom

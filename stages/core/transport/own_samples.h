@@ -19,14 +19,15 @@ Spectrum own_light(const GraphReader& reader, const ShadingPoint& at, std::size_
 /// The same, everything given.
 /// in:      pdf_w  of the BSDF sample that may have found the light, for what is not found by next-event estimation
 /// needs:   the edge was not found by a delta lobe
-Spectrum own_light(const Spectrum& f_cos, const Spectrum& Li, bool next_event, float pdf_nee_w, float pdf_bsdf_w, float pdf_w,
-                   Heuristic heuristic);
+Spectrum own_light(const Spectrum& f_cos, const Spectrum& Li, bool next_event, float pdf_nee_w, float pdf_bsdf_w,
+                   float pdf_w, Heuristic heuristic);
 
 /// Walks along a path: on_vertex(j, at) at each of its vertices, then on_light(j, k, L) for each light edge k of that
 /// vertex, with the radiance that the camera gets along it. What is seen directly (paths/Le) is not among it.
 /// in: first light edge of the path; out: that of the next path
 template <class OnVertex, class OnLight>
-void walk_path(const GraphReader& reader, std::size_t path, std::size_t& edge, OnVertex&& on_vertex, OnLight&& on_light);
+void walk_path(const GraphReader& reader, std::size_t path, std::size_t& edge, OnVertex&& on_vertex,
+               OnLight&& on_light);
 
 /// First light edge at or after vertex j.
 std::size_t first_light_edge(const PathGraph& graph, std::size_t j);
@@ -39,7 +40,8 @@ inline Vector3f continuation_direction(const PathGraph& graph, std::size_t j) {
 }
 
 template <class OnVertex, class OnLight>
-void walk_path(const GraphReader& reader, std::size_t path, std::size_t& edge, OnVertex&& on_vertex, OnLight&& on_light) {
+void walk_path(const GraphReader& reader, std::size_t path, std::size_t& edge, OnVertex&& on_vertex,
+               OnLight&& on_light) {
     const PathGraph& g = reader.graph();
     const auto& e = g.light_edges;
     Spectrum beta(1);
@@ -47,7 +49,8 @@ void walk_path(const GraphReader& reader, std::size_t path, std::size_t& edge, O
     for (std::uint64_t j = begin; j < end; ++j) {
         const ShadingPoint at = reader.vertex(j);
         on_vertex(j, at);
-        for (; edge < e.vertex.size() && e.vertex[edge] == j; ++edge) on_light(j, edge, beta * own_light(reader, at, j, edge));
+        for (; edge < e.vertex.size() && e.vertex[edge] == j; ++edge)
+            on_light(j, edge, beta * own_light(reader, at, j, edge));
         if (j + 1 < end) beta *= own_continuation(reader, at, j, continuation_direction(g, j));
     }
 }

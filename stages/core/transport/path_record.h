@@ -82,7 +82,8 @@ struct MissRecord {
     LightTechnique technique = LightTechnique::next_event;
     std::uint16_t emitter = 0;
     bool at_infinity = false;
-    Point3f y;  // where a shadow ray was to arrive, or its direction; the direction of the BSDF sample; the vertex: no ray
+    // where a shadow ray was to arrive, or its direction; the direction of the BSDF sample; the vertex: no ray
+    Point3f y;
 };
 
 struct PathRecords {

@@ -13,7 +13,9 @@ namespace loom {
 // decision leaves all others as they were.
 inline constexpr std::uint32_t film_pair = 0;
 enum class Place : std::uint32_t { light = 1, direction = 2, lobe = 3, roulette = 4 };
-constexpr std::uint32_t dimension(int depth, Place place) { return std::uint32_t(depth - 1) * 4 + std::uint32_t(place); }
+constexpr std::uint32_t dimension(int depth, Place place) {
+    return std::uint32_t(depth - 1) * 4 + std::uint32_t(place);
+}
 
 /// A path under way: the ray that is about to arrive and all that led to it. What every step touches lies in the
 /// first cache lines, what only dielectrics touch in the last.
@@ -49,7 +51,9 @@ constexpr bool goes_straight_on(Lobe lobe, BsdfKind kind) {
 }
 
 /// Whether a ray that leaves the scene finds the sky black: that of a camera, in a scene that hides its emitters.
-inline bool hides_sky(const Scene& scene, bool is_straight) { return scene.hides_emitters && is_straight; }
+inline bool hides_sky(const Scene& scene, bool is_straight) {
+    return scene.hides_emitters && is_straight;
+}
 
 /// A point on a surface as light that leaves along wo sees it.
 inline ShadingPoint shading_point(const Scene& scene, const SurfacePoint& at, const Vector3f& wo) {
@@ -67,7 +71,8 @@ inline ShadingPoint shading_point(const Scene& scene, const SurfacePoint& at, co
 }
 
 /// Index of the medium from a vertex towards wi. in: media  of the segment that arrives there
-inline float index_towards(const MediumStack& media, const ShadingPoint& here, std::uint32_t shape, const Vector3f& wi) {
+inline float index_towards(const MediumStack& media, const ShadingPoint& here, std::uint32_t shape,
+                           const Vector3f& wi) {
     const BsdfModel& model = *here.bsdf.model;
     const float side = dot(here.n_side, wi);
     if (!is_interface(model) || side * dot(here.n_side, here.wo) >= 0) return media.index();
@@ -84,8 +89,12 @@ struct alignas(64) ShadowRequest {
 };
 
 enum class Step : std::uint8_t { ends = 0, goes_on = 1, asks_shadow = 2 };
-constexpr bool has(Step step, Step bit) { return (std::uint8_t(step) & std::uint8_t(bit)) != 0; }
-constexpr Step operator|(Step a, Step b) { return Step(std::uint8_t(a) | std::uint8_t(b)); }
+constexpr bool has(Step step, Step bit) {
+    return (std::uint8_t(step) & std::uint8_t(bit)) != 0;
+}
+constexpr Step operator|(Step a, Step b) {
+    return Step(std::uint8_t(a) | std::uint8_t(b));
+}
 
 /// Light found by the ray that has just arrived, weighted against next-event estimation.
 /// in: pdf_nee   density of next-event estimation for the same light point, 0 where it has none
@@ -112,18 +121,20 @@ void add_arrived_light(PathState& path, PathRecorder record, const Spectrum& Li,
 }
 
 /// The direction that a path draws at its vertex number `depth`. Its weight has the shadows of bumps in it.
-[[gnu::always_inline]] inline BsdfSample<float> draw(const ShadingPoint& here, const Sampler& sampler, int depth, Point2f u_direction) {
+[[gnu::always_inline]] inline BsdfSample<float> draw(const ShadingPoint& here, const Sampler& sampler, int depth,
+                                                     Point2f u_direction) {
     const bool one_lobe = here.bsdf.model->kind == BsdfKind::diffuse && here.bsdf.opacity == 1;
     const float u_lobe = one_lobe ? 0.0f : sampler.pair(dimension(depth, Place::lobe)).x;
     BsdfSample<float> s = sample(here.bsdf, here.wo_local, u_lobe, u_direction);
-    if (here.perturbed && s.lobe != Lobe::none && s.lobe != Lobe::null) s.weight *= bump_shadowing(here, here.frame.to_world(s.wi), s.wi.z);
+    if (here.perturbed && s.lobe != Lobe::none && s.lobe != Lobe::null)
+        s.weight *= bump_shadowing(here, here.frame.to_world(s.wi), s.wi.z);
     return s;
 }
 
 /// Next-event estimation from `here`. True when a shadow ray is to decide.
 template <bool recording>
-bool sample_next_event(const Scene& scene, const PathState& path, const ShadingPoint& here, std::uint32_t shape, float q,
-                       const LightQuery& lights, ShadowRequest& shadow, std::uint32_t vertex) {
+bool sample_next_event(const Scene& scene, const PathState& path, const ShadingPoint& here, std::uint32_t shape,
+                       float q, const LightQuery& lights, ShadowRequest& shadow, std::uint32_t vertex) {
     const LightSample light = sample_light(scene, here.p, lights);
     if (!(light.pdf_w > 0)) return false;
     const BsdfValue<float> value = f_cos_pdf(here, light.wi);
@@ -149,16 +160,16 @@ bool sample_next_event(const Scene& scene, const PathState& path, const ShadingP
 }
 
 template <bool recording>
-Step leave(const Scene& scene, const PathOptions& options, int depth, const ShadingPoint& here, std::uint32_t shape, const LightQuery& lights,
-           Point2f u_direction, PathState& path, ShadowRequest& shadow, PathRecorder record);
+Step leave(const Scene& scene, const PathOptions& options, int depth, const ShadingPoint& here, std::uint32_t shape,
+           const LightQuery& lights, Point2f u_direction, PathState& path, ShadowRequest& shadow, PathRecorder record);
 
 /// The ray of `path` has met `hit` (or nothing) as its edge number `depth`: adds emission, samples a light and
 /// the next direction.
 /// in:  lights  answered for this hit or miss
 /// out: path.ray is the next ray when the path goes on; shadow is filled when asked for
 template <bool recording>
-Step arrive(const Scene& scene, const PathOptions& options, int depth, const Hit& hit, const LightQuery& lights, Point2f u_direction,
-            PathState& path, ShadowRequest& shadow, PathRecorder record) {
+Step arrive(const Scene& scene, const PathOptions& options, int depth, const Hit& hit, const LightQuery& lights,
+            Point2f u_direction, PathState& path, ShadowRequest& shadow, PathRecorder record) {
     const Vector3f wo = -path.ray.d;
     const bool mis = depth > 1 && !is_delta(path.lobe);
     const bool dark = options.max_depth == 0;  // not even light that is directly visible
@@ -170,8 +181,7 @@ Step arrive(const Scene& scene, const PathOptions& options, int depth, const Hit
             return Step::ends;
         }
         if (!is_black(Le))
-            add_arrived_light<recording>(path, record, Le, mis ? lights.pdf_w : 0.0f,
-                                         scene.environment, true, nullptr);
+            add_arrived_light<recording>(path, record, Le, mis ? lights.pdf_w : 0.0f, scene.environment, true, nullptr);
         else if constexpr (recording)
             record.miss(path.ray.d);
         if constexpr (recording) record.last().end(Ending::escaped);
@@ -223,12 +233,14 @@ Step arrive(const Scene& scene, const PathOptions& options, int depth, const Hit
     return leave<recording>(scene, options, depth, here, at.shape, lights, u_direction, path, shadow, record);
 }
 
-/// What comes of a path at its vertex number `depth`, not the last that it may have: samples a light, plays roulette and samples
-/// the next direction.
+/// What comes of a path at its vertex number `depth`, not the last that it may have: samples a light, plays roulette
+/// and samples the next direction.
 /// in, out: as arrive()
 template <bool recording>
-[[gnu::always_inline]] inline Step leave(const Scene& scene, const PathOptions& options, int depth, const ShadingPoint& here, std::uint32_t shape,
-                                         const LightQuery& lights, Point2f u_direction, PathState& path, ShadowRequest& shadow, PathRecorder record) {
+[[gnu::always_inline]] inline Step leave(const Scene& scene, const PathOptions& options, int depth,
+                                         const ShadingPoint& here, std::uint32_t shape, const LightQuery& lights,
+                                         Point2f u_direction, PathState& path, ShadowRequest& shadow,
+                                         PathRecorder record) {
     const BsdfModel& model = *here.bsdf.model;
     float q = 1;
     if (depth >= options.rr_depth && options.roulette != Roulette::off) {
@@ -238,8 +250,8 @@ template <bool recording>
     }
     Step step = Step::ends;
     const bool next_event = !scene.emitters.empty() && has_smooth_lobe(here.bsdf);
-    if (next_event && sample_next_event<recording>(scene, path, here, shape, q, lights, shadow,
-                                                   recording ? record.last_number() : 0))
+    if (next_event &&
+        sample_next_event<recording>(scene, path, here, shape, q, lights, shadow, recording ? record.last_number() : 0))
         step = Step::asks_shadow;
     else if constexpr (recording)
         if (next_event) record.miss(lights.point.emitter);

@@ -39,7 +39,8 @@ PathResult trace_path(const Scene& scene, const PathOptions& options, PathId id,
         const Hit hit = depth == 1 ? scene.intersect_from_camera(path.ray) : scene.intersect(path.ray);
         ++path.result.n_rays;
         ShadowRequest shadow;
-        LightQuery lights = light_query(hit, path.ray, path.sampler.pair(dimension(depth, Place::light)), depth == options.max_depth);
+        LightQuery lights =
+            light_query(hit, path.ray, path.sampler.pair(dimension(depth, Place::light)), depth == options.max_depth);
         look_up_light(scene, lights);
         const Step step = arrive<true>(scene, options, depth, hit, lights,
                                        path.sampler.pair(dimension(depth, Place::direction)), path, shadow, record);
@@ -78,7 +79,12 @@ struct PathBatch::Impl {
     static constexpr std::size_t cache_bytes = std::size_t(1) << 20;  // of the second level
 
     Impl(const Scene& s, const PathOptions& o, const Watch* w)
-        : scene(s), options(o), matte(s, o), prefetches(s.table_bytes() > cache_bytes), watch(w), columns(w ? capacity : 0) {
+        : scene(s),
+          options(o),
+          matte(s, o),
+          prefetches(s.table_bytes() > cache_bytes),
+          watch(w),
+          columns(w ? capacity : 0) {
         samplers.reserve(capacity);
         started.reserve(capacity);
         shadows.resize(capacity);
@@ -99,7 +105,8 @@ struct PathBatch::Impl {
         if (hit) {
             const int emitter = scene.shapes[hit.shape].emitter;
             touched = watch->shapes[hit.shape] || (emitter >= 0 && watch->emitters[std::size_t(emitter)]) ||
-                      (query.ask == LightQuery::Ask::point && !scene.emitters.empty() && watch->emitters[query.point.emitter]);
+                      (query.ask == LightQuery::Ask::point && !scene.emitters.empty() &&
+                       watch->emitters[query.point.emitter]);
         } else {
             touched = watch->environment;
         }
@@ -158,7 +165,8 @@ struct PathBatch::Impl {
         paths = resumed;
         active.clear();
         joining.assign(under_way.begin(), under_way.end());
-        std::stable_sort(joining.begin(), joining.end(), [this](std::uint32_t a, std::uint32_t b) { return paths[a].depth() > paths[b].depth(); });
+        std::stable_sort(joining.begin(), joining.end(),
+                         [this](std::uint32_t a, std::uint32_t b) { return paths[a].depth() > paths[b].depth(); });
         follow<false>(nullptr);
     }
 
@@ -176,25 +184,28 @@ struct PathBatch::Impl {
 
     template <bool recording>
     void follow(PathRecords* records) {
-        const auto recorder = [records](std::uint32_t i) { return recording ? PathRecorder(*records, i) : PathRecorder(); };
+        const auto recorder = [records](std::uint32_t i) {
+            return recording ? PathRecorder(*records, i) : PathRecorder();
+        };
         for (int depth = 1; !active.empty() || !joining.empty(); ++depth) {
             join(depth);
             const std::size_t n = active.size();
             for (std::size_t k = 0; k < n; ++k) rays[k] = &paths[active[k]].ray;
             (depth == 1 ? scene.camera_rays : scene.rays)->intersect(rays.data(), n, hits.data(), depth == 1);
-            sampler_pairs(options.sampler, key_lo.data(), key_hi.data(), index.data(), dimension(depth, Place::light), n,
-                           light_x.data(), light_y.data());
-            sampler_pairs(options.sampler, key_lo.data(), key_hi.data(), index.data(), dimension(depth, Place::direction),
-                           n, direction_x.data(), direction_y.data());
+            sampler_pairs(options.sampler, key_lo.data(), key_hi.data(), index.data(), dimension(depth, Place::light),
+                          n, light_x.data(), light_y.data());
+            sampler_pairs(options.sampler, key_lo.data(), key_hi.data(), index.data(),
+                          dimension(depth, Place::direction), n, direction_x.data(), direction_y.data());
             if (matte.roulette(depth) != Roulette::off)
-                sampler_pairs(options.sampler, key_lo.data(), key_hi.data(), index.data(), dimension(depth, Place::roulette),
-                              n, roulette_x.data(), unused.data());
+                sampler_pairs(options.sampler, key_lo.data(), key_hi.data(), index.data(),
+                              dimension(depth, Place::roulette), n, roulette_x.data(), unused.data());
             const auto ask = [&](void (Scene::*prefetch)(const Hit&) const) {
                 if (prefetches)
                     for (std::size_t k = 0; k < n; ++k) (scene.*prefetch)(hits[k]);
             };
             ask(&Scene::prefetch_triangle);
-            for (std::size_t k = 0; k < n; ++k) lights[k] = light_query(hits[k], *rays[k], {light_x[k], light_y[k]}, depth == options.max_depth);
+            for (std::size_t k = 0; k < n; ++k)
+                lights[k] = light_query(hits[k], *rays[k], {light_x[k], light_y[k]}, depth == options.max_depth);
             ask(&Scene::prefetch_corners);
             look_up_lights(scene, {lights.data(), n});
             ask(&Scene::prefetch_texels);
@@ -208,8 +219,7 @@ struct PathBatch::Impl {
                 matte.shade(depth);
                 for (std::size_t m = 0; m < matte.size(); ++m) {
                     const std::uint32_t k = matte.ray(m), i = active[k];
-                    steps[k] = matte.finish<recording>(m, depth, hits[k], paths[i], shadows[i],
-                                                       recorder(i));
+                    steps[k] = matte.finish<recording>(m, depth, hits[k], paths[i], shadows[i], recorder(i));
                 }
                 matte.clear();
             };
@@ -221,8 +231,8 @@ struct PathBatch::Impl {
                 if (by_column && matte.add(std::uint32_t(k), hits[k], path, lights[k], u_direction, roulette_x[k])) {
                     if (matte.full()) shade();
                 } else {
-                    steps[k] = arrive<recording>(scene, options, depth, hits[k], lights[k], u_direction, path, shadows[i],
-                                                 recorder(i));
+                    steps[k] = arrive<recording>(scene, options, depth, hits[k], lights[k], u_direction, path,
+                                                 shadows[i], recorder(i));
                 }
             }
             shade();
@@ -274,6 +284,8 @@ void PathBatch::trace(std::span<const PathId> ids, std::span<PathResult> results
     impl_->trace<true>(ids, results, &records);
 }
 
-void PathBatch::resume(std::span<PathState> paths, std::span<const std::uint32_t> under_way) { impl_->resume(paths, under_way); }
+void PathBatch::resume(std::span<PathState> paths, std::span<const std::uint32_t> under_way) {
+    impl_->resume(paths, under_way);
+}
 
 }  // namespace loom

@@ -33,8 +33,8 @@ struct PathOptions {
     std::uint64_t seed = 0;
     SamplerKind sampler = SamplerKind::sobol;
     Roulette roulette = Roulette::albedo;
-    int rr_depth = 5;    // first vertex (camera ray: 1) at which roulette may end a path
-    int max_depth = -1;  // longest path in edges, -1: no limit
+    int rr_depth = 5;                             // first vertex (camera ray: 1) at which roulette may end a path
+    int max_depth = -1;                           // longest path in edges, -1: no limit
     LaserSpot laser_spot = LaserSpot::unit_area;  // of a capture around a corner
 };
 
@@ -56,14 +56,16 @@ struct PathResult {
     bool touched = true;  // false: it was watched, and met nothing of what it was watched for
 };
 
-/// What paths are watched for: a path that meets none of it would be the same without it. Shadow rays count, whether they
-/// reach their light or not.
+/// What paths are watched for: a path that meets none of it would be the same without it. Shadow rays count, whether
+/// they reach their light or not.
 struct Watch {
-    const RayEngine* passed = nullptr;  // shapes that need not be in the scene: a segment that goes through one touches it
-    std::vector<Box3f> boxes;           // around them: a segment that meets none of the boxes is not asked for
-    std::vector<std::uint8_t> shapes;   // by shape of the scene: a vertex on it touches it
-    std::vector<std::uint8_t> emitters; // by emitter of the scene: choosing it for next-event estimation, or hitting it
-    bool environment = false;           // escaping from the scene
+    // shapes that need not be in the scene: a segment that goes through one touches it
+    const RayEngine* passed = nullptr;
+    std::vector<Box3f> boxes;          // around them: a segment that meets none of the boxes is not asked for
+    std::vector<std::uint8_t> shapes;  // by shape of the scene: a vertex on it touches it
+    // by emitter of the scene: choosing it for next-event estimation, or hitting it
+    std::vector<std::uint8_t> emitters;
+    bool environment = false;  // escaping from the scene
 };
 
 /// One camera sample; pixel = y * width + x.
@@ -77,7 +79,8 @@ struct PathId {
 /// weights over the density of next-event estimation and that of BSDF sampling with roulette folded in.
 class PathBatch {
   public:
-    /// in: watch  null, or what paths are watched for; not of captures around a corner, all of whose paths count as touched
+    /// in: watch  null, or what paths are watched for; not of captures around a corner, all of whose paths count as
+    ///     touched
     PathBatch(const Scene& scene, const PathOptions& options, const Watch* watch = nullptr);
     ~PathBatch();
     PathBatch(PathBatch&&) noexcept;
@@ -87,7 +90,8 @@ class PathBatch {
     /// The same paths, with all of their vertices and light edges.
     void trace(std::span<const PathId> ids, std::span<PathResult> results, PathRecords& records);
 
-    /// Takes paths that are under way to their ends, from whatever depth each has come to; as tracing them whole would have.
+    /// Takes paths that are under way to their ends, from whatever depth each has come to; as tracing them whole would
+    /// have.
     /// in:      under_way  which of the paths, at most `capacity`; the others are left as they are
     ///          paths      each with its ray, what led to it, and the light and vertices so far
     /// out:     paths      the result of each; n_rays counts on

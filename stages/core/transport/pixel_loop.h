@@ -1,6 +1,6 @@
 #pragma once
-// The loop of the stages that trace every pixel from the camera and keep only sums: pixel by pixel, sample by sample, in
-// batches that may end inside a pixel.
+// The loop of the stages that trace every pixel from the camera and keep only sums: pixel by pixel, sample by sample,
+// in batches that may end inside a pixel.
 
 #include <tbb/enumerable_thread_specific.h>
 
@@ -46,8 +46,9 @@ class NonfiniteLog {
         if (all_finite(L)) return;
         const std::uint64_t x = id.pixel % width_, y = id.pixel / width_;
         if (count_.fetch_add(1) < 5)
-            report_.warn("not finite: pixel ({}, {}), sample {}{}; replay it with loom-trace --seed {} --replay {},{},{}", x, y, id.sample, of_,
-                         seed_, x, y, id.sample);
+            report_.warn(
+                "not finite: pixel ({}, {}), sample {}{}; replay it with loom-trace --seed {} --replay {},{},{}", x, y,
+                id.sample, of_, seed_, x, y, id.sample);
     }
     std::uint64_t count() const { return count_; }
 
@@ -70,12 +71,12 @@ struct SampleRange {
 ///                     finish(pixel)                    that was its last sample; never for a pixel without samples
 ///          mean_spp   about how many samples a pixel has, to cut the work into chunks
 template <class Worker, class SamplesOf>
-void trace_pixels(tbb::enumerable_thread_specific<Worker>& workers, std::uint64_t n_pixels, double mean_spp, int threads,
-                  SamplesOf&& samples_of, app::Progress& progress) {
+void trace_pixels(tbb::enumerable_thread_specific<Worker>& workers, std::uint64_t n_pixels, double mean_spp,
+                  int threads, SamplesOf&& samples_of, app::Progress& progress) {
     // Small enough to balance two threads, large enough to hide the task.
     constexpr std::uint64_t paths_per_chunk = 4096;
-    const std::uint64_t pixels_per_chunk =
-        std::clamp<std::uint64_t>(std::uint64_t(double(paths_per_chunk) / std::max(mean_spp, 1.0)), 16, paths_per_chunk);
+    const std::uint64_t pixels_per_chunk = std::clamp<std::uint64_t>(
+        std::uint64_t(double(paths_per_chunk) / std::max(mean_spp, 1.0)), 16, paths_per_chunk);
     parallel_chunks(n_pixels, pixels_per_chunk, threads, [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
         Worker& worker = workers.local();
         std::vector<PathId> ids;

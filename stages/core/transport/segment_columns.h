@@ -32,7 +32,8 @@ struct SegmentColumns {
     }
 };
 
-/// met[i]: whether segment i meets one of the boxes, but for rounding; one in the plane of a face may be taken for outside.
+/// met[i]: whether segment i meets one of the boxes, but for rounding; one in the plane of a face may be taken for
+/// outside.
 void find_met(SegmentColumns& segments, std::size_t n, const Box3f* boxes, std::size_t n_boxes);
 
 }  // namespace loom

@@ -2,9 +2,9 @@
 #include "stages/core/transport/segment_columns.h"
 
 // One find_met for each x86-64 level.
-#define LOOM_DECLARE_LEVEL(level)                                                                          \
-    namespace loom::level {                                                                                \
-    void find_met(SegmentColumns& segments, std::size_t n, const Box3f* boxes, std::size_t n_boxes);       \
+#define LOOM_DECLARE_LEVEL(level)                                                                    \
+    namespace loom::level {                                                                          \
+    void find_met(SegmentColumns& segments, std::size_t n, const Box3f* boxes, std::size_t n_boxes); \
     }
 LOOM_DECLARE_LEVEL(v2)
 LOOM_DECLARE_LEVEL(v3)

@@ -10,12 +10,12 @@ namespace loom {
 
 struct ShadingPoint {
     Point3f p;
-    Vector3f wo;         // world, towards where the light leaves
-    Vector3f wo_local;   // the same in `frame`
+    Vector3f wo;        // world, towards where the light leaves
+    Vector3f wo_local;  // the same in `frame`
     Framef frame;
     Normal3f ng;
-    float hit_error = 0; // of its shape, m; what lies between the point and its rays' origins
-    Normal3f n_side;     // shading normal before a bump or normal map; equals frame.n without one
+    float hit_error = 0;  // of its shape, m; what lies between the point and its rays' origins
+    Normal3f n_side;      // shading normal before a bump or normal map; equals frame.n without one
     bool perturbed = false;
     Bsdf<float> bsdf;
 
@@ -23,7 +23,8 @@ struct ShadingPoint {
 };
 
 /// Shadowing of a bump or normal map for light from wi, so that the darkening at the terminator of the
-/// bumps is smooth; 1 where the material switches it off.       [Estevez2019] "A Microfacet-Based Shadowing Function to Solve the Bump
+/// bumps is smooth; 1 where the material switches it off.       [Estevez2019] "A Microfacet-Based Shadowing Function to
+/// Solve the Bump
 ///                        Terminator Problem", section 3.2; 0 when wi lies on different sides of the two normals
 inline float bump_shadowing(const ShadingPoint& at, const Vector3f& wi, float cos_perturbed) {
     const float cos_side = dot(at.n_side, wi);

@@ -27,15 +27,19 @@ float narrowest_lobe(const PathGraph::Materials& m, std::size_t i) {
         case BsdfKind::diffuse:
         case BsdfKind::rough_diffuse:
         case BsdfKind::plastic:
-        case BsdfKind::rough_plastic: return wide;
+        case BsdfKind::rough_plastic:
+            return wide;
         case BsdfKind::rough_conductor:
         case BsdfKind::rough_dielectric:
-        case BsdfKind::ward: return std::min(m.alpha[2 * i], m.alpha[2 * i + 1]);
-        case BsdfKind::phong: return phong_width(m.exponent[i]);
+        case BsdfKind::ward:
+            return std::min(m.alpha[2 * i], m.alpha[2 * i + 1]);
+        case BsdfKind::phong:
+            return phong_width(m.exponent[i]);
         case BsdfKind::conductor:
         case BsdfKind::dielectric:
         case BsdfKind::thin_dielectric:
-        case BsdfKind::null: return 0;
+        case BsdfKind::null:
+            return 0;
     }
     return 0;
 }
@@ -50,8 +54,9 @@ SharingRule::SharingRule(const PathGraph& graph, float private_roughness) : grap
         const bool textured_width = textured_alpha || textured_exponent;
         const bool textured_opacity = (m.textured[i] & textured_parameter::opacity) != 0;
         const float alpha = narrowest_lobe(m, i);
-        const bool solitary = (!textured_width && (alpha == 0 || alpha < limit_)) || (!textured_opacity && !(m.opacity[i] > 0));
-        kinds_.push_back(solitary ? Kind::solitary
+        const bool solitary =
+            (!textured_width && (alpha == 0 || alpha < limit_)) || (!textured_opacity && !(m.opacity[i] > 0));
+        kinds_.push_back(solitary                             ? Kind::solitary
                          : textured_width || textured_opacity ? Kind::asks_vertex
                                                               : Kind::shares);
     }

@@ -7,7 +7,8 @@ namespace loom {
 
 /// What counts, and how fast light is.
 struct Timing {
-    bool camera_segment = true;  // counts; of captures around a corner the segment from the laser to where it lights, too
+    // counts; of captures around a corner the segment from the laser to where it lights, too
+    bool camera_segment = true;
     std::vector<std::pair<float, float>> group_index{};  // of light whose phase index is the first
 
     /// Index of refraction by which light of a phase index is slowed down.
@@ -35,7 +36,9 @@ inline Point3<double> camera_point(const PathGraph& graph, std::size_t path) {
 class OpticalLengths {
   public:
     OpticalLengths(const PathGraph& graph, Timing timing)
-        : graph_(graph), timing_(std::move(timing)), laser_segment_(timing_.camera_segment || graph.nlos.capture.empty()) {}
+        : graph_(graph),
+          timing_(std::move(timing)),
+          laser_segment_(timing_.camera_segment || graph.nlos.capture.empty()) {}
 
     /// From the camera to the first vertex of a path; 0 where that does not count.
     double from_camera(std::size_t path) const {
@@ -45,14 +48,15 @@ class OpticalLengths {
     double to_vertex(std::size_t j, const Point3<double>& from) const {
         return index_of(graph_.vertices.eta, j) * length(position(graph_, j) - from);
     }
-    /// Along light edge k from a point, and on to where the light starts if that is elsewhere (a lit spot, which reflects: the
-    /// laser is in the medium of the edge).
+    /// Along light edge k from a point, and on to where the light starts if that is elsewhere (a lit spot, which
+    /// reflects: the laser is in the medium of the edge).
     double to_light(std::size_t k, const Point3<double>& from) const {
         const auto& e = graph_.light_edges;
         const float* y = e.y.data() + 4 * k;
         if (y[3] == 0) return INFINITY;
         const Point3<double> light{y[0], y[1], y[2]};
-        const bool lit_spot = !graph_.emitters.position.empty() && EmitterKind(graph_.emitters.kind[e.emitter[k]]) == EmitterKind::laser_spot;
+        const bool lit_spot = !graph_.emitters.position.empty() &&
+                              EmitterKind(graph_.emitters.kind[e.emitter[k]]) == EmitterKind::laser_spot;
         double sum = lit_spot || laser_segment_ ? index_of(e.eta, k) * length(light - from) : 0;
         if (lit_spot && laser_segment_) {
             const float* p = graph_.emitters.position.data() + 3 * e.emitter[k];
@@ -62,7 +66,9 @@ class OpticalLengths {
     }
 
   private:
-    double index_of(const Column<float>& eta, std::size_t i) const { return timing_.index(eta.empty() ? 1.0f : eta[i]); }
+    double index_of(const Column<float>& eta, std::size_t i) const {
+        return timing_.index(eta.empty() ? 1.0f : eta[i]);
+    }
 
     const PathGraph& graph_;
     Timing timing_;
@@ -72,7 +78,8 @@ class OpticalLengths {
 /// Walks along a path: on_light(L, opl) for each light that reaches the camera, what is seen directly included.
 /// in: edge  first light edge of the path; out: that of the next path
 template <class OnLight>
-void walk_in_time(const GraphReader& reader, const OpticalLengths& lengths, std::size_t path, std::size_t& edge, OnLight&& on_light) {
+void walk_in_time(const GraphReader& reader, const OpticalLengths& lengths, std::size_t path, std::size_t& edge,
+                  OnLight&& on_light) {
     const PathGraph& g = reader.graph();
     const std::uint64_t begin = g.paths.first_vertex[path];
     const Spectrum Le = rgb(g.paths.Le, path);

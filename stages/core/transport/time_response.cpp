@@ -12,8 +12,12 @@ constexpr double far_sigmas = 8.3;
 /// Means beyond which an exponential distribution does.
 constexpr double far_tails = 37;
 
-double normal_density(double x) { return std::exp(-0.5 * x * x) / std::sqrt(2 * pi_double); }
-double normal_cdf(double x) { return 0.5 * std::erfc(-x / std::sqrt(2.0)); }
+double normal_density(double x) {
+    return std::exp(-0.5 * x * x) / std::sqrt(2 * pi_double);
+}
+double normal_cdf(double x) {
+    return 0.5 * std::erfc(-x / std::sqrt(2.0));
+}
 
 /// normal_cdf(-a) / normal_density(a), where both vanish: Laplace's continued fraction.
 double mills_ratio(double a) {
@@ -22,7 +26,8 @@ double mills_ratio(double a) {
     return 1 / f;
 }
 
-/// exp(v^2 / 2 - u v) normal_cdf(u - v), the exponential's part of an exponential Gaussian at u sigmas, v = sigma / tail.
+/// exp(v^2 / 2 - u v) normal_cdf(u - v), the exponential's part of an exponential Gaussian at u sigmas, v = sigma /
+/// tail.
 double late_part(double u, double v) {
     const double x = u - v;
     if (x > -6) return std::exp(0.5 * v * v - u * v) * normal_cdf(x);
@@ -61,7 +66,8 @@ Pulse Pulse::table(std::vector<double> at, std::vector<double> power) {
     p.kind_ = Kind::table;
     p.arrived_.assign(1, 0.0);
     for (std::size_t i = 0; i < at.size(); ++i) {
-        if (!(power[i] >= 0) || !std::isfinite(power[i])) throw InputError("a pulse must have power >= 0 at all of its points");
+        if (!(power[i] >= 0) || !std::isfinite(power[i]))
+            throw InputError("a pulse must have power >= 0 at all of its points");
         if (i == 0) continue;
         if (!(at[i] > at[i - 1])) throw InputError("the points of a pulse must lie one after the other");
         p.arrived_.push_back(p.arrived_.back() + 0.5 * (power[i] + power[i - 1]) * (at[i] - at[i - 1]));
@@ -79,9 +85,12 @@ Pulse Pulse::table(std::vector<double> at, std::vector<double> power) {
 
 double Pulse::arrived(double s) const {
     switch (kind_) {
-        case Kind::delta: return s >= 0 ? 1 : 0;
-        case Kind::box: return std::clamp(s / length_, 0.0, 1.0);
-        default: break;
+        case Kind::delta:
+            return s >= 0 ? 1 : 0;
+        case Kind::box:
+            return std::clamp(s / length_, 0.0, 1.0);
+        default:
+            break;
     }
     if (s <= begin_) return 0;
     if (s >= end_) return 1;
@@ -98,10 +107,14 @@ double Pulse::arrived(double s) const {
 double Pulse::power(double s) const {
     if (kind_ == Kind::delta || s < begin_ || s > end_) return 0;
     switch (kind_) {
-        case Kind::delta: break;
-        case Kind::box: return 1 / length_;
-        case Kind::gaussian: return normal_density(s / length_) / length_;
-        case Kind::exponential_gaussian: return late_part(s / length_, length_ / tail_) / tail_;
+        case Kind::delta:
+            break;
+        case Kind::box:
+            return 1 / length_;
+        case Kind::gaussian:
+            return normal_density(s / length_) / length_;
+        case Kind::exponential_gaussian:
+            return late_part(s / length_, length_ / tail_) / tail_;
         case Kind::table: {
             if (s == end_) return power_.back();
             const std::size_t i = std::size_t(std::upper_bound(at_.begin(), at_.end(), s) - at_.begin()) - 1;

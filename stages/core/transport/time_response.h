@@ -28,8 +28,8 @@ class Pulse {
     static Pulse box(double length);
     /// Standard deviation sigma, its centre at emission.
     static Pulse gaussian(double sigma);
-    /// A Gaussian of that sigma whose photons are late by exponentially distributed lengths of mean `tail`: a laser seen
-    /// by a single-photon detector.
+    /// A Gaussian of that sigma whose photons are late by exponentially distributed lengths of mean `tail`: a laser
+    /// seen by a single-photon detector.
     static Pulse exponential_gaussian(double sigma, double tail);
     /// Piecewise linear between the points (at, power), 0 outside of them; power is scaled to energy 1.
     /// throws: InputError unless `at` rises, power >= 0 and not 0 everywhere
@@ -57,8 +57,8 @@ class Pulse {
     std::vector<double> at_, power_, arrived_;  // of a table
 };
 
-/// Light and sensor modulated with one period instead of pulses and gates: n bins, the sensor's modulation of bin k late
-/// by k / n of a period.
+/// Light and sensor modulated with one period instead of pulses and gates: n bins, the sensor's modulation of bin k
+/// late by k / n of a period.
 ///   sine    both 1 + cos:               S_e = (1 + cos(2 pi (tof / period - k / n)) / 2) / n
 ///   square  both on for half a period:  S_e is a triangle over [0, 2 / n]
 /// Bins add up to 1 for n >= 2 (sine) and for even n (square).
@@ -71,7 +71,7 @@ struct TimeResponse {
     double gate = 1;              // length of a gate
     Pulse pulse;
     Modulation modulation = Modulation::none;
-    double period = 1;            // with modulation; width is then period / n_bins
+    double period = 1;  // with modulation; width is then period / n_bins
 
     double end() const { return start + n_bins * width; }
 
@@ -95,8 +95,10 @@ T TimeResponse::weight(std::int64_t k, const T& tof) const {
         const T phase = tof / period - double(k) / n_bins;
         if (modulation == Modulation::sine) return (1.0 + 0.5 * cos(2 * pi_double * phase)) / double(n_bins);
         double whole;
-        if constexpr (std::is_same_v<T, double>) whole = floor(phase);
-        else whole = floor(phase.value);
+        if constexpr (std::is_same_v<T, double>)
+            whole = floor(phase);
+        else
+            whole = floor(phase.value);
         const T part = phase - whole;
         return select(part < 0.5, 1.0 - 2.0 * part, 2.0 * part - 1.0) * (2.0 / n_bins);
     }
@@ -104,8 +106,10 @@ T TimeResponse::weight(std::int64_t k, const T& tof) const {
     if (pulse.is_delta()) {
         // One rule for bins and for outside: which bin a length on a border belongs to is said once.
         double x;
-        if constexpr (std::is_same_v<T, double>) x = (tof - start) / width;
-        else x = (tof.value - start) / width;
+        if constexpr (std::is_same_v<T, double>)
+            x = (tof - start) / width;
+        else
+            x = (tof.value - start) / width;
         return T(double(k) <= floor(x) && double(k) > floor(x - gate / width) ? 1.0 : 0.0);
     }
     return pulse.arrived(open + gate - tof) - pulse.arrived(open - tof);

@@ -16,7 +16,9 @@ typedef float LanesAt __attribute__((vector_size(4 * lanes), aligned(4), may_ali
 #define LOOM_AT(pointer) (*reinterpret_cast<const LanesAt*>(pointer))
 #define LOOM_SUM_AT(pointer) (*reinterpret_cast<LanesAt*>(pointer))
 
-inline float max_of(float a, float b) { return a > b ? a : b; }
+inline float max_of(float a, float b) {
+    return a > b ? a : b;
+}
 
 /// (1 - t/8)^8, 0 from t = 8 on: exp(-t) with an end.
 inline float falloff(float t) {
@@ -65,8 +67,7 @@ void tile_weights(const FilterTile& t) {
                     for (int i = 0; i < tw; ++i) sum[i] += column[i + j];
                 const float* __restrict inside = t.inside + (t.y + row) * t.stride + t.x;
                 const float* __restrict inside_q = inside + to_q;
-                for (int i = 0; i < tw; ++i)
-                    out[i] = inside[i] * inside_q[i] * falloff(max_of(0.0f, sum[i] * norm));
+                for (int i = 0; i < tw; ++i) out[i] = inside[i] * inside_q[i] * falloff(max_of(0.0f, sum[i] * norm));
             }
         }
     }
@@ -89,7 +90,9 @@ inline bool all_zero(const float* __restrict w) {
 }
 
 /// Column j, row k <= j of a symmetric matrix.
-constexpr int at(int j, int k) { return j * (j + 1) / 2 + k; }
+constexpr int at(int j, int k) {
+    return j * (j + 1) / 2 + k;
+}
 
 /// A = L D L^T in place (D on the diagonal), then b becomes A^-1 b.
 void solve(Lanes (&a)[nt * (nt + 1) / 2], Lanes (&b)[nt][3]) {

@@ -18,7 +18,8 @@ using StoredLanes = float __attribute__((vector_size(lane_block * sizeof(float))
 
 /// In a fixed order that every level can follow.
 [[gnu::always_inline]] inline float sum_of(const Lanes& v) {
-    const auto a = __builtin_shufflevector(v, v, 0, 1, 2, 3, 4, 5, 6, 7) + __builtin_shufflevector(v, v, 8, 9, 10, 11, 12, 13, 14, 15);
+    const auto a = __builtin_shufflevector(v, v, 0, 1, 2, 3, 4, 5, 6, 7) +
+                   __builtin_shufflevector(v, v, 8, 9, 10, 11, 12, 13, 14, 15);
     const auto b = __builtin_shufflevector(a, a, 0, 1, 2, 3) + __builtin_shufflevector(a, a, 4, 5, 6, 7);
     return (b[0] + b[2]) + (b[1] + b[3]);
 }
@@ -51,7 +52,8 @@ template <bool area>
     const float nx = c.normal.x, ny = c.normal.y, nz = c.normal.z;
     alignas(64) float attempts[max_lanes];
     for (int i = 0; i < e.n; ++i) {
-        const float y_x = e.y_x[i], y_y = e.y_y[i], y_z = e.y_z[i], n_x = e.n_x[i], n_y = e.n_y[i], n_z = e.n_z[i], pdf = e.pdf_shared[i];
+        const float y_x = e.y_x[i], y_y = e.y_y[i], y_z = e.y_z[i], n_x = e.n_x[i], n_y = e.n_y[i], n_z = e.n_z[i],
+                    pdf = e.pdf_shared[i];
         float* __restrict f = e.reflected + i * lanes;
         // A plain loop: g++ 12 makes scalars of `?:` on vectors that are wider than the processor's.
         for (int l = 0; l < lanes; ++l) {

@@ -55,7 +55,8 @@ void rgb_from_luminance_chroma(std::vector<float>& values) {
 
 /// Reads the channels of the colour, interleaved in their order.
 template <class T>
-std::string read_colour(OIIO::ImageInput& input, const OIIO::ImageSpec& spec, const ColourChannels& colour, std::vector<T>& values) {
+std::string read_colour(OIIO::ImageInput& input, const OIIO::ImageSpec& spec, const ColourChannels& colour,
+                        std::vector<T>& values) {
     const std::size_t n = std::size_t(colour.count()), n_pixels = std::size_t(spec.width) * std::size_t(spec.height);
     const auto [first, last] = std::minmax_element(colour.at.begin(), colour.at.begin() + std::ptrdiff_t(n));
     const int begin = *first, end = *last + 1;
@@ -70,12 +71,15 @@ std::string read_colour(OIIO::ImageInput& input, const OIIO::ImageSpec& spec, co
         const bool unsigned_numbers = numbers && spec.channelformat(colour.at[c]) == OIIO::TypeDesc::UINT32;
         const double scale = unsigned_numbers ? 4294967295.0 : 1.0;
         const std::size_t from = std::size_t(colour.at[c] - begin);
-        for (std::size_t i = 0; i < n_pixels; ++i) values[n * i + c] = unsigned_numbers ? T(double(read[width * i + from]) * scale) : read[width * i + from];
+        for (std::size_t i = 0; i < n_pixels; ++i)
+            values[n * i + c] = unsigned_numbers ? T(double(read[width * i + from]) * scale) : read[width * i + from];
     }
     return {};
 }
 
-std::string window_text(int x, int y, int width, int height) { return fmt::format("{} x {} at ({}, {})", width, height, x, y); }
+std::string window_text(int x, int y, int width, int height) {
+    return fmt::format("{} x {} at ({}, {})", width, height, x, y);
+}
 
 }  // namespace
 
@@ -87,7 +91,10 @@ extern "C" __attribute__((visibility("default"))) std::string loom_image_decoder
     if (!input) {
         const std::string why = OIIO::geterror();
         if (why.find("Subsampled") == std::string::npos) return fmt::format("not a readable image: {}", why);
-        return fmt::format("its colour is luminance with subsampled chroma (channels Y, RY, BY), which is not supported; store R, G, B: {}", why);
+        return fmt::format(
+            "its colour is luminance with subsampled chroma (channels Y, RY, BY), which is not supported; store R, G, "
+            "B: {}",
+            why);
     }
     const bool named = std::string_view(input->format_name()) == "openexr";
     const ColourChannels colour = named ? by_name(*input) : by_position(input->spec());
@@ -96,18 +103,22 @@ extern "C" __attribute__((visibility("default"))) std::string loom_image_decoder
     constexpr std::int64_t most_pixels = std::int64_t(1) << 30;
     if (spec.width < 1 || spec.height < 1 || spec.nchannels < 1 || spec.depth > 1 || spec.deep ||
         std::int64_t(spec.width) * spec.height > most_pixels)
-        return fmt::format("{} x {} pixels with {} channels{} cannot be used as a texture", spec.width, spec.height, spec.nchannels,
-                           spec.deep ? ", a deep image," : "");
+        return fmt::format("{} x {} pixels with {} channels{} cannot be used as a texture", spec.width, spec.height,
+                           spec.nchannels, spec.deep ? ", a deep image," : "");
     image.width = spec.width;
     image.height = spec.height;
     image.n_channels = colour.count();
-    if (spec.x != spec.full_x || spec.y != spec.full_y || spec.width != spec.full_width || spec.height != spec.full_height)
-        image.note = fmt::format("the texture is the stored pixels ({}), not the display window ({})", window_text(spec.x, spec.y, spec.width, spec.height),
+    if (spec.x != spec.full_x || spec.y != spec.full_y || spec.width != spec.full_width ||
+        spec.height != spec.full_height)
+        image.note = fmt::format("the texture is the stored pixels ({}), not the display window ({})",
+                                 window_text(spec.x, spec.y, spec.width, spec.height),
                                  window_text(spec.full_x, spec.full_y, spec.full_width, spec.full_height));
     const bool eight_bit = spec.format == OIIO::TypeDesc::UINT8;
     image.integers = eight_bit || spec.format == OIIO::TypeDesc::UINT16;
-    std::string problem = eight_bit ? read_colour(*input, spec, colour, image.bytes) : read_colour(*input, spec, colour, image.floats);
-    if (problem.empty() && colour.kind == ColourChannels::Kind::luminance_chroma) rgb_from_luminance_chroma(image.floats);
+    std::string problem =
+        eight_bit ? read_colour(*input, spec, colour, image.bytes) : read_colour(*input, spec, colour, image.floats);
+    if (problem.empty() && colour.kind == ColourChannels::Kind::luminance_chroma)
+        rgb_from_luminance_chroma(image.floats);
     return problem;
 }
 

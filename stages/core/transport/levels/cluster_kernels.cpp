@@ -1,12 +1,11 @@
 // The column loops of a cluster, compiled once per x86-64 level (LOOM_LEVEL is v2, v3 or v4). Every entry is
 // flattened: what it calls is inlined, so nothing else of a level leaks into the program.
+#include <cstring>
 #include <limits>
 #include <type_traits>
 
 #include "formats/io/octahedral.h"
 #include "stages/core/math/frame.h"
-#include <cstring>
-
 #include "stages/core/transport/cluster_columns.h"
 
 namespace loom::LOOM_LEVEL {
@@ -36,7 +35,8 @@ template <class World>
 [[gnu::always_inline]] inline float largest_of(const float* column, int lanes) {
     float partial[lane_block] = {};
     for (int block = 0; block < lanes; block += lane_block)
-        for (int l = 0; l < lane_block; ++l) partial[l] = column[block + l] > partial[l] ? column[block + l] : partial[l];
+        for (int l = 0; l < lane_block; ++l)
+            partial[l] = column[block + l] > partial[l] ? column[block + l] : partial[l];
     for (int half = lane_block / 2; half > 0; half /= 2)
         for (int l = 0; l < half; ++l) partial[l] = partial[l + half] > partial[l] ? partial[l + half] : partial[l];
     return partial[0];
@@ -57,13 +57,14 @@ template <class World>
 
 /// What a model chooses between and a loop cannot: choices inside it keep it scalar.
 template <class Family>
-constexpr bool has_facets = std::is_same_v<Family, RoughConductorFamily> || std::is_same_v<Family, RoughDielectricFamily> ||
-                            std::is_same_v<Family, RoughPlasticFamily>;
+constexpr bool has_facets = std::is_same_v<Family, RoughConductorFamily> ||
+                            std::is_same_v<Family, RoughDielectricFamily> || std::is_same_v<Family, RoughPlasticFamily>;
 template <class Family>
 constexpr bool has_base = std::is_same_v<Family, PlasticFamily> || std::is_same_v<Family, RoughPlasticFamily>;
 
 template <class Family>
-constexpr bool has_own = std::is_same_v<Family, PhongFamily> || std::is_same_v<Family, RoughConductorFamily> || std::is_same_v<Family, RoughPlasticFamily>;
+constexpr bool has_own = std::is_same_v<Family, PhongFamily> || std::is_same_v<Family, RoughConductorFamily> ||
+                         std::is_same_v<Family, RoughPlasticFamily>;
 
 /// The parameters in a lane; of a run whose lanes have none of their `own`, the model's exponent and index.
 template <bool own>
@@ -137,14 +138,19 @@ template <class Family, Answer answer>
 [[gnu::always_inline]] inline void evaluate_run(ClusterColumns& c, const ClusterColumns::Run& run) {
     const BsdfModel& m = *run.model;
     const auto with_own = [&]<bool beckmann, bool visible, bool nonlinear>() __attribute__((always_inline)) {
-        if (has_own<Family> && run.own) evaluate_run<Family, answer, beckmann, visible, nonlinear, has_own<Family>>(c, run);
-        else evaluate_run<Family, answer, beckmann, visible, nonlinear, false>(c, run);
+        if (has_own<Family> && run.own)
+            evaluate_run<Family, answer, beckmann, visible, nonlinear, has_own<Family>>(c, run);
+        else
+            evaluate_run<Family, answer, beckmann, visible, nonlinear, false>(c, run);
     };
     const auto with_base = [&]<bool beckmann, bool visible>() __attribute__((always_inline)) {
-        if (has_base<Family> && m.nonlinear) with_own.template operator()<beckmann, visible, has_base<Family>>();
-        else with_own.template operator()<beckmann, visible, false>();
+        if (has_base<Family> && m.nonlinear)
+            with_own.template operator()<beckmann, visible, has_base<Family>>();
+        else
+            with_own.template operator()<beckmann, visible, false>();
     };
-    if constexpr (!has_facets<Family>) with_base.template operator()<false, false>();
+    if constexpr (!has_facets<Family>)
+        with_base.template operator()<false, false>();
     else if (m.distribution == Microfacet::beckmann)
         m.sample_visible ? with_base.template operator()<true, true>() : with_base.template operator()<true, false>();
     else
@@ -154,14 +160,15 @@ template <class Family, Answer answer>
 template <Answer answer, class... Columns>
 [[gnu::always_inline]] inline void evaluate_runs(ClusterColumns& c, Columns&... columns) {
     for (const ClusterColumns::Run& run : c.runs)
-        with_family(run.model->kind, [&]<class Family>(Family) __attribute__((always_inline)) {
-            // Nothing but delta lobes: black.
-            if constexpr (Family::smooth) {
-                evaluate_run<Family, answer>(c, run);
-            } else {
-                for (int l = run.begin; l < run.past_end(); ++l) ((columns[l] = 0), ...);
-            }
-        });
+        with_family(
+            run.model->kind, [&]<class Family>(Family) __attribute__((always_inline)) {
+                // Nothing but delta lobes: black.
+                if constexpr (Family::smooth) {
+                    evaluate_run<Family, answer>(c, run);
+                } else {
+                    for (int l = run.begin; l < run.past_end(); ++l) ((columns[l] = 0), ...);
+                }
+            });
     const int lanes = padded_lanes(c.n);
     for (int l = c.n; l < lanes; ++l) ((columns[l] = 0), ...);
     c.pdf_sum = sum_of(c.pdf, lanes);
@@ -196,7 +203,10 @@ template <Answer answer, class... Columns>
 }
 
 [[gnu::flatten]] void evaluate_direction(ClusterColumns& c, float x, float y, float z) {
-    to_local(c, [=](int) __attribute__((always_inline)) { return Vector3f{x, y, z}; });
+    to_local(
+        c, [=](int) __attribute__((always_inline)) {
+            return Vector3f{x, y, z};
+        });
     const int lanes = padded_lanes(c.n);
     for (int l = 0; l < lanes; ++l) c.geometry[l] = 1;
     evaluate_runs(c);
@@ -206,58 +216,66 @@ template <Answer answer, class... Columns>
     for (const ClusterColumns::Run& run : c.runs) {
         const BsdfModel model = *run.model;
         const float below = behind_below(model);
-        with_family(model.kind, [&]<class Family>(Family) __attribute__((always_inline)) {
-            for (int l = run.begin; l < run.past_end(); ++l) {
-                Spectrum tint(0);
-                if constexpr (Family::coloured_base) {
-                    const Bsdf<float> b = run.own ? bsdf_of<true>(c, model, l) : bsdf_of<false>(c, model, l);
-                    const Vector3f wo = mirrored(c.wo_z[l] < below, Vector3f{c.wo_x[l], c.wo_y[l], c.wo_z[l]});
-                    tint = Family::tint(b, wo);
-                    c.p_coat[l] = Family::p_coat(b, wo);
+        with_family(
+            model.kind, [&]<class Family>(Family) __attribute__((always_inline)) {
+                for (int l = run.begin; l < run.past_end(); ++l) {
+                    Spectrum tint(0);
+                    if constexpr (Family::coloured_base) {
+                        const Bsdf<float> b = run.own ? bsdf_of<true>(c, model, l) : bsdf_of<false>(c, model, l);
+                        const Vector3f wo = mirrored(c.wo_z[l] < below, Vector3f{c.wo_x[l], c.wo_y[l], c.wo_z[l]});
+                        tint = Family::tint(b, wo);
+                        c.p_coat[l] = Family::p_coat(b, wo);
+                    }
+                    c.tint_r[l] = tint.r, c.tint_g[l] = tint.g, c.tint_b[l] = tint.b;
                 }
-                c.tint_r[l] = tint.r, c.tint_g[l] = tint.g, c.tint_b[l] = tint.b;
-            }
-        });
+            });
     }
     for (int l = c.n; l < padded_lanes(c.n); ++l) c.tint_r[l] = c.tint_g[l] = c.tint_b[l] = 0;
 }
 
 [[gnu::flatten]] void evaluate_lobes(ClusterColumns& c, float x, float y, float z) {
-    to_local(c, [=](int) __attribute__((always_inline)) { return Vector3f{x, y, z}; });
+    to_local(
+        c, [=](int) __attribute__((always_inline)) {
+            return Vector3f{x, y, z};
+        });
     const int lanes = padded_lanes(c.n);
     for (int l = 0; l < lanes; ++l) c.geometry[l] = 1;
     evaluate_runs<Answer::lobes>(c, c.base, c.coat, c.pdf);
 }
 
 [[gnu::flatten]] void evaluate_point(ClusterColumns& c, float x, float y, float z, float nx, float ny, float nz) {
-    to_local(c, [&](int l) __attribute__((always_inline)) {
-        const Vector3f d{x - c.px[l], y - c.py[l], z - c.pz[l]};
-        const float inv_d2 = 1 / std::max(length2(d), 1e-30f), inv_d = std::sqrt(inv_d2);
-        c.geometry[l] = std::max(-(d.x * nx + d.y * ny + d.z * nz), 0.0f) * inv_d * inv_d2;
-        return d * inv_d;
-    });
+    to_local(
+        c, [&](int l) __attribute__((always_inline)) {
+            const Vector3f d{x - c.px[l], y - c.py[l], z - c.pz[l]};
+            const float inv_d2 = 1 / std::max(length2(d), 1e-30f), inv_d = std::sqrt(inv_d2);
+            c.geometry[l] = std::max(-(d.x * nx + d.y * ny + d.z * nz), 0.0f) * inv_d * inv_d2;
+            return d * inv_d;
+        });
     evaluate_runs(c);
 }
 
 [[gnu::flatten]] void evaluate_delta_point(ClusterColumns& c, float x, float y, float z) {
-    to_local(c, [&](int l) __attribute__((always_inline)) {
-        const Vector3f d{x - c.px[l], y - c.py[l], z - c.pz[l]};
-        const float inv_d2 = 1 / std::max(length2(d), 1e-30f);
-        c.geometry[l] = inv_d2;
-        return d * std::sqrt(inv_d2);
-    });
+    to_local(
+        c, [&](int l) __attribute__((always_inline)) {
+            const Vector3f d{x - c.px[l], y - c.py[l], z - c.pz[l]};
+            const float inv_d2 = 1 / std::max(length2(d), 1e-30f);
+            c.geometry[l] = inv_d2;
+            return d * std::sqrt(inv_d2);
+        });
     evaluate_runs(c);
 }
 
 namespace {
 /// In 16 bits of `largest`.
-[[gnu::always_inline]] inline void fix(const float* __restrict f, int lanes, float largest, std::uint16_t* __restrict row) {
+[[gnu::always_inline]] inline void fix(const float* __restrict f, int lanes, float largest,
+                                       std::uint16_t* __restrict row) {
     const float to_fixed = largest > 0 ? 65535.0f / largest : 0.0f;
     for (int l = 0; l < lanes; ++l) row[l] = std::uint16_t(std::int32_t(f[l] * to_fixed + 0.5f));
 }
 }  // namespace
 
-[[gnu::flatten]] void fix_row(const ClusterColumns& c, const float* __restrict weight, std::uint16_t* __restrict row, float* __restrict largest, float* __restrict sum) {
+[[gnu::flatten]] void fix_row(const ClusterColumns& c, const float* __restrict weight, std::uint16_t* __restrict row,
+                              float* __restrict largest, float* __restrict sum) {
     const int lanes = padded_lanes(c.n);
     const float* const columns[3] = {c.f_r, c.f_g, c.f_b};
     alignas(64) float weighted[max_lanes];
@@ -270,8 +288,8 @@ namespace {
     }
 }
 
-[[gnu::flatten]] void fix_lobes(const ClusterColumns& c, bool base, bool coat, const float* __restrict weight, std::uint16_t* __restrict row,
-                                float* __restrict largest, float* __restrict sum) {
+[[gnu::flatten]] void fix_lobes(const ClusterColumns& c, bool base, bool coat, const float* __restrict weight,
+                                std::uint16_t* __restrict row, float* __restrict largest, float* __restrict sum) {
     const int lanes = padded_lanes(c.n);
     const float* const tints[3] = {c.tint_r, c.tint_g, c.tint_b};
     alignas(64) float weighted[max_lanes];
@@ -296,8 +314,8 @@ using FloatLanes = float __attribute__((vector_size(lane_block * sizeof(float)))
 using IntLanes = std::int32_t __attribute__((vector_size(lane_block * sizeof(std::int32_t))));
 using FixedLanes = std::uint16_t __attribute__((vector_size(lane_block * sizeof(std::uint16_t))));
 
-[[gnu::flatten]] void apply_block(const std::uint16_t* __restrict coefficient, const float* __restrict radiance, int n_edges,
-                                  int lanes, float* __restrict out) {
+[[gnu::flatten]] void apply_block(const std::uint16_t* __restrict coefficient, const float* __restrict radiance,
+                                  int n_edges, int lanes, float* __restrict out) {
     for (int block = 0; block < lanes; block += lane_block) {
         FloatLanes sum[3] = {};
         const std::uint16_t* row = coefficient + block;
@@ -305,14 +323,16 @@ using FixedLanes = std::uint16_t __attribute__((vector_size(lane_block * sizeof(
             for (int channel = 0; channel < 3; ++channel, row += lanes) {
                 FixedLanes fixed;
                 std::memcpy(&fixed, row, sizeof fixed);
-                sum[channel] += __builtin_convertvector(__builtin_convertvector(fixed, IntLanes), FloatLanes) * radiance[3 * e + channel];
+                sum[channel] += __builtin_convertvector(__builtin_convertvector(fixed, IntLanes), FloatLanes) *
+                                radiance[3 * e + channel];
             }
-        for (int channel = 0; channel < 3; ++channel) std::memcpy(out + channel * lanes + block, &sum[channel], sizeof sum[channel]);
+        for (int channel = 0; channel < 3; ++channel)
+            std::memcpy(out + channel * lanes + block, &sum[channel], sizeof sum[channel]);
     }
 }
 
-[[gnu::flatten]] void apply_plane(const std::uint16_t* __restrict coefficient, int stride, const float* __restrict radiance, int n_edges,
-                                  int lanes, float* __restrict out) {
+[[gnu::flatten]] void apply_plane(const std::uint16_t* __restrict coefficient, int stride,
+                                  const float* __restrict radiance, int n_edges, int lanes, float* __restrict out) {
     for (int block = 0; block < lanes; block += lane_block) {
         FloatLanes sum[3] = {};
         const std::uint16_t* row = coefficient + block;
@@ -322,7 +342,8 @@ using FixedLanes = std::uint16_t __attribute__((vector_size(lane_block * sizeof(
             const FloatLanes value = __builtin_convertvector(__builtin_convertvector(fixed, IntLanes), FloatLanes);
             for (int channel = 0; channel < 3; ++channel) sum[channel] += value * radiance[3 * e + channel];
         }
-        for (int channel = 0; channel < 3; ++channel) std::memcpy(out + channel * lanes + block, &sum[channel], sizeof sum[channel]);
+        for (int channel = 0; channel < 3; ++channel)
+            std::memcpy(out + channel * lanes + block, &sum[channel], sizeof sum[channel]);
     }
 }
 

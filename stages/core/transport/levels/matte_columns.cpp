@@ -99,7 +99,8 @@ void scatter(MatteColumns& c, std::size_t i) {
 }
 
 void leave_surface(MatteColumns& c, std::size_t i) {
-    c.next_o.set(i, offset_origin(c.p.get<Point3f>(i), c.ng.get<Normal3f>(i), c.hit_error[i], c.next_d.get<Vector3f>(i)));
+    c.next_o.set(i,
+                 offset_origin(c.p.get<Point3f>(i), c.ng.get<Normal3f>(i), c.hit_error[i], c.next_d.get<Vector3f>(i)));
 }
 
 }  // namespace
