@@ -2,7 +2,7 @@
 
 .DEFAULT_GOAL := demo
 .DELETE_ON_ERROR:
-.PHONY: demo image edit edit-techniques transient chart chart-transient chart-edit-graph chart-edit-cost chart-all report table table-edit edit-pictures choices test test-full stability asan bench peers peers-transient oidn tools build stages clean help
+.PHONY: format demo image edit edit-techniques transient chart chart-transient chart-edit-graph chart-edit-cost chart-all report table table-edit edit-pictures choices test test-full stability asan bench peers peers-transient oidn tools build stages clean help
 SHELL := /bin/sh
 include pipelines/variables.mk
 
@@ -110,6 +110,9 @@ oidn: ## (optional) Open Image Denoise for loom-denoise, fetched from PyPI into 
 		$(BUILD)/oidn/bin/pip install -q --no-deps pyoidn==2.5.1.0 >&2 && cd $(BUILD)/oidn && \
 		ln -s lib/python3*/site-packages/pyoidn/oidn/lib/libOpenImageDenoise.so.2 .; }
 	@echo $(BUILD)/oidn/libOpenImageDenoise.so.2
+
+format: ## give all sources the shape that .clang-format says (clang-format 14)
+	@sh tests/format.sh --fix
 
 tools: ## install the Debian packages that are missing
 	@$(call packages,install,build convenience)

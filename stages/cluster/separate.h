@@ -42,8 +42,8 @@ struct Separation {
 /// Cuts each cell into groups whose members may share light:
 ///   media      all have the same index of refraction on the side of wo, and transmissive ones across the surface too
 ///   path       none is of the path of another: where a path comes back, and how often, depends on what was sampled
-///              before, and a sum over all its visits counts long paths too often. In a thin pane of glass that lost 2
-///              % of the light
+///              before, and a sum over all its visits counts long paths too often. In a house of thin panes that
+///              lost 2 % of the light
 ///   occlusion  each is visible from the middle member, the one closest to the centroid
 /// Segments of the visibility test are raised along the geometric normals on the side of wo by a tenth of their length:
 /// a wall lower than that casts little shade. Where the two members lie in parallel planes, by a quarter of the

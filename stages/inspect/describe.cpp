@@ -70,8 +70,8 @@ struct ClusterFacts {
         spread = cluster_spread(graph, clusters);
     }
     std::string text() const {
-        return "\n" + text_of(sizes) + "\n" +
-               (spread ? text_of(*spread) + "\n" : "radii and normals: name the graph with --graph\n");
+        return fmt::format("\n{}\n{}\n", text_of(sizes),
+                           spread ? text_of(*spread) : "radii and normals: name the graph with --graph");
     }
     void write(JsonWriter& json) const {
         json.begin_object("clusters");

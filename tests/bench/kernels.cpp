@@ -16,7 +16,7 @@ constexpr int n = 1 << 14;  // in the cache
 /// Nanoseconds per element of body(i) over n elements, the fastest of many rounds. Its sum is kept.
 template <class Body>
 double ns_per_element(Body&& body) {
-    static volatile float sink;
+    [[maybe_unused]] static volatile float sink;
     double fastest = INFINITY;
     for (int round = 0; round < 15; ++round)
         fastest = std::min(fastest, seconds_of([&] {

@@ -24,7 +24,12 @@ TEST(Inspect, TableOfAGraph) {
     const ScratchFolder folder;
     const std::string file = folder / "g.h5";
     write_path_graph(tiny_graph(), file);
-    write_cost({"loom-test", 1.5, 3.0, 100, 4, 1 << 20, 1, {}, {}}, file);
+    Cost cost;
+    cost.stage = "loom-test";
+    cost.wall_s = 1.5, cost.cpu_s = 3;
+    cost.rays = 100, cost.samples = 4;
+    cost.peak_memory_bytes = 1 << 20, cost.bytes_written = 1;
+    write_cost(cost, file);
     const std::string text = inspect::text_of(survey_file(file), file);
     EXPECT_TRUE(holds(text, "path_graph 1.2")) << text;
     EXPECT_TRUE(holds(text, "4 paths, 6 vertices (1.5 per path), 4 light edges (0.667 per vertex)")) << text;

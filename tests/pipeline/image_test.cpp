@@ -108,7 +108,9 @@ TEST_F(MakeImage, direct_light_is_planned_from_the_passes) {
         const std::string samples = bytes_of(work / "direct.samples");
         (samples == "0\n" ? free : paid) += 1;
         EXPECT_EQ(fs::file_size(work / "direct.exr") == 0, samples == "0\n") << scene;
-        if (samples != "0\n") EXPECT_EQ(std::to_string(read_image(work / "direct.exr").samples) + "\n", samples);
+        if (samples != "0\n") {
+            EXPECT_EQ(std::to_string(read_image(work / "direct.exr").samples) + "\n", samples);
+        }
         // A number that is asked for is taken.
         image(name + "-1", variables + " DIRECT=6");
         EXPECT_EQ(read_image(work / "direct.exr").samples, 6u);

@@ -290,8 +290,9 @@ TEST_F(MakeVariables, are_all_listed_and_checked_first) {
         for (std::string line; std::getline(lines, line);) {
             if (line.starts_with("include pipelines/variables.mk")) checked = true;
             std::smatch match;
-            if (std::regex_search(line, match, documented))
+            if (std::regex_search(line, match, documented)) {
                 EXPECT_TRUE(known.contains(match[1])) << name << ": " << line;
+            }
             if (line.starts_with("#")) continue;
             for (auto at = std::sregex_iterator(line.begin(), line.end(), reference); at != std::sregex_iterator();
                  ++at) {

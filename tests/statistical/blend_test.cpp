@@ -302,8 +302,12 @@ TEST(Blend, IsHardlyWorseThanEither) {
         std::printf("    %s: blend %.3e, clusters %.3e, paths %.3e\n", c.name, sum.blend, sum.cluster, sum.paths);
         EXPECT_LT(sum.blend, 1.05 * sum.paths) << c.name;
         EXPECT_LT(sum.blend, 1.25 * sum.cluster) << c.name;
-        if (c.name == std::string("room")) EXPECT_LT(sum.cluster, sum.paths);
-        if (c.name == std::string("sharp shadow")) EXPECT_GT(sum.cluster, sum.paths);
+        if (c.name == std::string("room")) {
+            EXPECT_LT(sum.cluster, sum.paths);
+        }
+        if (c.name == std::string("sharp shadow")) {
+            EXPECT_GT(sum.cluster, sum.paths);
+        }
     }
 }
 

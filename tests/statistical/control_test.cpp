@@ -128,7 +128,9 @@ TEST_P(ControlledPictures, AreUnbiasedAndNoWorseThanEither) {
         EXPECT_NEAR(variance / controlled.said, 1, base == 8 ? 0.25 : 0.15);  // of 8 samples, VarMean is a guess
         EXPECT_LT(variance, 1.15 * of_fresh);
         EXPECT_LT(variance, 1.05 * of_sum);
-        if (base == 64) EXPECT_GT(of_sum / variance, edited.gain_at_least);
+        if (base == 64) {
+            EXPECT_GT(of_sum / variance, edited.gain_at_least);
+        }
     }
 }
 

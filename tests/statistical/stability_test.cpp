@@ -119,7 +119,9 @@ TEST(StabilityDivergence, BrightBoxConvergesUnderBothClamps) {
                 const Radiance r = make_pass(*scene, 80 + seed, recipe).radiance;
                 ASSERT_EQ(int(r.residual.size()), recipe.refine.iterations);
                 for (std::size_t i = 1; i < r.residual.size(); ++i)
-                    if (r.residual[i - 1] > 1e-6) EXPECT_LT(r.residual[i], r.residual[i - 1]) << i;
+                    if (r.residual[i - 1] > 1e-6) {
+                        EXPECT_LT(r.residual[i], r.residual[i - 1]) << i;
+                    }
                 for (const float L : r.L) ASSERT_TRUE(std::isfinite(L) && L >= 0);
                 EXPECT_GT(r.clamped_share, 0);
                 EXPECT_LT(r.clamped_share, 0.05);

@@ -166,10 +166,13 @@ TEST_P(EachTechnique, HasTheMeanOfThePathsThatItCanFind) {
         if (largest > 0)
             fmt::print("{} {}: a factor of {:.2f} is seen in nine of ten runs\n", GetParam().name, families[f].name,
                        1 + (critical + 1.28) / largest);
-        if (largest > 0) EXPECT_LT(seen, alpha) << "half of it is not seen";
+        if (largest > 0) {
+            EXPECT_LT(seen, alpha) << "half of it is not seen";
+        }
         // All paths by way of a smooth ball are specular where this one begins.
-        if (!(largest > 0))
+        if (!(largest > 0)) {
             EXPECT_EQ(std::string(families[f].name) + " of " + GetParam().name, "dynamic-from-emitter of glass");
+        }
     }
 }
 

@@ -397,8 +397,12 @@ TEST(ClusterShading, SplitsWhereCoatsAreGrey) {
             const Spectrum f = shading->f_of_lobes(0, 1);
             for (int channel = 0; channel < 3; ++channel) expect_near(f[channel], expected[channel], "f", 2e-6f);
             expect_near(shading->pdf_bsdf_sum(), density, "density", 2e-6f);
-            if (!shading->lobes().base) EXPECT_EQ(shading->columns().base[0], 0);
-            if (!shading->lobes().coat) EXPECT_EQ(shading->columns().coat[0], 0);
+            if (!shading->lobes().base) {
+                EXPECT_EQ(shading->columns().base[0], 0);
+            }
+            if (!shading->lobes().coat) {
+                EXPECT_EQ(shading->columns().coat[0], 0);
+            }
             ASSERT_FALSE(::testing::Test::HasFailure());
         }
     }

@@ -331,7 +331,9 @@ TEST_F(Emitters, ManyQueriesAtOnceEqualOneByOne) {
             EXPECT_EQ(many[i].point.pmf, one.point.pmf);
             EXPECT_EQ(many[i].pdf_w, one.pdf_w);
             EXPECT_EQ(many[i].Le, one.Le);
-            if (one.ask == LightQuery::Ask::point && !one.placed) EXPECT_EQ(many[i].u.x, one.u.x);
+            if (one.ask == LightQuery::Ask::point && !one.placed) {
+                EXPECT_EQ(many[i].u.x, one.u.x);
+            }
             EXPECT_EQ(many[i].point.Li, one.point.Li);
             EXPECT_EQ(Vector3f(many[i].point.y), Vector3f(one.point.y));
             EXPECT_EQ(many[i].point.pdf_w, one.point.pdf_w);

@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <bit>
 #include <charconv>
-#include <cstring>
 #include <string_view>
 
 #include "formats/io/error.h"
@@ -151,14 +150,21 @@ class PlyReader {
         if (encoding_ == Encoding::ascii) return ascii_number();
         const std::size_t size = type_size[int(type)];
         if (bytes_.size() - at_ < size) fail(fmt::format("truncated at byte {}", bytes_.size()));
-        unsigned char raw[8];
-        std::memcpy(raw, bytes_.data() + at_, size);
+        std::uint64_t bits = 0;
+        for (std::size_t i = 0; i < size; ++i) {
+            const std::size_t place = encoding_ == Encoding::little ? i : size - 1 - i;
+            bits |= std::uint64_t{std::uint8_t(bytes_[at_ + i])} << (8 * place);
+        }
         at_ += size;
-        if ((encoding_ == Encoding::little) != (std::endian::native == std::endian::little))
-            std::reverse(raw, raw + size);
-        const auto as = [&]<class T>(T value) {
-            std::memcpy(&value, raw, sizeof value);
-            return double(value);
+        const auto as = [&]<class T>(T) {
+            if constexpr (sizeof(T) == 1)
+                return double(std::bit_cast<T>(std::uint8_t(bits)));
+            else if constexpr (sizeof(T) == 2)
+                return double(std::bit_cast<T>(std::uint16_t(bits)));
+            else if constexpr (sizeof(T) == 4)
+                return double(std::bit_cast<T>(std::uint32_t(bits)));
+            else
+                return double(std::bit_cast<T>(bits));
         };
         switch (type) {
             case Type::int8:
