@@ -22,7 +22,7 @@ namespace loom::cluster {
 struct Workspace::Parts {
     Scratch<Point> points, centres;
     Scratch<std::uint32_t> bucket, nearest, slot;
-    SeparationMemory separation;
+    Scratch<PackedVertex> packed;
 };
 
 Workspace::Workspace() : parts_(std::make_unique<Parts>()) {}
@@ -250,7 +250,7 @@ PooledCells make_cells(const Pool& pool, const ClusterOptions& options, Workspac
                       : centre_cells(points, options, n_graphs * options.k, splits, memory);
     const auto rays = [](const Scene* scene) { return scene ? scene->rays.get() : nullptr; };
     const Separation separation =
-        separate(pool, rays(options.scene), rays(options.with_scene), options.threads, memory.separation, cells);
+        separate(pool, rays(options.scene), rays(options.with_scene), options.threads, memory.packed, cells);
     return {std::move(cells),
             {std::string(method_name(options.method)), options.k, max_size, options.normal_weight, length_scale,
              options.private_roughness, options.seed},

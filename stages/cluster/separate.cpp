@@ -28,21 +28,6 @@ struct Member {
     Normal3f n;
 };
 
-PackedPlace place_of(const PathGraph& g, std::size_t j) {
-    const auto& v = g.vertices;
-    const auto& column = v.ng.empty() ? v.ns : v.ng;
-    PackedPlace place{{v.p[3 * j], v.p[3 * j + 1], v.p[3 * j + 2]}, {column[2 * j], column[2 * j + 1]}};
-    const auto n = unit_vector<Normal3f>(column, j);
-    if (dot(n, Vector3f{v.wo[3 * j], v.wo[3 * j + 1], v.wo[3 * j + 2]}) < 0)
-        place.n = octahedral_from_unit(-n.x, -n.y, -n.z);
-    return place;
-}
-
-Member unpack(const PackedPlace& place) {
-    const auto n = unit_from_octahedral(place.n[0], place.n[1]);
-    return {place.p, {n[0], n[1], n[2]}};
-}
-
 /// Indices of refraction on the side of wo and, at surfaces that transmit, across; equal keys may share.
 std::uint64_t media_key(const PathGraph& g, std::size_t j) {
     const auto& v = g.vertices;
@@ -55,12 +40,49 @@ std::uint64_t media_key(const PathGraph& g, std::size_t j) {
     return bits(v.eta[j]) << 32 | bits(outside ? g.materials.int_ior[m] : g.materials.ext_ior[m]);
 }
 
-/// Sets the bit of each vertex that begins a path.
-void mark_starts(const PathGraph& g, std::size_t offset, std::span<std::uint64_t> starts) {
-    for (std::size_t path = 0; path < g.n_paths(); ++path)
-        if (const std::uint64_t j = g.paths.first_vertex[path]; j < g.n_vertices())
-            starts[(offset + j) / 64] |= std::uint64_t{1} << ((offset + j) % 64);
+PackedVertex pack(const PathGraph& g, std::size_t j) {
+    const auto& v = g.vertices;
+    const auto& column = v.ng.empty() ? v.ns : v.ng;
+    PackedVertex out{{v.p[3 * j], v.p[3 * j + 1], v.p[3 * j + 2]}, {column[2 * j], column[2 * j + 1]}, media_key(g, j)};
+    const auto n = unit_vector<Normal3f>(column, j);
+    if (dot(n, Vector3f{v.wo[3 * j], v.wo[3 * j + 1], v.wo[3 * j + 2]}) < 0)
+        out.n = octahedral_from_unit(-n.x, -n.y, -n.z);
+    return out;
 }
+
+Member unpack(const PackedVertex& vertex) {
+    const auto n = unit_from_octahedral(vertex.n[0], vertex.n[1]);
+    return {vertex.p, {n[0], n[1], n[2]}};
+}
+
+/// Where paths begin among the vertices of a pool.
+struct Starts {
+    std::vector<std::uint64_t> bits;  // of vertices
+    std::uint32_t longest = 0;        // path, in vertices
+
+    explicit Starts(const Pool& pool) : bits(pool.size() / 64 + 1) {
+        pool.for_each_graph([&](const PathGraph& g, std::size_t offset) {
+            const auto& first = g.paths.first_vertex;
+            for (std::size_t path = 0; path < g.n_paths(); ++path) {
+                if (first[path] == first[path + 1]) continue;
+                bits[(offset + first[path]) / 64] |= std::uint64_t{1} << ((offset + first[path]) % 64);
+                longest = std::max(longest, std::uint32_t(first[path + 1] - first[path]));
+            }
+        });
+    }
+
+    /// Whether two vertices, a before b, are of one path.
+    bool one_path(std::uint32_t a, std::uint32_t b) const {
+        if (b - a >= longest) return false;
+        for (std::uint32_t word = (a + 1) / 64; word <= b / 64; ++word) {
+            std::uint64_t set = bits[word];
+            if (word == (a + 1) / 64) set &= ~std::uint64_t{0} << ((a + 1) % 64);
+            if (word == b / 64) set &= ~std::uint64_t{0} >> (63 - b % 64);
+            if (set) return false;
+        }
+        return true;
+    }
+};
 
 /// The segment between two members, raised off their surface; see separate().
 Ray segment(const Member& a, const Member& b) {
@@ -92,28 +114,25 @@ struct Group {
 
 class Separator {
   public:
-    /// in: places  of all vertices of the pool, or none: no visibility test;  media  their keys, or none: all alike
-    ///     starts  bits of the vertices that begin a path
-    Separator(std::span<const PackedPlace> places, std::span<const std::uint64_t> media,
-              std::span<const std::uint64_t> starts, std::size_t n_first, const RayEngine* first,
-              const RayEngine* second)
-        : places_(places), media_(media), starts_(starts), n_first_(n_first), engines_{first, second} {}
+    /// in: packed  all vertices of the pool, or none where neither of the two tests that read them is wanted;
+    ///     n_first  vertices from here on are of the second engine's scene;  first  null: no visibility test
+    Separator(std::span<const PackedVertex> packed, bool has_media, const Starts& starts, std::size_t n_first,
+              const RayEngine* first, const RayEngine* second)
+        : packed_(packed), has_media_(has_media), starts_(starts), n_first_(n_first), engines_{first, second} {}
 
     /// Appends groups of one cell to `out`, their sizes to `sizes`.
     /// in: next  cell that comes after it, for which the cache is asked already: members lie far apart in the graph
     void cut(std::span<const std::uint32_t> cell, std::span<const std::uint32_t> next, Group& w,
              std::vector<std::uint32_t>& out, std::vector<std::uint32_t>& sizes, Separation& count) const {
-        for (const std::uint32_t vertex : next) {
-            if (!media_.empty()) __builtin_prefetch(&media_[vertex]);
-            if (!places_.empty()) __builtin_prefetch(&places_[vertex]);
-        }
+        if (!packed_.empty())
+            for (const std::uint32_t vertex : next) __builtin_prefetch(&packed_[vertex]);
         w.rest.assign(cell.begin(), cell.end());
         while (!w.rest.empty()) {
             w.members.swap(w.rest);
             w.rest.clear();
-            if (!media_.empty()) keep_one_medium(w, count);
+            if (has_media_) keep_one_medium(w, count);
             keep_one_of_each_path(w, count);
-            if (!places_.empty()) keep_visible(w, count);
+            if (engines_[0]) keep_visible(w, count);
             sizes.push_back(std::uint32_t(w.members.size()));
             out.insert(out.end(), w.members.begin(), w.members.end());
         }
@@ -121,23 +140,12 @@ class Separator {
 
   private:
     void keep_one_medium(Group& w, Separation& count) const {
-        const std::uint64_t kept = media_[w.members[0]];
+        const std::uint64_t kept = packed_[w.members[0]].media;
         const auto other = std::stable_partition(w.members.begin(), w.members.end(),
-                                                 [&](std::uint32_t v) { return media_[v] == kept; });
+                                                 [&](std::uint32_t v) { return packed_[v].media == kept; });
         count.n_media += std::uint64_t(w.members.end() - other);
         w.rest.assign(other, w.members.end());
         w.members.erase(other, w.members.end());
-    }
-
-    /// Whether two vertices, a before b, are of one path.
-    bool one_path(std::uint32_t a, std::uint32_t b) const {
-        for (std::uint32_t word = (a + 1) / 64; word <= b / 64; ++word) {
-            std::uint64_t bits = starts_[word];
-            if (word == (a + 1) / 64) bits &= ~std::uint64_t{0} << ((a + 1) % 64);
-            if (word == b / 64) bits &= ~std::uint64_t{0} >> (63 - b % 64);
-            if (bits) return false;
-        }
-        return true;
     }
 
     /// Members ascend, so those of one path follow one another.
@@ -146,7 +154,7 @@ class Separator {
         const std::size_t n_before = w.rest.size();
         for (std::size_t i = 1; i < w.members.size(); ++i) {
             const std::uint32_t vertex = w.members[i];
-            if (one_path(w.members[kept - 1], vertex))
+            if (starts_.one_path(w.members[kept - 1], vertex))
                 w.rest.push_back(vertex);
             else
                 w.members[kept++] = vertex;
@@ -167,7 +175,7 @@ class Separator {
         w.places.clear();
         Vector3f sum{};
         for (const std::uint32_t vertex : w.members) {
-            w.places.push_back(unpack(places_[vertex]));
+            w.places.push_back(unpack(packed_[vertex]));
             sum = sum + (w.places.back().p - w.places[0].p);
         }
         const Point3f centroid = w.places[0].p + sum * (1 / float(n));
@@ -205,8 +213,9 @@ class Separator {
         w.members.resize(kept);
     }
 
-    std::span<const PackedPlace> places_;
-    std::span<const std::uint64_t> media_, starts_;
+    std::span<const PackedVertex> packed_;
+    bool has_media_;
+    const Starts& starts_;
     std::size_t n_first_;
     const RayEngine* engines_[2];
 };
@@ -214,23 +223,20 @@ class Separator {
 }  // namespace
 
 Separation separate(const Pool& pool, const RayEngine* first, const RayEngine* second, int threads,
-                    SeparationMemory& memory, Cells& cells) {
+                    Scratch<PackedVertex>& memory, Cells& cells) {
     const std::size_t n_cells = cells.first.empty() ? 0 : cells.first.size() - 1;
     Separation sum{.tested_visibility = first != nullptr};
     // Read in the order of the graph: cell by cell each column of each member would be a page of its own.
-    const std::span<PackedPlace> places = memory.places.get(first ? pool.size() : 0);
-    const std::span<std::uint64_t> media = memory.media.get(pool.has_media() ? pool.size() : 0);
-    std::vector<std::uint64_t> starts(pool.size() / 64 + 1);
-    pool.for_each_graph([&](const PathGraph& graph, std::size_t offset) { mark_starts(graph, offset, starts); });
-    const std::uint64_t n_packed = places.empty() && media.empty() ? 0 : pool.size();
-    parallel_chunks(n_packed, vertices_per_chunk, threads, [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
-        for (std::uint64_t j = begin; j < end; ++j) {
-            const auto [graph, row] = pool[j];
-            if (!places.empty()) places[j] = place_of(graph, row);
-            if (!media.empty()) media[j] = media_key(graph, row);
-        }
-    });
-    const Separator separator(places, media, starts, pool.n_first(), first, second);
+    const std::span<PackedVertex> packed = memory.get(first || pool.has_media() ? pool.size() : 0);
+    parallel_chunks(packed.size(), vertices_per_chunk, threads,
+                    [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
+                        for (std::uint64_t j = begin; j < end; ++j) {
+                            const auto [graph, row] = pool[j];
+                            packed[j] = pack(graph, row);
+                        }
+                    });
+    const Starts starts(pool);
+    const Separator separator(packed, pool.has_media(), starts, pool.n_first(), first, second);
     const std::uint64_t n_chunks = (n_cells + cells_per_chunk - 1) / cells_per_chunk;
     std::vector<std::vector<std::uint32_t>> sizes(n_chunks);
     std::vector<Separation> counts(n_chunks);

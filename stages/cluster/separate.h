@@ -18,17 +18,14 @@ struct Cells {
     std::vector<std::uint32_t> first, member;
 };
 
-/// What the test of visibility reads of a vertex: position, and geometric normal on the side of wo, octahedral.
-struct PackedPlace {
+/// What the tests read of a vertex, in one place: position, geometric normal on the side of wo, octahedral, and a key of
+/// the media on its two sides.
+struct PackedVertex {
     Point3f p;
     std::array<std::int16_t, 2> n;
+    std::uint64_t media;
 };
-static_assert(sizeof(PackedPlace) == 16);
-
-struct SeparationMemory {
-    Scratch<PackedPlace> places;
-    Scratch<std::uint64_t> media;
-};
+static_assert(sizeof(PackedVertex) == 24);
 
 /// What was kept apart, in vertices.
 struct Separation {
@@ -51,6 +48,6 @@ struct Separation {
 /// What is cut off forms groups of its own by the same rule. Groups of a cell follow one another; members ascend.
 /// in:   first, second  ray engines of the scenes of the pool's graphs; null: no visibility test
 Separation separate(const Pool& pool, const RayEngine* first, const RayEngine* second, int threads,
-                    SeparationMemory& memory, Cells& cells);
+                    Scratch<PackedVertex>& memory, Cells& cells);
 
 }  // namespace loom::cluster
