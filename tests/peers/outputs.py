@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
 """Hashes of all that a fixed set of runs writes, to be compared before and after a change that must change nothing.
 
-    outputs.py record FOLDER [--build build] >before.tsv      # makes the runs in FOLDER, about three minutes on two cores
+    outputs.py record FOLDER [--build build] >before.tsv      # makes the runs in FOLDER, about five minutes on two cores
     outputs.py compare before.tsv after.tsv                   # exit code 1 when any differs
 
 One line per dataset of an HDF5 file and per channel of an image: run, file, name, type, shape, SHA-256 of the values.
-Attributes, descriptions, provenance and costs are not compared: they are words and times. Needs h5py and mitsuba (`make peers`).
+Attributes, descriptions, provenance, hashes of files and costs are not compared: they are words and times. Needs h5py and mitsuba (`make peers`).
 """
 
 import argparse
@@ -85,7 +85,7 @@ def values(file):
         with h5py.File(file) as h5:
             h5.visititems(lambda name, node: found.append((name, node[()])) if isinstance(node, h5py.Dataset) else None)
         for name, value in found:
-            if not name.startswith("provenance"):
+            if not name.startswith("provenance") and not name.endswith("/hash"):  # of whole files, commands included
                 yield name, numpy.asarray(value)
     else:
         bitmap = mitsuba.Bitmap(str(file))
