@@ -46,7 +46,7 @@ inline float continuation_density(const ClusterShading& shading, const VertexRow
     if (row.dead_end()) return 0;
     float rho = 0;
     for (int k = 0; k < shading.size(); ++k)
-        if (!(shading.row(k).bits & vertex_bit::last_step)) rho += shading.columns().survival[k] * shading.pdf_bsdf(k);
+        if (!(shading.row(k).bits & vertex_bit::last_step)) rho += shading.pdf_bsdf(k);
     return rho;
 }
 
