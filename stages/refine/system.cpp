@@ -122,7 +122,7 @@ struct Builder {
         // What a continuation passes, as basic radiance but for its own eta^2: of all techniques, and of those that can
         // bring the light of an end without a cluster (continuation_density()).
         struct {
-            float per_attempt;
+            float per_attempt = 0;
             Spectrum passed{0};
         } all, alone;
         const auto sum = [&](auto& of, std::uint16_t without) {
@@ -136,7 +136,9 @@ struct Builder {
             of.passed *= of.per_attempt;
         };
         sum(all, 0);
-        sum(alone, vertex_bit::last_step);
+        bool last_steps = false;
+        for (int l = 0; l < flat.size(); ++l) last_steps |= (flat.row(l).bits & vertex_bit::last_step) != 0;
+        if (last_steps) sum(alone, vertex_bit::last_step);
         int n_edges = 0;
         for (int l = 0; l < flat.size(); ++l) {
             const VertexRow row = flat.row(l);  // a copy: its place is taken by the result
@@ -149,7 +151,7 @@ struct Builder {
                 const bool above = cos > 0;
                 const std::size_t slot = begin + std::size_t(n_edges++);
                 if (above) own_weight = albedo * (cos * inv_pi<float> / row.pdf_w);
-                const auto& of = row.bits & vertex_bit::ends_alone ? alone : all;
+                const auto& of = last_steps && (row.bits & vertex_bit::ends_alone) ? alone : all;
                 const bool brings = above && !row.dead_end();
                 system.edges[slot] = {clamped(of.passed * (brings ? eta2_of_next(row, j) : 0.0f), result) *
                                           (brings ? of.per_attempt : 0.0f),
