@@ -25,6 +25,15 @@ inline std::array<std::int16_t, 2> octahedral_from_unit(float x, float y, float 
     return {snorm(u), snorm(v)};
 }
 
+/// The code of -n from that of n.
+inline std::array<std::int16_t, 2> octahedral_opposite(std::int16_t u, std::int16_t v) {
+    const auto folded = [](std::int16_t from, std::int16_t other) {
+        const int rest = 32767 - (other < 0 ? -other : other);
+        return static_cast<std::int16_t>(from < 0 ? rest : -rest);
+    };
+    return {folded(u, v), folded(v, u)};
+}
+
 inline std::array<float, 3> unit_from_octahedral(std::int16_t u, std::int16_t v) {
     float x = static_cast<float>(u) * (1.0f / 32767.0f);
     float y = static_cast<float>(v) * (1.0f / 32767.0f);

@@ -22,7 +22,7 @@ namespace loom::cluster {
 struct Workspace::Parts {
     Scratch<Point> points, centres;
     Scratch<std::uint32_t> bucket, nearest, slot;
-    Scratch<PackedVertex> packed;
+    Scratch<std::uint64_t> media;
 };
 
 Workspace::Workspace() : parts_(std::make_unique<Parts>()) {}
@@ -112,8 +112,12 @@ BucketedPoints fill_buckets(const Pool& pool, std::size_t n_sharing, const Metri
     parallel_chunks(n, vertices_per_chunk, options.threads,
                     [&](std::uint64_t chunk, std::uint64_t begin, std::uint64_t end) {
                         std::size_t* mine = places.data() + chunk * n_buckets;
-                        for (std::uint64_t j = begin; j < end; ++j)
-                            if (bucket_of[j] != no_bucket) out.points[mine[bucket_of[j]]++] = metric(j);
+                        for (std::uint64_t j = begin; j < end; ++j) {
+                            if (bucket_of[j] == no_bucket) continue;
+                            Point point = metric(j);
+                            if (options.scene) point.ng = metric.geometric_normal(j);
+                            out.points[mine[bucket_of[j]]++] = point;
+                        }
                     });
     return out;
 }
@@ -135,17 +139,33 @@ std::vector<std::uint32_t> offsets_of(const std::vector<std::vector<std::uint32_
     return first;
 }
 
-Cells balanced_cells(const BucketedPoints& in, const ClusterOptions& options, const Splits& splits) {
+/// Groups of vertices of a pool that may share light.
+struct Cells {
+    std::vector<std::uint32_t> first, member;
+    Separation separation;
+};
+
+Separation added(const std::vector<Separation>& parts) {
+    Separation sum;
+    for (const Separation& part : parts) sum += part;
+    return sum;
+}
+
+/// Separates while the points of a bucket are in the cache: in the order of the graph each would be a page of its own.
+Cells balanced_cells(const BucketedPoints& in, const ClusterOptions& options, const Splits& splits,
+                     const Separator& separator) {
     const std::size_t n_buckets = in.first.size() - 1;
     std::vector<std::vector<std::uint32_t>> sizes(n_buckets);
+    std::vector<Separation> separations(n_buckets);
     std::vector<std::uint32_t> member(in.points.size());
     parallel_chunks(n_buckets, 1, options.threads, [&](std::uint64_t bucket, std::uint64_t, std::uint64_t) {
         const auto points = in.points.subspan(in.first[bucket], in.first[bucket + 1] - in.first[bucket]);
         sizes[bucket].reserve(points.size() / options.k * 5 / 4 + 1);
         split_by_medians(points, with_seed(splits, mix64(options.seed + bucket)), sizes[bucket]);
+        separator.cut(points, sizes[bucket], separations[bucket]);
         for (std::size_t i = 0; i < points.size(); ++i) member[in.first[bucket] + i] = points[i].vertex;
     });
-    return {offsets_of(sizes), std::move(member)};
+    return {offsets_of(sizes), std::move(member), added(separations)};
 }
 
 /// Bits of x with two zeros after each; x < 1024.
@@ -192,7 +212,7 @@ void select(std::span<const Point> points, std::span<Point> chosen, std::uint64_
 
 /// in: mean_size  of a cell;  splits  of what is larger than a cell may be
 Cells centre_cells(const BucketedPoints& in, const ClusterOptions& options, std::uint32_t mean_size,
-                   const Splits& splits, Workspace::Parts& memory) {
+                   const Splits& splits, const Separator& separator, Workspace::Parts& memory) {
     const std::size_t n = in.points.size();
     parallel_chunks(in.first.size() - 1, 1, options.threads, [&](std::uint64_t bucket, std::uint64_t, std::uint64_t) {
         sort_along_curve(in.points.subspan(in.first[bucket], in.first[bucket + 1] - in.first[bucket]));
@@ -211,27 +231,32 @@ Cells centre_cells(const BucketedPoints& in, const ClusterOptions& options, std:
     for (std::size_t i = 0; i < n; ++i) slot[next[nearest[i]]++] = std::uint32_t(i);
 
     constexpr std::size_t centres_per_chunk = 1024;
-    std::vector<std::vector<std::uint32_t>> sizes((n_centres + centres_per_chunk - 1) / centres_per_chunk);
+    const std::size_t n_chunks = (n_centres + centres_per_chunk - 1) / centres_per_chunk;
+    std::vector<std::vector<std::uint32_t>> sizes(n_chunks);
+    std::vector<Separation> separations(n_chunks);
     std::vector<std::uint32_t> member(n);
     parallel_chunks(n_centres, centres_per_chunk, options.threads,
                     [&](std::uint64_t chunk, std::uint64_t begin, std::uint64_t end) {
                         std::vector<Point> points;
+                        std::vector<std::uint32_t> of_centre;
                         for (std::uint64_t centre = begin; centre < end; ++centre) {
                             points.clear();
                             for (std::uint32_t i = first[centre]; i < first[centre + 1]; ++i)
                                 points.push_back(in.points[slot[i]]);
-                            split_by_medians(points, with_seed(splits, mix64(options.seed + centre)), sizes[chunk]);
+                            of_centre.clear();
+                            split_by_medians(points, with_seed(splits, mix64(options.seed + centre)), of_centre);
+                            separator.cut(points, of_centre, separations[chunk]);
+                            sizes[chunk].insert(sizes[chunk].end(), of_centre.begin(), of_centre.end());
                             for (std::size_t i = 0; i < points.size(); ++i)
                                 member[first[centre] + i] = points[i].vertex;
                         }
                     });
-    return {offsets_of(sizes), std::move(member)};
+    return {offsets_of(sizes), std::move(member), added(separations)};
 }
 
 struct PooledCells {
     Cells cells;
     Clusters::Settings settings;
-    Separation separation;
 };
 
 PooledCells make_cells(const Pool& pool, const ClusterOptions& options, Workspace::Parts& memory) {
@@ -245,16 +270,16 @@ PooledCells make_cells(const Pool& pool, const ClusterOptions& options, Workspac
     if (options.normal_weight > 0) splits.normal_spread = normal_spread * options.normal_weight;
     if (pool.joint()) splits.second_graph = std::uint32_t(pool.n_first());
     splits.k = options.method == Method::balanced ? options.k : max_size;
-    Cells cells = options.method == Method::balanced
-                      ? balanced_cells(points, options, splits)
-                      : centre_cells(points, options, n_graphs * options.k, splits, memory);
     const auto rays = [](const Scene* scene) { return scene ? scene->rays.get() : nullptr; };
-    const Separation separation =
-        separate(pool, rays(options.scene), rays(options.with_scene), options.threads, memory.packed, cells);
+    const Separator separator(pool, metric, rays(options.scene), rays(options.with_scene), options.threads,
+                              memory.media);
+    Cells cells = options.method == Method::balanced
+                      ? balanced_cells(points, options, splits, separator)
+                      : centre_cells(points, options, n_graphs * options.k, splits, separator, memory);
+    cells.separation.tested_visibility = options.scene != nullptr;
     return {std::move(cells),
             {std::string(method_name(options.method)), options.k, max_size, options.normal_weight, length_scale,
-             options.private_roughness, options.seed},
-            separation};
+             options.private_roughness, options.seed}};
 }
 
 void set_separation(Clusters& clusters, const Separation& separation) {
@@ -275,7 +300,7 @@ Clusters clusters_within(const PooledCells& pooled, std::size_t begin, std::size
     Clusters out;
     out.graph_vertices = end - begin;
     out.settings = pooled.settings;
-    set_separation(out, pooled.separation);
+    set_separation(out, pooled.cells.separation);
     out.first = std::move(first);
     out.member = std::move(member);
     return out;
@@ -289,11 +314,11 @@ std::string_view method_name(Method method) {
 
 Clusters make_clusters(const PathGraph& graph, const ClusterOptions& options, Workspace& workspace) {
     PooledCells pooled = make_cells(Pool(graph, nullptr, options.private_roughness), options, workspace.parts());
-    workspace.n_rays = pooled.separation.n_rays;
+    workspace.n_rays = pooled.cells.separation.n_rays;
     Clusters out;
     out.graph_vertices = graph.n_vertices();
     out.settings = std::move(pooled.settings);
-    set_separation(out, pooled.separation);
+    set_separation(out, pooled.cells.separation);
     out.first = std::move(pooled.cells.first);
     out.member = std::move(pooled.cells.member);
     return out;
@@ -309,7 +334,7 @@ JointClusters make_joint_clusters(const PathGraph& first, const PathGraph& secon
     if (n >= Splits::no_second) throw std::logic_error("make_joint_clusters: too many vertices");
     Workspace workspace;
     const PooledCells pooled = make_cells(Pool(first, &second, options.private_roughness), options, workspace.parts());
-    return {clusters_within(pooled, 0, n_first), clusters_within(pooled, n_first, n), pooled.separation.n_rays};
+    return {clusters_within(pooled, 0, n_first), clusters_within(pooled, n_first, n), pooled.cells.separation.n_rays};
 }
 
 std::string plan(const PathGraph& graph, const PathGraph* with, const ClusterOptions& options) {

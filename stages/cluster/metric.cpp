@@ -29,6 +29,15 @@ std::array<Vector3f, 3> random_rotation(std::uint64_t key, float scale) {
     return rows;
 }
 
+Vector3f unit(const Column<std::int16_t>& normals, std::size_t j) {
+    const auto n = unit_from_octahedral(normals[2 * j], normals[2 * j + 1]);
+    return {n[0], n[1], n[2]};
+}
+
+Vector3f wo(const PathGraph::Vertices& v, std::size_t j) {
+    return {v.wo[3 * j], v.wo[3 * j + 1], v.wo[3 * j + 2]};
+}
+
 /// Of all vertices of the pool: enough for a median to a percent or two.
 constexpr std::size_t subset_size = 32768;
 constexpr std::uint32_t subset_k = 16;
@@ -39,7 +48,8 @@ Metric::Metric(const Pool& pool, float length_scale, float normal_weight, std::u
     : pool_(pool),
       p_rows_(random_rotation(mix64(seed), 1 / length_scale)),
       n_rows_(random_rotation(mix64(~seed), normal_weight)),
-      origin_{} {
+      origin_{},
+      length_scale_(length_scale) {
     // Rounding is smallest near the middle of things; where exactly does not matter.
     if (pool.size() == 0) return;
     const auto [graph, row] = pool[0];
@@ -50,12 +60,19 @@ Point Metric::operator()(std::size_t vertex) const {
     const auto [graph, j] = pool_[vertex];
     const auto& v = graph.vertices;
     const Vector3f p = Vector3f{v.p[3 * j], v.p[3 * j + 1], v.p[3 * j + 2]} - origin_;
-    const auto unit = unit_from_octahedral(v.ns[2 * j], v.ns[2 * j + 1]);
-    Vector3f n{unit[0], unit[1], unit[2]};
-    if (dot(n, Vector3f{v.wo[3 * j], v.wo[3 * j + 1], v.wo[3 * j + 2]}) < 0) n = -n;
+    Vector3f n = unit(v.ns, j);
+    if (dot(n, wo(v, j)) < 0) n = -n;
     return {{dot(p_rows_[0], p), dot(p_rows_[1], p), dot(p_rows_[2], p), dot(n_rows_[0], n), dot(n_rows_[1], n),
              dot(n_rows_[2], n)},
             std::uint32_t(vertex)};
+}
+
+std::array<std::int16_t, 2> Metric::geometric_normal(std::size_t vertex) const {
+    const auto [graph, j] = pool_[vertex];
+    const auto& v = graph.vertices;
+    const auto& normals = v.ng.empty() ? v.ns : v.ng;
+    if (dot(unit(normals, j), wo(v, j)) < 0) return octahedral_opposite(normals[2 * j], normals[2 * j + 1]);
+    return {normals[2 * j], normals[2 * j + 1]};
 }
 
 float typical_radius(const Pool& pool, std::size_t n_sharing, std::uint32_t k) {

@@ -1,6 +1,8 @@
 #pragma once
 #include <array>
+#include <cmath>
 #include <cstdint>
+#include <limits>
 
 #include "stages/cluster/pool.h"
 #include "stages/core/math/vector.h"
@@ -11,9 +13,9 @@ namespace loom::cluster {
 struct Point {
     std::array<float, 6> x;  // rotated p / s, rotated w n
     std::uint32_t vertex;
-    std::uint32_t unused = 0;  // a point fills half a cache line
+    std::array<std::int16_t, 2> ng{};  // geometric normal on the side of wo, octahedral; of use to a Separator alone
 };
-static_assert(sizeof(Point) == 32);
+static_assert(sizeof(Point) == 32);  // half a cache line
 
 /// distance^2 = |dp|^2 / s^2 + w^2 |dn|^2, n the shading normal on the side of wo.
 /// The two halves of the space are turned at random, by the seed: distances stay, but what depends on axes (splits,
@@ -21,12 +23,26 @@ static_assert(sizeof(Point) == 32);
 class Metric {
   public:
     Metric(const Pool& pool, float length_scale, float normal_weight, std::uint64_t seed);
+    /// Without ng.
     Point operator()(std::size_t vertex) const;
+    std::array<std::int16_t, 2> geometric_normal(std::size_t vertex) const;
+    /// Position of the vertex, up to rounding().
+    Point3f position(const Point& point) const {
+        Vector3f p = origin_;
+        for (std::size_t i = 0; i < 3; ++i) p = p + p_rows_[i] * (point.x[i] * length_scale_ * length_scale_);
+        return {p.x, p.y, p.z};
+    }
+    /// Bound of the error of position().
+    float rounding(const Point& point) const {
+        const float size = std::abs(point.x[0]) + std::abs(point.x[1]) + std::abs(point.x[2]);
+        return 8 * std::numeric_limits<float>::epsilon() * size * length_scale_;
+    }
 
   private:
     const Pool& pool_;
     std::array<Vector3f, 3> p_rows_, n_rows_;
     Vector3f origin_;
+    float length_scale_;
 };
 
 /// Typical radius (m) of a cluster of k vertices: the median, over clusters of median splits of a subset of the sharing

@@ -83,6 +83,20 @@ TEST(Octahedral, WhatCameBackOnceComesBackTheSame) {
     }
 }
 
+TEST(Octahedral, OppositeIsRightToRounding) {
+    std::mt19937 rng(3);
+    std::uniform_int_distribution<int> code(-32767, 32767), pick(0, 4);
+    const int edges[] = {-32767, 0, 32767, 1};
+    for (int i = 0; i < 1000000; ++i) {
+        const auto one = [&] { return static_cast<std::int16_t>(pick(rng) == 0 ? edges[i % 4] : code(rng)); };
+        const std::int16_t u = one(), v = one();
+        const auto n = unit_from_octahedral(u, v);
+        const auto [ou, ov] = octahedral_opposite(u, v);
+        const auto opposite = unit_from_octahedral(ou, ov);
+        for (std::size_t c = 0; c < 3; ++c) ASSERT_NEAR(opposite[c], -n[c], 3e-7) << u << " " << v;
+    }
+}
+
 TEST(Octahedral, ErrorIsBoundedEverywhere) {
     std::mt19937 random(1);
     std::normal_distribution<double> gauss;
