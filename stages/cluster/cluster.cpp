@@ -13,9 +13,9 @@
 #include "stages/cluster/pool.h"
 #include "stages/cluster/scratch.h"
 #include "stages/cluster/separate.h"
+#include "stages/core/compute/parallel.h"
 #include "stages/core/sampling/sampler.h"
 #include "stages/core/scene/scene.h"
-#include "stages/core/transport/parallel.h"
 
 namespace loom::cluster {
 

@@ -5,7 +5,7 @@
 
 #include <vector>
 
-#include "stages/core/transport/parallel.h"
+#include "stages/core/compute/parallel.h"
 
 namespace loom::cluster {
 namespace {

@@ -3,7 +3,7 @@
 #include <cstdint>
 
 #include "formats/path_graph.h"
-#include "stages/core/transport/sharing.h"
+#include "stages/core/clusters/sharing.h"
 
 namespace loom::cluster {
 

@@ -8,10 +8,10 @@
 #include "formats/io/error.h"
 #include "stages/cluster/cluster.h"
 #include "stages/core/app/command.h"
+#include "stages/core/clusters/cluster_quality.h"
+#include "stages/core/graph/graph_reader.h"
 #include "stages/core/scene/build.h"
 #include "stages/core/scene/embree.h"
-#include "stages/core/transport/cluster_quality.h"
-#include "stages/core/transport/graph_reader.h"
 
 namespace loom::cluster {
 namespace {

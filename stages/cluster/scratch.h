@@ -1,5 +1,5 @@
 #pragma once
-#include "stages/core/transport/huge_array.h"
+#include "stages/core/compute/huge_array.h"
 
 namespace loom::cluster {
 

@@ -6,11 +6,11 @@
 #include <memory>
 
 #include "formats/io/octahedral.h"
+#include "stages/core/compute/parallel.h"
+#include "stages/core/graph/graph_reader.h"
 #include "stages/core/scattering/bsdf_model.h"
 #include "stages/core/scene/embree.h"
 #include "stages/core/scene/scene.h"
-#include "stages/core/transport/graph_reader.h"
-#include "stages/core/transport/parallel.h"
 
 namespace loom::cluster {
 namespace {

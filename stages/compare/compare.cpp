@@ -9,13 +9,13 @@
 #include <map>
 #include <optional>
 
-#include "formats/false_colours.h"
 #include "formats/image.h"
 #include "formats/io/error.h"
 #include "formats/io/field_checker.h"
 #include "formats/transient_cube.h"
 #include "stages/compare/difference.h"
 #include "stages/core/app/command.h"
+#include "stages/core/plot/false_colours.h"
 
 namespace loom::compare {
 namespace {

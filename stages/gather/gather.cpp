@@ -13,11 +13,11 @@
 #include "formats/io/cost.h"
 #include "formats/io/error.h"
 #include "stages/core/app/command.h"
+#include "stages/core/compute/parallel.h"
+#include "stages/core/graph/own_samples.h"
 #include "stages/core/scene/build.h"
 #include "stages/core/scene/embree.h"
-#include "stages/core/transport/film.h"
-#include "stages/core/transport/own_samples.h"
-#include "stages/core/transport/parallel.h"
+#include "stages/core/tracing/film.h"
 #include "stages/gather/subset.h"
 
 namespace loom::gather {
@@ -151,7 +151,7 @@ Image gathered_image(const PathGraph& graph, const Radiance& radiance, const Gat
             reader, *inputs.clusters, radiance,
             SubsetOptions{options.members, options.reuse, options.occlusion ? inputs.scene : nullptr, inputs.seed});
     tbb::enumerable_thread_specific<std::unique_ptr<SubsetGather::Worker>> workers([&] {
-        prepare_ray_thread();
+        flush_small_numbers();
         return std::make_unique<SubsetGather::Worker>(*subset);
     });
     const std::uint64_t n_pixels = graph.n_pixels();

@@ -5,7 +5,7 @@
 #include "formats/image.h"
 #include "formats/path_graph.h"
 #include "formats/radiance.h"
-#include "stages/core/transport/cluster_edges.h"
+#include "stages/core/clusters/cluster_edges.h"
 
 namespace loom {
 struct Clusters;

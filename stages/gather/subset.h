@@ -7,7 +7,7 @@
 
 #include "formats/clusters.h"
 #include "formats/radiance.h"
-#include "stages/core/transport/cluster_edges.h"
+#include "stages/core/clusters/cluster_edges.h"
 
 namespace loom {
 struct Scene;

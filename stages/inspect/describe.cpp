@@ -15,8 +15,8 @@
 #include "formats/io/json.h"
 #include "formats/transient_cube.h"
 #include "stages/core/app/report.h"
+#include "stages/core/clusters/cluster_quality.h"
 #include "stages/core/math/vector.h"
-#include "stages/core/transport/cluster_quality.h"
 #include "stages/inspect/inspect.h"
 
 namespace loom::inspect {

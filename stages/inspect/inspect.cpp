@@ -8,8 +8,8 @@
 #include "formats/io/output_file.h"
 #include "stages/core/app/command.h"
 #include "stages/core/app/input_stamp.h"
+#include "stages/core/description/description.h"
 #include "stages/core/scene/build.h"
-#include "stages/core/scene/description.h"
 
 namespace loom::inspect {
 

@@ -1,7 +1,7 @@
 #pragma once
 #include <span>
 
-#include "stages/core/transport/cluster_rows.h"
+#include "stages/core/clusters/cluster_rows.h"
 #include "stages/refine/flat_columns.h"
 
 namespace loom::refine {

@@ -8,8 +8,8 @@
 
 #include <cstdint>
 
+#include "stages/core/clusters/cluster_columns.h"
 #include "stages/core/math/vector.h"
-#include "stages/core/transport/cluster_columns.h"
 
 namespace loom::refine {
 
@@ -44,7 +44,7 @@ struct FlatLights {
 };
 
 // Both take the edges of `e`, add to white_* what each lane reflects of them with densities pooled over the cluster,
-// and answer e.own.                                     equations: core/transport/cluster_edges.h
+// and answer e.own.                                     equations: core/clusters/cluster_edges.h
 #define LOOM_FLAT_KERNELS                                          \
     /* Measure of the light's area, by all lanes' own distance. */ \
     void gather_area_lights(FlatColumns& c, FlatLights& e);        \

@@ -8,9 +8,9 @@
 #include "formats/io/cost.h"
 #include "formats/io/error.h"
 #include "stages/core/app/command.h"
-#include "stages/core/transport/cluster_quality.h"
-#include "stages/core/transport/parallel.h"
-#include "stages/core/transport/sharing.h"
+#include "stages/core/clusters/cluster_quality.h"
+#include "stages/core/clusters/sharing.h"
+#include "stages/core/compute/parallel.h"
 #include "stages/refine/west.h"
 
 namespace loom::refine {

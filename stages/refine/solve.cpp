@@ -4,7 +4,7 @@
 #include <bit>
 #include <cmath>
 
-#include "stages/core/transport/parallel.h"
+#include "stages/core/compute/parallel.h"
 
 namespace loom::refine {
 namespace {

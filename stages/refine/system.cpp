@@ -4,7 +4,7 @@
 #include <atomic>
 #include <cmath>
 
-#include "stages/core/transport/parallel.h"
+#include "stages/core/compute/parallel.h"
 #include "stages/refine/flat_cluster.h"
 
 namespace loom::refine {

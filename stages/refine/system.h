@@ -10,8 +10,8 @@
 // one side of one normal the base is of rank one too.
 
 #include "formats/clusters.h"
-#include "stages/core/transport/cluster_edges.h"
-#include "stages/core/transport/huge_array.h"
+#include "stages/core/clusters/cluster_edges.h"
+#include "stages/core/compute/huge_array.h"
 
 namespace loom::refine {
 

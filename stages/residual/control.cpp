@@ -1,6 +1,6 @@
 #include "stages/residual/control.h"
 
-#include "stages/residual/blur.h"
+#include "stages/residual/effort/blur.h"
 
 namespace loom::residual {
 

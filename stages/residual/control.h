@@ -4,7 +4,7 @@
 #include <vector>
 
 #include "formats/image.h"
-#include "stages/residual/effort.h"
+#include "stages/residual/effort/effort.h"
 
 namespace loom::residual {
 

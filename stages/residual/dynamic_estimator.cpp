@@ -6,10 +6,10 @@
 #include <numeric>
 
 #include "stages/core/app/report.h"
-#include "stages/core/transport/film.h"
-#include "stages/core/transport/parallel.h"
-#include "stages/residual/camera_paths.h"
+#include "stages/core/compute/parallel.h"
+#include "stages/core/tracing/film.h"
 #include "stages/residual/control.h"
+#include "stages/residual/dynamic/camera_paths.h"
 
 namespace loom::residual {
 namespace {

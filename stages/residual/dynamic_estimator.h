@@ -6,7 +6,8 @@
 #include <string>
 
 #include "formats/image.h"
-#include "stages/residual/effort.h"
+#include "stages/residual/effort/effort.h"
+#include "stages/residual/estimators.h"
 
 namespace loom::residual {
 

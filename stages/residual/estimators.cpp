@@ -7,7 +7,7 @@
 #include <span>
 #include <vector>
 
-#include "stages/core/transport/film.h"
+#include "stages/core/tracing/film.h"
 
 namespace loom::residual {
 namespace {

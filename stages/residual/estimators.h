@@ -5,10 +5,10 @@
 #include <cstdint>
 
 #include "formats/image.h"
-#include "stages/core/scene/scene.h"
+#include "stages/core/edit/scene_pair.h"
 #include "stages/core/stats/moments.h"
-#include "stages/core/transport/path_tracer.h"
-#include "stages/core/transport/pixel_loop.h"
+#include "stages/core/tracing/path_tracer.h"
+#include "stages/core/tracing/pixel_loop.h"
 
 namespace loom::app {
 class Report;
@@ -19,11 +19,6 @@ namespace loom::residual {
 enum class Method : std::uint8_t { automatic, correlated, independent, dynamic };
 
 const char* method_name(Method method);
-
-/// The two scenes of an edit; film and camera are the same.
-struct ScenePair {
-    const Scene &old_scene, &new_scene;
-};
 
 using loom::Counts;
 using loom::Work;

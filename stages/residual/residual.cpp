@@ -5,14 +5,14 @@
 #include <algorithm>
 #include <filesystem>
 
-#include "formats/false_colours.h"
 #include "formats/io/content_hash.h"
 #include "formats/io/cost.h"
 #include "formats/io/error.h"
 #include "stages/core/app/command.h"
+#include "stages/core/plot/false_colours.h"
 #include "stages/core/scene/build.h"
 #include "stages/residual/chain_of_edits.h"
-#include "stages/residual/old_graph.h"
+#include "stages/residual/stored/old_graph.h"
 
 namespace loom::residual {
 namespace {

@@ -7,8 +7,8 @@
 #include <vector>
 
 #include "formats/image.h"
+#include "stages/core/edit/edit.h"
 #include "stages/residual/dynamic_estimator.h"
-#include "stages/residual/edit.h"
 #include "stages/residual/estimators.h"
 
 namespace loom::app {

@@ -2,7 +2,7 @@
 #include <string>
 
 #include "stages/core/scene/scene.h"
-#include "stages/core/transport/path_tracer.h"
+#include "stages/core/tracing/path_tracer.h"
 
 namespace loom::trace {
 

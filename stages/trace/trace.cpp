@@ -11,11 +11,11 @@
 #include "formats/io/error.h"
 #include "formats/path_graph.h"
 #include "stages/core/app/command.h"
+#include "stages/core/compute/parallel.h"
 #include "stages/core/scene/build.h"
 #include "stages/core/scene/nlos.h"
-#include "stages/core/transport/film.h"
-#include "stages/core/transport/graph_builder.h"
-#include "stages/core/transport/parallel.h"
+#include "stages/core/tracing/film.h"
+#include "stages/core/tracing/graph_builder.h"
 #include "stages/trace/replay.h"
 
 namespace loom::trace {

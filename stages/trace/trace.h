@@ -7,8 +7,8 @@
 #include "formats/image.h"
 #include "formats/path_graph.h"
 #include "stages/core/scene/scene.h"
-#include "stages/core/transport/path_tracer.h"
-#include "stages/core/transport/pixel_loop.h"
+#include "stages/core/tracing/path_tracer.h"
+#include "stages/core/tracing/pixel_loop.h"
 
 namespace loom::app {
 class Command;

@@ -3,8 +3,8 @@
 #include <algorithm>
 
 #include "stages/core/app/report.h"
-#include "stages/core/transport/parallel.h"
-#include "stages/core/transport/time_of_flight.h"
+#include "stages/core/compute/parallel.h"
+#include "stages/core/graph/time_of_flight.h"
 #include "stages/transient/shared.h"
 
 namespace loom::transient {

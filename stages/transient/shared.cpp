@@ -4,7 +4,7 @@
 
 #include <memory>
 
-#include "stages/core/transport/parallel.h"
+#include "stages/core/compute/parallel.h"
 
 namespace loom::transient {
 

@@ -12,8 +12,8 @@
 #include <vector>
 
 #include "formats/clusters.h"
-#include "stages/core/transport/cluster_edges.h"
-#include "stages/core/transport/time_of_flight.h"
+#include "stages/core/clusters/cluster_edges.h"
+#include "stages/core/graph/time_of_flight.h"
 #include "stages/transient/transient.h"
 
 namespace loom::transient {

@@ -10,8 +10,8 @@
 
 #include "formats/path_graph.h"
 #include "formats/transient_cube.h"
-#include "stages/core/transport/time_of_flight.h"
-#include "stages/core/transport/time_response.h"
+#include "stages/core/graph/time_of_flight.h"
+#include "stages/core/graph/time_response.h"
 
 namespace loom::app {
 class Command;

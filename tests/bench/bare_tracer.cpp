@@ -6,9 +6,9 @@
 #include <stdexcept>
 #include <vector>
 
+#include "stages/core/compute/parallel.h"
 #include "stages/core/sampling/distribution.h"
 #include "stages/core/sampling/warp.h"
-#include "stages/core/transport/parallel.h"
 
 namespace loom::bench {
 namespace {

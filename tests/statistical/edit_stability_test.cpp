@@ -6,7 +6,7 @@
 #include <tbb/parallel_for.h>
 
 #include "stages/core/stats/chi_square.h"
-#include "stages/residual/effort.h"
+#include "stages/residual/effort/effort.h"
 #include "tests/statistical/edit_cases.h"
 
 namespace loom::residual {

@@ -9,7 +9,7 @@
 #include <tbb/parallel_for.h>
 
 #include "stages/core/stats/chi_square.h"
-#include "stages/residual/path_finder.h"
+#include "stages/residual/dynamic/path_finder.h"
 #include "tests/statistical/edit_cases.h"
 
 namespace loom::residual {

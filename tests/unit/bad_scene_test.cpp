@@ -1,8 +1,8 @@
 // Every kind of bad scene file ends in one message with file:line:column, the line, a caret and, where a
 // name is wrong, the names that are allowed.
 
-#include "stages/core/scene/mesh.h"
-#include "stages/core/scene/texture.h"
+#include "stages/core/assets/mesh.h"
+#include "stages/core/assets/texture.h"
 #include "tests/unit/scene_folder.h"
 
 namespace loom {

@@ -4,7 +4,7 @@
 #include <gtest/gtest.h>
 
 #include "stages/core/sampling/sampler.h"
-#include "stages/core/transport/segment_columns.h"
+#include "stages/core/tracing/segment_columns.h"
 
 namespace loom {
 namespace {

@@ -1,6 +1,6 @@
 // The column loops of a cluster against the functions of a single vertex.
 
-#include "stages/core/transport/cluster_shading.h"
+#include "stages/core/clusters/cluster_shading.h"
 
 #include <gtest/gtest.h>
 

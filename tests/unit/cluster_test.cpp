@@ -12,10 +12,10 @@
 #include "formats/io/octahedral.h"
 #include "stages/cluster/median_splits.h"
 #include "stages/cluster/nearest_centres.h"
+#include "stages/core/clusters/cluster_quality.h"
+#include "stages/core/clusters/sharing.h"
 #include "stages/core/sampling/sampler.h"
 #include "stages/core/scattering/bsdf_model.h"
-#include "stages/core/transport/cluster_quality.h"
-#include "stages/core/transport/sharing.h"
 
 namespace loom {
 namespace {

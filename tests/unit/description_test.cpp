@@ -1,6 +1,6 @@
 // Scene files of both dialects as one description.
 
-#include "stages/core/scene/description.h"
+#include "stages/core/description/description.h"
 
 #include <algorithm>
 #include <cmath>

@@ -3,8 +3,8 @@
 
 #include <gtest/gtest.h>
 
+#include "stages/core/description/ior.h"
 #include "stages/core/scene/build.h"
-#include "stages/core/scene/ior.h"
 #include "tests/unit/scene_folder.h"
 
 namespace loom::test {

@@ -10,8 +10,8 @@
 #include <iterator>
 
 #include "stages/core/scene/build.h"
+#include "stages/residual/dynamic/path_pairs.h"
 #include "stages/residual/dynamic_estimator.h"
-#include "stages/residual/path_pairs.h"
 
 namespace loom::residual {
 namespace {

@@ -1,5 +1,5 @@
 // The variance that a pilot promises for a spending of effort, and the spending that makes it least.
-#include "stages/residual/effort_model.h"
+#include "stages/residual/effort/effort_model.h"
 
 #include <gtest/gtest.h>
 

@@ -6,11 +6,11 @@
 #include <OpenImageIO/imageio.h>
 #include <fmt/format.h>
 
+#include "stages/core/clusters/cluster_shading.h"
+#include "stages/core/description/schema.h"
 #include "stages/core/sampling/sampler.h"
 #include "stages/core/sampling/warp.h"
 #include "stages/core/scene/build.h"
-#include "stages/core/scene/schema.h"
-#include "stages/core/transport/cluster_shading.h"
 #include "tests/traced_graph.h"
 #include "tests/unit/scene_folder.h"
 

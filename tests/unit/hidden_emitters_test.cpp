@@ -6,7 +6,7 @@
 #include <gtest/gtest.h>
 
 #include "stages/core/scattering/fresnel.h"
-#include "stages/core/transport/path_tracer.h"
+#include "stages/core/tracing/path_tracer.h"
 #include "tests/traced_graph.h"
 
 namespace loom::testing {

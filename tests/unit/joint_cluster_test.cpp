@@ -8,9 +8,9 @@
 
 #include "formats/io/octahedral.h"
 #include "stages/cluster/cluster.h"
+#include "stages/core/clusters/cluster_quality.h"
 #include "stages/core/sampling/sampler.h"
 #include "stages/core/scattering/bsdf_model.h"
-#include "stages/core/transport/cluster_quality.h"
 
 namespace loom {
 namespace {

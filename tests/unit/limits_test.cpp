@@ -2,8 +2,8 @@
 #include <gtest/gtest.h>
 
 #include "stages/core/scene/build.h"
-#include "stages/core/transport/path_record.h"
-#include "stages/core/transport/path_tracer.h"
+#include "stages/core/tracing/path_record.h"
+#include "stages/core/tracing/path_tracer.h"
 #include "tests/unit/scene_folder.h"
 
 namespace loom {

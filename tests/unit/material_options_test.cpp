@@ -5,9 +5,9 @@
 #include <fmt/format.h>
 #include <gtest/gtest.h>
 
+#include "stages/core/graph/graph_reader.h"
 #include "stages/core/scene/build.h"
-#include "stages/core/transport/graph_reader.h"
-#include "stages/core/transport/path_step.h"
+#include "stages/core/tracing/path_step.h"
 #include "tests/traced_graph.h"
 #include "tests/unit/scene_folder.h"
 

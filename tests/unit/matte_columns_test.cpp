@@ -4,8 +4,8 @@
 #include <memory>
 
 #include "stages/core/sampling/sampler.h"
-#include "stages/core/transport/matte_levels.h"
-#include "stages/core/transport/shading.h"
+#include "stages/core/scene/shading.h"
+#include "stages/core/tracing/matte_levels.h"
 
 namespace loom::test {
 namespace {

@@ -1,6 +1,6 @@
 // Meshes of every format against the conventions of Mitsuba 3 (3.8.0, scalar_rgb: values below).
 
-#include "stages/core/scene/mesh.h"
+#include "stages/core/assets/mesh.h"
 
 #include <algorithm>
 #include <cmath>

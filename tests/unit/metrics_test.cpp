@@ -8,11 +8,11 @@
 #include <random>
 #include <vector>
 
-#include "formats/false_colours.h"
 #include "formats/io/field_checker.h"
 #include "stages/compare/compare.h"
 #include "stages/compare/difference.h"
 #include "stages/compare/significance.h"
+#include "stages/core/plot/false_colours.h"
 
 namespace loom::compare {
 namespace {

@@ -4,8 +4,8 @@
 
 #include "stages/core/scene/build.h"
 #include "stages/core/scene/nlos.h"
-#include "stages/core/transport/path_record.h"
-#include "stages/core/transport/path_tracer.h"
+#include "stages/core/tracing/path_record.h"
+#include "stages/core/tracing/path_tracer.h"
 #include "tests/unit/scene_folder.h"
 
 namespace loom {

@@ -25,7 +25,7 @@
 // (light_colour_and_surface) taken for relit. Of plain matte vertices: the back (moved_beside_the_back_of_a_disk),
 // texture (over_textures), mask (behind_a_mask) or bumps (2) not looked at.
 
-#include "stages/residual/old_graph.h"
+#include "stages/residual/stored/old_graph.h"
 
 #include <gtest/gtest.h>
 
@@ -36,7 +36,7 @@
 #include "formats/io/content_hash.h"
 #include "formats/io/error.h"
 #include "stages/residual/residual.h"
-#include "stages/residual/resumed_paths.h"
+#include "stages/residual/stored/resumed_paths.h"
 #include "tests/traced_graph.h"
 
 namespace loom::residual {

@@ -7,7 +7,7 @@
 
 #include "stages/core/scene/embree.h"
 #include "stages/core/scene/scene.h"
-#include "stages/core/transport/path_tracer.h"
+#include "stages/core/tracing/path_tracer.h"
 #include "tests/traced_graph.h"
 
 namespace loom::test {

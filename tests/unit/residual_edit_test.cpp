@@ -3,8 +3,8 @@
 #include <cmath>
 #include <filesystem>
 
+#include "stages/core/edit/edit.h"
 #include "stages/core/scene/build.h"
-#include "stages/residual/edit.h"
 #include "tests/unit/scene_folder.h"
 
 namespace loom::residual {
@@ -73,7 +73,7 @@ class FindEdit : public SceneFolder {
         for (std::size_t i = 0; i < mine.size(); ++i) {
             const std::uint32_t j = mine[i].partner;
             if (j == ShapeEdit::none) {
-                EXPECT_TRUE(mine[i].changes == change::removed || mine[i].changes == change::added);
+                EXPECT_TRUE(mine[i].changes == shape_change::removed || mine[i].changes == shape_change::added);
                 continue;
             }
             EXPECT_EQ(theirs.at(j).partner, i);
@@ -142,7 +142,7 @@ TEST_F(FindEdit, OneFileWithTwoSetsOfValues) {
 TEST_F(FindEdit, Moved) {
     const Edit edit = found(base, with({{"x=\"0.5\"", "x=\"-0.25\""}}));
     EXPECT_EQ(edit.changes, Words{"moved: box: by (-0.75, 0, 0)"});
-    EXPECT_EQ(changes_of(edit.new_shapes, 1), change::moved);
+    EXPECT_EQ(changes_of(edit.new_shapes, 1), shape_change::moved);
     EXPECT_TRUE(edit.new_shapes[1].dynamic());
     EXPECT_FALSE(edit.new_shapes[1].dyed());
     EXPECT_EQ(edit.n_dynamic(), 1u);
@@ -180,7 +180,7 @@ TEST_F(FindEdit, AddedAndRemoved) {
         with({{"<shape type=\"sphere\"", "<shape type=\"disk\" id=\"plate\"/><shape type=\"sphere\""}});
     Edit edit = found(base, more);
     EXPECT_EQ(edit.changes, Words{"added: plate"});
-    EXPECT_EQ(changes_of(edit.new_shapes, 2), change::added);
+    EXPECT_EQ(changes_of(edit.new_shapes, 2), shape_change::added);
     EXPECT_EQ(edit.new_shapes[3].partner, 2u);
     EXPECT_EQ(edit.n_dynamic(), 1u);
     EXPECT_EQ(edit.n_ghosts(), 0u);
@@ -198,8 +198,8 @@ TEST_F(FindEdit, WhatIsNotRigidIsRemovedAndAdded) {
               Words{"removed and added anew: ball: it is not only turned and shifted"});
     const Edit edit = found(base, with({{"<shape type=\"cube\"", "<shape type=\"disk\""}}));
     EXPECT_EQ(edit.changes, Words{"removed and added anew: box: cube -> disk"});
-    EXPECT_EQ(changes_of(edit.old_shapes, 1), change::removed);
-    EXPECT_EQ(changes_of(edit.new_shapes, 1), change::added);
+    EXPECT_EQ(changes_of(edit.old_shapes, 1), shape_change::removed);
+    EXPECT_EQ(changes_of(edit.new_shapes, 1), shape_change::added);
     EXPECT_EQ(edit.new_shapes[1].partner, ShapeEdit::none);
 }
 
@@ -218,7 +218,7 @@ TEST_F(FindEdit, AnotherMeshUnderTheSameName) {
 TEST_F(FindEdit, Repainted) {
     const Edit edit = found(base, with({{"0.7 0.7 0.7", "0.2 0.2 0.8"}}));
     EXPECT_EQ(edit.changes, Words{"repainted: floor, ball: reflectance (0.7, 0.7, 0.7) -> (0.2, 0.2, 0.8)"});
-    EXPECT_EQ(changes_of(edit.new_shapes, 0), change::repainted);
+    EXPECT_EQ(changes_of(edit.new_shapes, 0), shape_change::repainted);
     EXPECT_TRUE(edit.new_shapes[0].dyed());
     EXPECT_FALSE(edit.new_shapes[0].dynamic());
     EXPECT_EQ(words({{"name=\"alpha\" value=\"0.1\"", "name=\"alpha\" value=\"0.5\""}}),
@@ -230,7 +230,7 @@ TEST_F(FindEdit, Repainted) {
     // Moved and repainted at once.
     const Edit two = found(
         base, with({{"x=\"0.5\"", "x=\"0.4\""}, {"name=\"alpha\" value=\"0.1\"", "name=\"alpha\" value=\"0.5\""}}));
-    EXPECT_EQ(changes_of(two.new_shapes, 1), change::moved | change::repainted);
+    EXPECT_EQ(changes_of(two.new_shapes, 1), shape_change::moved | shape_change::repainted);
 }
 
 TEST_F(FindEdit, ATextureIsItsContent) {
@@ -312,11 +312,11 @@ TEST_F(FindEdit, WithoutIds) {
     EXPECT_EQ(edit.new_shapes[1].partner, 0u);
     EXPECT_EQ(edit.new_shapes[2].partner, 1u);
     EXPECT_EQ(edit.new_shapes[0].partner, 2u);
-    EXPECT_EQ(edit.new_shapes[3].changes, change::added);
+    EXPECT_EQ(edit.new_shapes[3].changes, shape_change::added);
     EXPECT_EQ(edit.changes, (Words{"moved: the cube at new.xml:2:1: by (-9, 0, 0)", "added: the cube at new.xml:5:1"}));
     edit = found(cube(0) + cube(3), cube(3, "0.9") + cube(0));
     EXPECT_EQ(edit.new_shapes[0].partner, 1u);
-    EXPECT_EQ(edit.new_shapes[0].changes, change::repainted);
+    EXPECT_EQ(edit.new_shapes[0].changes, shape_change::repainted);
 }
 
 TEST_F(FindEdit, WhatCannotBeAResidualIsRefusedWithBothPlaces) {

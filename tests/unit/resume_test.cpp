@@ -8,8 +8,8 @@
 #include <gtest/gtest.h>
 
 #include "stages/core/scene/embree.h"
-#include "stages/core/transport/path_step.h"
-#include "stages/core/transport/path_tracer.h"
+#include "stages/core/tracing/path_step.h"
+#include "stages/core/tracing/path_tracer.h"
 #include "tests/traced_graph.h"
 
 namespace loom {

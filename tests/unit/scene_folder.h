@@ -8,7 +8,7 @@
 #include <string_view>
 
 #include "formats/io/error.h"
-#include "stages/core/scene/description.h"
+#include "stages/core/description/description.h"
 
 namespace loom {
 

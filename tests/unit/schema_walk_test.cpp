@@ -7,8 +7,8 @@
 
 #include <map>
 
+#include "stages/core/description/schema.h"
 #include "stages/core/scene/build.h"
-#include "stages/core/scene/schema.h"
 #include "tests/unit/scene_folder.h"
 #include "tests/unit/serialized_file.h"
 

@@ -1,12 +1,12 @@
 // Spectra, named materials: what a colour in a scene file means in linear RGB.
 
-#include "stages/core/scene/spectrum.h"
+#include "stages/core/description/spectrum.h"
 
 #include <gtest/gtest.h>
 
 #include <algorithm>
 
-#include "stages/core/scene/ior.h"
+#include "stages/core/description/ior.h"
 
 namespace loom {
 namespace {

@@ -1,7 +1,7 @@
 // The sunsky emitter: coefficients of the sky model, position and power of the sun, and the maps that
 // Mitsuba 0.6 made of two published scenes.
 
-#include "stages/core/scene/sunsky.h"
+#include "stages/core/sky/sunsky.h"
 
 #include <gtest/gtest.h>
 #include <unistd.h>
@@ -14,10 +14,10 @@
 
 #include "formats/image.h"
 #include "formats/io/error.h"
+#include "stages/core/description/description.h"
 #include "stages/core/scene/build.h"
-#include "stages/core/scene/description.h"
-#include "stages/core/scene/sky_coefficients.h"
-#include "stages/core/scene/solar_irradiance.h"
+#include "stages/core/sky/sky_coefficients.h"
+#include "stages/core/sky/solar_irradiance.h"
 #include "tests/unit/scene_folder.h"
 
 namespace loom {

@@ -1,14 +1,14 @@
 // Texture look-ups against values of Mitsuba 3.8.0 (scalar_rgb, format "variant") and against the slow,
 // obvious definition.
 
-#include "stages/core/scene/texture.h"
+#include "stages/core/assets/texture.h"
 
 #include <OpenImageIO/imageio.h>
 #include <fmt/format.h>
 
 #include <cmath>
 
-#include "stages/core/scene/spectrum.h"
+#include "stages/core/description/spectrum.h"
 #include "tests/unit/scene_folder.h"
 
 namespace loom {

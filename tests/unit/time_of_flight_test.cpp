@@ -1,5 +1,5 @@
 // When light arrives: worked out by hand, and what must not move it. METHODS 4.4 lists the hazards.
-#include "stages/core/transport/time_of_flight.h"
+#include "stages/core/graph/time_of_flight.h"
 
 #include <fmt/format.h>
 #include <gtest/gtest.h>

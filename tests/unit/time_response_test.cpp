@@ -1,5 +1,5 @@
 // S_e against quadrature, its derivatives against differences, its energy.
-#include "stages/core/transport/time_response.h"
+#include "stages/core/graph/time_response.h"
 
 #include <gtest/gtest.h>
 

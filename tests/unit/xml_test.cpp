@@ -1,6 +1,6 @@
 // Places in a text, the messages that quote them, and substitution of $names.
 
-#include "stages/core/scene/xml_document.h"
+#include "stages/core/description/xml_document.h"
 #include "tests/unit/scene_folder.h"
 
 namespace loom {

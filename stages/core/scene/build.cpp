@@ -7,11 +7,11 @@
 
 #include "formats/io/content_hash.h"
 #include "formats/io/error.h"
+#include "stages/core/description/schema.h"
 #include "stages/core/scene/embree.h"
 #include "stages/core/scene/materials.h"
 #include "stages/core/scene/nlos.h"
-#include "stages/core/scene/schema.h"
-#include "stages/core/scene/sunsky.h"
+#include "stages/core/sky/sunsky.h"
 
 namespace loom {
 namespace {

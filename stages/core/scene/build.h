@@ -1,7 +1,7 @@
 #pragma once
 #include <filesystem>
 
-#include "stages/core/scene/description.h"
+#include "stages/core/description/description.h"
 #include "stages/core/scene/scene.h"
 
 namespace loom {

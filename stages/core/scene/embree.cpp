@@ -2,13 +2,12 @@
 #include "stages/core/scene/embree.h"
 
 #include <embree3/rtcore.h>
-#include <pmmintrin.h>
-#include <xmmintrin.h>
 
 #include <algorithm>
 #include <stdexcept>
 #include <string>
 
+#include "stages/core/compute/parallel.h"
 #include "stages/core/scene/scene.h"
 
 namespace loom {
@@ -163,7 +162,7 @@ struct RayEngine::Impl {
 };
 
 RayEngine::RayEngine(const std::vector<Shape>& shapes, Use use) : impl_(std::make_unique<Impl>()) {
-    prepare_ray_thread();
+    flush_small_numbers();
     impl_->device = rtcNewDevice(nullptr);
     if (!impl_->device) throw std::runtime_error("Embree cannot make a device");
     rtcSetDeviceErrorFunction(impl_->device, on_error, nullptr);
@@ -296,11 +295,6 @@ void RayEngine::occluded(const Ray* const* rays, std::size_t n, bool* blocked) c
         rtcOccluded16(valid, impl_->scene, &context, &p);
         for (std::size_t i = 0; i < count; ++i) blocked[begin + i] = p.tfar[i] < 0;
     }
-}
-
-void prepare_ray_thread() {
-    _MM_SET_FLUSH_ZERO_MODE(_MM_FLUSH_ZERO_ON);
-    _MM_SET_DENORMALS_ZERO_MODE(_MM_DENORMALS_ZERO_ON);
 }
 
 }  // namespace loom

@@ -36,7 +36,4 @@ class RayEngine {
     std::unique_ptr<Impl> impl_;
 };
 
-/// Sets flush-to-zero for the calling thread, as Embree wants it; every worker calls it once.
-void prepare_ray_thread();
-
 }  // namespace loom

@@ -212,43 +212,6 @@ Spectrum projected(const Scene& scene, const Emitter& projector, const Framef& b
     return radiance * (pi<float> * length(local) / (local.z * local.z * local.z));
 }
 
-EnvironmentMap::Place EnvironmentMap::place(Point2f uv) const {
-    float x = uv.x - 0.5f / float(width);
-    x = (x - std::floor(x)) * float(width);
-    const float y = clamp(uv.y, 0.0f, 1.0f) * float(height - 1);
-    const int x0 = std::min(int(x), width - 1), y0 = std::min(int(y), std::max(height - 2, 0));
-    const int x1 = x0 + 1 == width ? 0 : x0 + 1, y1 = std::min(y0 + 1, height - 1);
-    const auto at = [&](int i, int j) {
-        const std::size_t texel = std::size_t(j) * width + i;
-        __builtin_prefetch(&texels[texel]);
-        return texel;
-    };
-    return {{at(x0, y0), at(x1, y0), at(x0, y1), at(x1, y1)}, x - float(x0), y - float(y0)};
-}
-
-Spectrum EnvironmentMap::at(const Place& p) const {
-    return lerp(p.fy, lerp(p.fx, texels[p.at[0]], texels[p.at[1]]), lerp(p.fx, texels[p.at[2]], texels[p.at[3]]));
-}
-
-bool EnvironmentMap::prepare() {
-    const int rows = std::max(height - 1, 1);
-    std::vector<double> weights(std::size_t(width) * rows);
-    for (int y = 0; y < rows; ++y) {
-        const double sin_theta = std::sin((y + 0.5) / rows * pi_double);
-        for (int x = 0; x < width; ++x) {
-            double sum = 0;
-            for (int corner = 0; corner < 4; ++corner) {
-                const int i = (x + (corner & 1)) % width, j = std::min(y + (corner >> 1), height - 1);
-                sum += luminance(texels[std::size_t(j) * width + i]);
-            }
-            weights[std::size_t(y) * width + x] = std::max(sum, 0.0) * sin_theta;
-        }
-    }
-    if (std::all_of(weights.begin(), weights.end(), [](double w) { return w == 0; })) return false;
-    density = Distribution2(weights, width, rows);
-    return true;
-}
-
 void look_up_light(const Scene& scene, LightQuery& query) {
     if (query.ask == LightQuery::Ask::environment) {
         query.Le = environment(scene, query.d);

@@ -10,30 +10,12 @@
 #include "stages/core/math/vector.h"
 #include "stages/core/sampling/distribution.h"
 #include "stages/core/scene/ray.h"
+#include "stages/core/sky/environment_map.h"
 
 namespace loom {
 
 struct Scene;
 struct SurfacePoint;
-
-/// Latitude-longitude map: row 0 is +y, column 0 looks to -z; bilinear; values at the centres of columns
-/// and on the first and last row at the poles (Mitsuba 3).
-struct EnvironmentMap {
-    int width = 0, height = 0;
-    std::vector<Spectrum> texels;  // radiance, row by row
-    Distribution2 density;         // over the bilinear cells
-
-    /// The four texels around a point, by number, and how much of the further ones counts.
-    struct Place {
-        std::size_t at[4];
-        float fx = 0, fy = 0;
-    };
-    Place place(Point2f uv) const;  // asks for their memory
-    Spectrum at(const Place& place) const;
-    Spectrum eval(Point2f uv) const { return at(place(uv)); }
-    /// Fills density. Returns false for a map without light, which has none.
-    bool prepare();
-};
 
 struct Emitter {
     std::string id;

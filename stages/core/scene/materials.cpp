@@ -4,7 +4,7 @@
 
 #include <algorithm>
 
-#include "stages/core/scene/ior.h"
+#include "stages/core/description/ior.h"
 
 namespace loom {
 namespace {

@@ -2,7 +2,7 @@
 #include <map>
 #include <optional>
 
-#include "stages/core/scene/description.h"
+#include "stages/core/description/description.h"
 #include "stages/core/scene/scene.h"
 
 namespace loom {

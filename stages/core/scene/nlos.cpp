@@ -2,8 +2,8 @@
 
 #include <fmt/format.h>
 
+#include "stages/core/description/description.h"
 #include "stages/core/sampling/warp.h"
-#include "stages/core/scene/description.h"
 
 namespace loom {
 namespace {

@@ -8,16 +8,16 @@
 #include <vector>
 
 #include "formats/io/octahedral.h"
+#include "stages/core/assets/mesh.h"
+#include "stages/core/assets/texture.h"
 #include "stages/core/math/box.h"
 #include "stages/core/math/frame.h"
 #include "stages/core/math/vector.h"
 #include "stages/core/scattering/bsdf.h"
 #include "stages/core/scene/emitter.h"
 #include "stages/core/scene/media.h"
-#include "stages/core/scene/mesh.h"
 #include "stages/core/scene/ray.h"
 #include "stages/core/scene/sensor.h"
-#include "stages/core/scene/texture.h"
 
 namespace loom {
 

@@ -1,0 +1,104 @@
+#pragma once
+#include <span>
+
+#include "stages/core/clusters/cluster_columns.h"
+#include "stages/core/clusters/cluster_rows.h"
+
+namespace loom {
+
+/// The vertices of one cluster, to be asked all at once what they reflect of light from somewhere, and how densely
+/// their own sampling would have found it. Reused from cluster to cluster.
+class ClusterShading {
+  public:
+    explicit ClusterShading(const GraphReader& reader)
+        : reader_(reader), make_row_(reader), kernels_(cluster_kernels()) {}
+
+    /// Lanes are in the order of materials, then of `vertices`, which are borrowed.
+    /// needs:   at most max_lanes vertices
+    void load(std::span<const std::uint32_t> vertices);
+    /// The same, with the rows of these vertices.
+    void load(std::span<const std::uint32_t> vertices, std::span<const VertexRow> rows);
+
+    int size() const { return columns_.n; }
+    int padded() const { return padded_lanes(columns_.n); }
+    std::uint32_t vertex(int lane) const { return vertices_[place_[lane]]; }
+    /// Of a lane among the vertices that were loaded.
+    std::size_t place(int lane) const { return place_[lane]; }
+    const VertexRow& row(int lane) const { return rows_[place_[lane]]; }
+    const RowMaker& make_row() const { return make_row_; }
+
+    /// Light from direction wi: f cos and densities in sr^-1.
+    void light_direction(const Vector3f& wi);
+    /// Light from direction wi, as base and coat.
+    /// needs:   lobes().split
+    void light_lobes(const Vector3f& wi);
+    /// Light from a surface point with its normal turned to the cluster: f cos G and densities per m^2.
+    void light_point(const Point3f& y, const Normal3f& n);
+    /// Light from a point source: f cos / d^2.
+    void light_delta_point(const Point3f& y);
+
+    // Answers, by lane; 0 up to padded().
+    const float* f(int channel) const {
+        return channel == 0 ? columns_.f_r : channel == 1 ? columns_.f_g : columns_.f_b;
+    }
+    /// f cos / f: what takes the answer at a lane back to sr^-1; 0 where that is lost.
+    float to_solid_angle(int lane) const { return columns_.geometry[lane] > 0 ? 1 / columns_.geometry[lane] : 0.0f; }
+    Spectrum f(int lane, float scale) const {
+        return {columns_.f_r[lane] * scale, columns_.f_g[lane] * scale, columns_.f_b[lane] * scale};
+    }
+    /// The answers as 16-bit fractions of their largest: row[rgb][lane]; largest, and sum of weighted answers, by
+    /// channel.
+    void fix_row(const float* weight, std::uint16_t* row, float* largest, float* sum) const {
+        kernels_.fix_row(columns_, weight, row, largest, sum);
+    }
+    bool sees(int lane) const { return columns_.f_r[lane] + columns_.f_g[lane] + columns_.f_b[lane] > 0; }
+    /// Density of BSDF sampling with survival of roulette; 0 where it was not attempted.
+    float pdf_bsdf(int lane) const { return columns_.pdf[lane]; }
+    float pdf_bsdf_sum() const { return columns_.pdf_sum; }
+    /// Whether any continuation must end where it goes on to (vertex_bit::last_step).
+    bool has_last_steps() const { return has_last_steps_; }
+    /// Vertices that attempted next-event estimation and reflect this light. Those that do not reflect it would have
+    /// dropped such a sample before its shadow ray: for it they are no technique.
+    int n_next_event() const;
+    bool attempted_nee(int lane) const { return attempted_nee_[lane] != 0; }
+
+    /// How f cos splits into tint * base + coat at all vertices.
+    struct Lobes {
+        bool split = false;  // it does: every coat is grey
+        bool base = false, coat = false;
+        bool one_base = false;  // the base is the same at all lanes, whatever the direction
+    };
+    const Lobes& lobes() const { return lobes_; }
+    const ClusterColumns& columns() const { return columns_; }
+    Spectrum f_of_lobes(int lane, float scale) const {
+        const ClusterColumns& c = columns_;
+        const float base = c.base[lane], coat = c.coat[lane];
+        return Spectrum{c.tint_r[lane] * base + coat, c.tint_g[lane] * base + coat, c.tint_b[lane] * base + coat} *
+               scale;
+    }
+    void fix_lobes(bool base, bool coat, const float* weight, std::uint16_t* row, float* largest, float* sum) const {
+        kernels_.fix_lobes(columns_, base, coat, weight, row, largest, sum);
+    }
+
+  private:
+    bool has_one_base(std::uint8_t textured) const;
+    bool has_own(std::uint16_t material) const;
+    void load_textures(const ClusterColumns::Run& run, std::uint8_t textured);
+    void shadow_bumps();
+
+    const GraphReader& reader_;
+    RowMaker make_row_;
+    const ClusterKernels& kernels_;
+    ClusterColumns columns_{};
+    Lobes lobes_;
+    std::vector<ShadingPoint> perturbed_;  // with bump or normal maps
+    std::vector<int> perturbed_lane_;
+    bool has_last_steps_ = false;
+    std::vector<VertexRow> own_rows_;
+    std::span<const std::uint32_t> vertices_;
+    std::span<const VertexRow> rows_;
+    std::uint16_t place_[max_lanes];
+    std::uint8_t attempted_nee_[max_lanes + lane_block];
+};
+
+}  // namespace loom

@@ -1,0 +1,55 @@
+#pragma once
+#include <filesystem>
+#include <initializer_list>
+#include <map>
+#include <memory>
+#include <pugixml.hpp>
+#include <set>
+#include <string>
+#include <string_view>
+#include <utility>
+#include <vector>
+
+#include "stages/core/description/xml_location.h"
+
+namespace loom {
+
+/// One parsed XML file that knows where its nodes and attributes stand in the text.
+class XmlDocument {
+  public:
+    /// name: as messages call the file.
+    /// throws: InputError: missing, not readable, not XML (with the place)
+    XmlDocument(const std::filesystem::path& file, const std::string& name);
+
+    pugi::xml_node root() const { return tree_.document_element(); }
+    /// Of the `<` of an element, or of a piece of text.
+    Location at(const pugi::xml_node& node) const;
+    /// Of the first character of the attribute's value; of the element when it has no such attribute.
+    Location at(const pugi::xml_node& node, std::string_view attribute) const;
+    /// Fails at the first attribute of the element that is not allowed.
+    void allow_attributes(const pugi::xml_node& node, std::initializer_list<std::string_view> allowed) const;
+
+  private:
+    std::shared_ptr<const SourceText> source_;
+    pugi::xml_document tree_;
+};
+
+/// Values of $name: given on the command line, or else by the first <default> of that name.
+class Substitutions {
+  public:
+    explicit Substitutions(const std::vector<std::pair<std::string, std::string>>& defines);
+
+    void set_default(const std::string& name, const std::string& value);
+    /// text with every $name replaced; names are letters, digits and underscores.
+    /// throws: InputError at `at` for a name without value; lists those known
+    std::string apply(std::string_view text, const Location& at);
+    /// throws: InputError when a define was used nowhere; lists the names that the scene uses
+    void check_all_used() const;
+    std::map<std::string, std::string> used() const;
+
+  private:
+    std::map<std::string, std::string> values_, defines_;
+    std::set<std::string> used_;
+};
+
+}  // namespace loom

@@ -1,0 +1,615 @@
+#include "stages/core/edit/edit.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+#include <functional>
+#include <map>
+#include <optional>
+
+#include "formats/io/content_hash.h"
+#include "stages/core/description/ior.h"
+#include "stages/core/description/schema.h"
+#include "stages/core/scene/build.h"
+
+namespace loom {
+namespace {
+
+constexpr double rigid_tolerance = 1e-5, place_tolerance = 1e-7;
+
+/// Objects as texts that are equal when the objects mean the same, each file read once.
+class Canon {
+  public:
+    /// Of all that is below the object, without its id.
+    const std::string& text(const Object& object) {
+        const auto known = texts_.find(&object);
+        if (known != texts_.end()) return known->second;
+        std::string text = plugin(object);
+        std::map<std::string, std::string> values;
+        for (const Property& property : object.properties)
+            if (counts(object, property)) values[property.name] = value(object, property);
+        for (const auto& [name, value] : values) text += fmt::format(" {}={}", name, value);
+        for (const auto& [child, place] : object.nested) text += fmt::format(" ({})", this->text(*child));
+        return texts_.emplace(&object, text).first->second;
+    }
+    std::string text(const ObjectPtr& object) { return object ? text(*object) : std::string("none"); }
+
+    /// What a shape is apart from where it is, what it is made of and what it emits.
+    std::string form(const Object& shape) {
+        std::string text = plugin(shape);
+        std::map<std::string, std::string> values;
+        const bool sphere = shape.plugin == "sphere";
+        for (const Property& property : shape.properties) {
+            if (property.name == "to_world" || !counts(shape, property)) continue;
+            if (sphere && (property.name == "center" || property.name == "radius")) continue;
+            values[property.name] = value(shape, property);
+        }
+        for (const auto& [name, value] : values) text += fmt::format(" {}={}", name, value);
+        return text;
+    }
+
+    std::string value(const Object& object, const Property& property) {
+        const Parameter* parameter = parameter_of(object, property.name);
+        return std::visit([&](const auto& v) { return this->text_of(v, object, property.name, parameter); },
+                          property.value);
+    }
+    bool counts(const Object& object, const Property& property) const {
+        const Parameter* parameter = parameter_of(object, property.name);
+        return !parameter || !(parameter->flags & flag::ignored);
+    }
+
+  private:
+    static const Parameter* parameter_of(const Object& object, std::string_view name) {
+        const PluginSchema* schema = find_plugin(object.category, object.plugin);
+        return schema ? schema->find(name) : nullptr;
+    }
+    /// With the dialect where it decides the meaning: what number a checkerboard gives.
+    static std::string plugin(const Object& object) {
+        return fmt::format("{} {}{}", name(object.category), object.plugin,
+                           object.legacy && object.plugin == "checkerboard" ? " 0.x" : "");
+    }
+
+    /// Nine digits: the same place spelled as a matrix or as rotations counts as the same.
+    static std::string number(double x) { return fmt::format("{:.9g}", x + 0.0); }
+    static bool is_colour(const Parameter* p) {
+        return p && (p->kind == ValueKind::reflectance || p->kind == ValueKind::emission);
+    }
+    static std::string grey(float x) { return number(double(x)) + "," + number(double(x)) + "," + number(double(x)); }
+
+    std::string text_of(bool x, const Object&, std::string_view, const Parameter*) { return x ? "true" : "false"; }
+    std::string text_of(double x, const Object&, std::string_view, const Parameter* p) {
+        return is_colour(p) ? grey(float(x)) : number(p && p->kind == ValueKind::ior ? double(float(x)) : x);
+    }
+    std::string text_of(std::int64_t x, const Object& o, std::string_view n, const Parameter* p) {
+        return text_of(double(x), o, n, p);
+    }
+    std::string text_of(const Spectrum& x, const Object&, std::string_view, const Parameter*) {
+        return number(double(x.r)) + "," + number(double(x.g)) + "," + number(double(x.b));
+    }
+    template <class Kind>
+    std::string text_of(const Triple<double, Kind>& x, const Object&, std::string_view, const Parameter*) {
+        return number(x.x) + "," + number(x.y) + "," + number(x.z);
+    }
+    std::string text_of(const Matrix4d& x, const Object&, std::string_view, const Parameter*) {
+        std::string text;
+        for (double m : x.m) text += number(std::round(m * 1e9) / 1e9) + ",";
+        return text;
+    }
+    std::string text_of(const std::string& x, const Object& object, std::string_view name, const Parameter* p) {
+        if (p && p->kind == ValueKind::file) return file(x);
+        if (p && p->kind == ValueKind::ior) return number(double(object.get_ior(name, x)));
+        return x;
+    }
+    std::string text_of(const ObjectPtr& x, const Object&, std::string_view, const Parameter*) {
+        return "(" + text(*x) + ")";
+    }
+
+    const std::string& file(const std::string& path) {
+        const auto known = files_.find(path);
+        return known != files_.end() ? known->second : files_.emplace(path, file_content_hash(path)).first->second;
+    }
+
+    std::map<const Object*, std::string> texts_;
+    std::map<std::string, std::string> files_;
+};
+
+std::string shown(const Property* property) {
+    if (!property) return "its default";
+    struct Show {
+        std::string operator()(bool x) const { return x ? "true" : "false"; }
+        std::string operator()(std::int64_t x) const { return fmt::format("{}", x); }
+        std::string operator()(double x) const { return fmt::format("{:.6g}", x); }
+        std::string operator()(const std::string& x) const { return std::filesystem::path(x).filename().string(); }
+        std::string operator()(const Spectrum& x) const {
+            return fmt::format("({:.6g}, {:.6g}, {:.6g})", x.r, x.g, x.b);
+        }
+        std::string operator()(const Point3<double>& x) const {
+            return fmt::format("({:.6g}, {:.6g}, {:.6g})", x.x, x.y, x.z);
+        }
+        std::string operator()(const Vector3<double>& x) const {
+            return fmt::format("({:.6g}, {:.6g}, {:.6g})", x.x, x.y, x.z);
+        }
+        std::string operator()(const Matrix4d&) const { return "a transform"; }
+        std::string operator()(const ObjectPtr& x) const { return fmt::format("a {}", x->plugin); }
+    };
+    return std::visit(Show{}, property->value);
+}
+
+/// The rotation and translation that lead from one placement to the other; nothing if it takes more than these.
+std::optional<Matrix4d> rigid_motion(const Matrix4d& from, const Matrix4d& to) {
+    for (int k = 0; k < 4; ++k)
+        if (from(3, k) != (k == 3 ? 1 : 0) || to(3, k) != (k == 3 ? 1 : 0)) return std::nullopt;
+    // R = B A^-1, and A^-1 is the transpose of the normal matrix.
+    const std::array<double, 9> inverse_transpose = from.normal_matrix();
+    Matrix4d motion;
+    for (int i = 0; i < 3; ++i)
+        for (int j = 0; j < 3; ++j) {
+            motion(i, j) = 0;
+            for (int k = 0; k < 3; ++k) motion(i, j) += to(i, k) * inverse_transpose[std::size_t(j * 3 + k)];
+        }
+    for (int i = 0; i < 3; ++i)
+        for (int j = 0; j < 3; ++j) {
+            double product = 0;
+            for (int k = 0; k < 3; ++k) product += motion(k, i) * motion(k, j);
+            if (!(std::abs(product - (i == j ? 1 : 0)) < rigid_tolerance)) return std::nullopt;
+        }
+    if (!(motion.determinant3() > 0)) return std::nullopt;
+    for (int i = 0; i < 3; ++i) {
+        motion(i, 3) = to(i, 3);
+        for (int k = 0; k < 3; ++k) motion(i, 3) -= motion(i, k) * from(k, 3);
+    }
+    return motion;
+}
+
+/// Places are compared by their distance from the origin, in whatever unit; what is left of a sum that cancels is 0.
+bool same_place(const Matrix4d& a, const Matrix4d& b) {
+    constexpr double cancelled = 1e-14;
+    double size = 0, distance = 0;
+    for (int i = 0; i < 3; ++i) {
+        for (int k = 0; k < 3; ++k) size = std::max(size, std::abs(a(i, k)));
+        distance = std::max(distance, std::abs(a(i, 3)));
+    }
+    for (int i = 0; i < 3; ++i) {
+        for (int k = 0; k < 3; ++k)
+            if (!(std::abs(a(i, k) - b(i, k)) <= place_tolerance * size)) return false;
+        if (!(std::abs(a(i, 3) - b(i, 3)) <= place_tolerance * distance + cancelled * size)) return false;
+    }
+    for (int k = 0; k < 4; ++k)
+        if (a(3, k) != b(3, k)) return false;
+    return true;
+}
+
+Matrix4d inverse_of_rigid(const Matrix4d& m) {
+    Matrix4d inverse;
+    for (int i = 0; i < 3; ++i) {
+        inverse(i, 3) = 0;
+        for (int k = 0; k < 3; ++k) {
+            inverse(i, k) = m(k, i);
+            inverse(i, 3) -= m(k, i) * m(k, 3);
+        }
+    }
+    return inverse;
+}
+
+/// Where a shape is and how large; a sphere says it in two ways.
+Matrix4d placement(const Object& shape) {
+    const Matrix4d world = shape.get_transform("to_world");
+    if (shape.plugin != "sphere") return world;
+    const Point3<double> c = shape.get_point("center", {0, 0, 0});
+    const double r = shape.get_double("radius", 1);
+    return world * Matrix4d::translation(c.x, c.y, c.z) * Matrix4d::scaling(r, r, r);
+}
+
+bool centred(const Object& shape) {
+    return shape.plugin == "sphere" || shape.plugin == "cube" || shape.plugin == "rectangle" || shape.plugin == "disk";
+}
+
+std::string motion_of(const Object& from, const Object& to) {
+    const Matrix4d a = placement(from);
+    const std::optional<Matrix4d> motion = rigid_motion(a, placement(to));
+    return motion ? motion_words(*motion, a.point({0, 0, 0}), from.category != Category::shape || centred(from))
+                  : "elsewhere";
+}
+
+/// Differences of two objects of one kind in words: "reflectance (1, 0, 0) -> (0, 0, 1)".
+void tell(const Object& a, const Object& b, Canon& canon, std::vector<std::string>& words,
+          const std::string& what = "") {
+    if (canon.text(a) == canon.text(b)) return;
+    if (a.plugin != b.plugin) {
+        words.push_back(fmt::format("{}{} -> {}", what, a.plugin, b.plugin));
+        return;
+    }
+    std::vector<std::string> names;
+    for (const Object* o : {&a, &b})
+        for (const Property& p : o->properties)
+            if (canon.counts(*o, p) && std::find(names.begin(), names.end(), p.name) == names.end())
+                names.push_back(p.name);
+    for (const std::string& name : names) {
+        const Property *p = a.find(name), *q = b.find(name);
+        if (p && q && canon.value(a, *p) == canon.value(b, *q)) continue;
+        const auto* inner_a = p ? std::get_if<ObjectPtr>(&p->value) : nullptr;
+        const auto* inner_b = q ? std::get_if<ObjectPtr>(&q->value) : nullptr;
+        if (inner_a && inner_b)
+            tell(**inner_a, **inner_b, canon, words, what + name + ": ");
+        else if (name == "to_world")
+            words.push_back(what + "moved " + motion_of(a, b));
+        else if (p && q && shown(p) == shown(q))
+            words.push_back(fmt::format("{}{}: other content", what, shown(p)));
+        else
+            words.push_back(fmt::format("{}{} {} -> {}", what, name, shown(p), shown(q)));
+    }
+    if (a.nested.size() != b.nested.size()) {
+        words.push_back(fmt::format("{}{} parts -> {}", what, a.nested.size(), b.nested.size()));
+        return;
+    }
+    for (std::size_t i = 0; i < a.nested.size(); ++i) tell(*a.nested[i].first, *b.nested[i].first, canon, words, what);
+}
+
+std::string differences(const ObjectPtr& a, const ObjectPtr& b, Canon& canon) {
+    if (!a || !b) return fmt::format("{} -> {}", a ? a->plugin : "the default", b ? b->plugin : "the default");
+    std::vector<std::string> words;
+    tell(*a, *b, canon, words);
+    return words.empty() ? "its parts are in another order" : fmt::format("{}", fmt::join(words, "; "));
+}
+
+/// Without folders: it reaches the plan of an output.
+std::string title(const Object& o) {
+    return o.has_own_id
+               ? o.id
+               : fmt::format("the {} at {}", o.plugin, std::filesystem::path(o.at.where()).filename().string());
+}
+
+struct Pairing {
+    std::vector<std::uint32_t> new_of_old, old_of_new;
+};
+
+/// Pairs what has the same key, in order, among those that have no partner yet. `eligible` may forbid a pair.
+using Key = std::function<std::string(std::size_t)>;  // empty: takes no part
+void pair_up(Pairing& pairing, const Key& old_key, const Key& new_key,
+             const std::function<bool(std::size_t, std::size_t)>& eligible) {
+    constexpr std::uint32_t none = ShapeEdit::none;
+    std::map<std::string, std::vector<std::size_t>> waiting;
+    for (std::size_t j = 0; j < pairing.old_of_new.size(); ++j)
+        if (pairing.old_of_new[j] == none)
+            if (const std::string key = new_key(j); !key.empty()) waiting[key].push_back(j);
+    for (std::size_t i = 0; i < pairing.new_of_old.size(); ++i) {
+        if (pairing.new_of_old[i] != none) continue;
+        const auto found = waiting.find(old_key(i));
+        if (found == waiting.end()) continue;
+        const auto match =
+            std::find_if(found->second.begin(), found->second.end(), [&](std::size_t j) { return eligible(i, j); });
+        if (match == found->second.end()) continue;
+        pairing.new_of_old[i] = std::uint32_t(*match);
+        pairing.old_of_new[*match] = std::uint32_t(i);
+        found->second.erase(match);
+    }
+}
+
+Pairing no_pairs(std::size_t n_old, std::size_t n_new) {
+    return {std::vector<std::uint32_t>(n_old, ShapeEdit::none), std::vector<std::uint32_t>(n_new, ShapeEdit::none)};
+}
+
+using Objects = std::vector<ObjectPtr>;
+
+Pairing pair_shapes(const Objects& old_shapes, const Objects& new_shapes, Canon& canon) {
+    Pairing pairing = no_pairs(old_shapes.size(), new_shapes.size());
+    const auto always = [](std::size_t, std::size_t) { return true; };
+    const auto unnamed = [&](std::size_t i, std::size_t j) {
+        return !old_shapes[i]->has_own_id || !new_shapes[j]->has_own_id;
+    };
+    const auto pass = [&](const auto& key, const auto& eligible) {
+        pair_up(
+            pairing, [&](std::size_t i) { return key(*old_shapes[i]); },
+            [&](std::size_t j) { return key(*new_shapes[j]); }, eligible);
+    };
+    const auto bsdf = [&](const Object& o) { return canon.text(o.child(Category::bsdf)); };
+    pass([](const Object& o) { return o.has_own_id ? o.id : std::string(); }, always);
+    pass([&](const Object& o) { return canon.text(o); }, always);
+    const auto movable = [&](std::size_t i, std::size_t j) {
+        return unnamed(i, j) && rigid_motion(placement(*old_shapes[i]), placement(*new_shapes[j])).has_value();
+    };
+    const auto in_place = [&](std::size_t i, std::size_t j) {
+        return unnamed(i, j) && same_place(placement(*old_shapes[i]), placement(*new_shapes[j]));
+    };
+    pass([&](const Object& o) { return canon.form(o) + " " + bsdf(o); }, in_place);
+    pass([&](const Object& o) { return canon.form(o) + " " + bsdf(o); }, movable);
+    pass([&](const Object& o) { return canon.form(o); }, in_place);
+    pass([&](const Object& o) { return canon.form(o); }, movable);
+    return pairing;
+}
+
+/// Of emitters that stand by themselves.
+Pairing pair_emitters(const Objects& old_emitters, const Objects& new_emitters, Canon& canon) {
+    Pairing pairing = no_pairs(old_emitters.size(), new_emitters.size());
+    const auto sky = [](const Object& o) {
+        return o.plugin == "constant" || o.plugin == "envmap" || o.plugin == "sunsky";
+    };
+    const auto pass = [&](const auto& key, const auto& eligible) {
+        pair_up(
+            pairing, [&](std::size_t i) { return key(*old_emitters[i]); },
+            [&](std::size_t j) { return key(*new_emitters[j]); }, eligible);
+    };
+    const auto always = [](std::size_t, std::size_t) { return true; };
+    pass([&](const Object& o) { return sky(o) ? std::string("sky") : std::string(); }, always);
+    pass([](const Object& o) { return o.has_own_id ? o.plugin + " " + o.id : std::string(); }, always);
+    pass([&](const Object& o) { return canon.text(o); }, always);
+    pass([](const Object& o) { return o.plugin; },
+         [&](std::size_t i, std::size_t j) { return !old_emitters[i]->has_own_id || !new_emitters[j]->has_own_id; });
+    return pairing;
+}
+
+/// Place of a parameter, or of the object that would have it.
+Location place(const Object& root, std::initializer_list<Category> way, std::initializer_list<std::string_view> names) {
+    const Object* o = &root;
+    ObjectPtr child;
+    for (Category category : way) {
+        child = o->child(category);
+        while (child && category == Category::integrator && child->child(category)) child = child->child(category);
+        if (!child) return o->at;
+        o = child.get();
+    }
+    for (std::string_view name : names)
+        if (const Property* p = o->find(name)) return p->at;
+    return o->at;
+}
+
+void check_views(const Object& old_root, const Object& new_root, Edit& edit) {
+    const View a = read_view(old_root), b = read_view(new_root);
+    for (const auto& [root, view] : {std::pair{&old_root, &a}, std::pair{&new_root, &b}})
+        if (view->sensor.kind == SensorKind::nlos_capture_meter)
+            root->fail("", "a capture around a corner is no picture: it has no residual");
+    const auto refuse = [&](bool differs, std::initializer_list<Category> way,
+                            std::initializer_list<std::string_view> names, const std::string& what) {
+        if (differs)
+            fail(place(new_root, way, names), fmt::format("{} as in the old scene, at {}: no residual leads from one "
+                                                          "picture to the other; render the new scene afresh",
+                                                          what, place(old_root, way, names).where()));
+    };
+    using enum Category;
+    const Sensor &s = a.sensor, &t = b.sensor;
+    refuse(s.width != t.width, {sensor, film}, {"width"},
+           fmt::format("the film's width is {}, not {}", t.width, s.width));
+    refuse(s.height != t.height, {sensor, film}, {"height"},
+           fmt::format("the film's height is {}, not {}", t.height, s.height));
+    refuse(s.filter != t.filter || (s.filter == Filter::gaussian ? s.gaussian_stddev != t.gaussian_stddev
+                                                                 : s.filter_radius != t.filter_radius),
+           {sensor, film, rfilter}, {"radius", "stddev"}, "the pixel filter is not the same");
+    refuse(s.kind != t.kind, {sensor}, {}, "the camera is not of the same kind");
+    Matrix4d camera_a, camera_b;
+    camera_a.m = s.world_from_camera;
+    camera_b.m = t.world_from_camera;
+    refuse(!same_place(camera_a, camera_b), {sensor}, {"to_world"}, "the camera does not stand and look");
+    refuse(s.kind == SensorKind::perspective && s.tan_half_fov_x != t.tan_half_fov_x, {sensor},
+           {"fov", "focal_length", "fov_axis"}, "the camera has not the same field of view");
+    refuse(s.near_clip != t.near_clip, {sensor}, {"near_clip"}, "the camera has not the same near_clip");
+    refuse(s.far_clip != t.far_clip, {sensor}, {"far_clip"}, "the camera has not the same far_clip");
+    refuse(s.principal_x != t.principal_x, {sensor}, {"principal_point_offset_x"},
+           "the camera has not the same principal point");
+    refuse(s.principal_y != t.principal_y, {sensor}, {"principal_point_offset_y"},
+           "the camera has not the same principal point");
+    refuse(a.max_depth != b.max_depth, {integrator}, {"max_depth"},
+           fmt::format("max_depth is {}, not {}", b.max_depth, a.max_depth));
+    refuse(a.hides_emitters != b.hides_emitters, {integrator}, {"hide_emitters"},
+           fmt::format("hide_emitters is {}, not {}", b.hides_emitters, a.hides_emitters));
+    if (a.rr_depth != b.rr_depth)
+        edit.notes.push_back(
+            fmt::format("rr_depth {} -> {}: without effect on the mean; both scenes are traced with the new one",
+                        a.rr_depth, b.rr_depth));
+}
+
+/// Lines that say the same of several shapes become one.
+class Lines {
+  public:
+    void add(const std::string& verb, const std::string& who, const std::string& what) {
+        for (auto& [v, names, w] : lines_)
+            if (v == verb && w == what && !what.empty()) {
+                names.push_back(who);
+                return;
+            }
+        lines_.push_back({verb, {who}, what});
+    }
+    std::vector<std::string> texts() const {
+        std::vector<std::string> texts;
+        for (const auto& [verb, names, what] : lines_) {
+            constexpr std::size_t named = 8;
+            std::string who = fmt::format(
+                "{}", fmt::join(names.begin(), names.begin() + std::ptrdiff_t(std::min(named, names.size())), ", "));
+            if (names.size() > named) who += fmt::format(" and {} more", names.size() - named);
+            texts.push_back(fmt::format("{}: {}{}{}", verb, who, what.empty() ? "" : ": ", what));
+        }
+        return texts;
+    }
+
+  private:
+    struct Line {
+        std::string verb;
+        std::vector<std::string> names;
+        std::string what;
+    };
+    std::vector<Line> lines_;
+};
+
+}  // namespace
+
+std::string motion_words(const Matrix4d& motion, const Point3<double>& centre, bool has_centre) {
+    const auto triple = [](double x, double y, double z) {
+        const double largest = std::max({std::abs(x), std::abs(y), std::abs(z)});
+        const auto clean = [&](double v) { return std::abs(v) < 1e-9 * largest ? 0.0 : v; };
+        return fmt::format("({:.4g}, {:.4g}, {:.4g})", clean(x), clean(y), clean(z));
+    };
+    // Twice the sine of the angle times the axis; near half a turn the axis is in R + 1 instead.
+    Vector3<double> axis{motion(2, 1) - motion(1, 2), motion(0, 2) - motion(2, 0), motion(1, 0) - motion(0, 1)};
+    const double cosine = std::clamp((motion(0, 0) + motion(1, 1) + motion(2, 2) - 1) / 2, -1.0, 1.0),
+                 sine = length(axis) / 2;
+    const double angle = std::atan2(sine, cosine);
+    constexpr double least_angle = 1e-6;
+    const Point3<double> to = motion.point(centre);
+    const std::string shift = triple(to.x - centre.x, to.y - centre.y, to.z - centre.z);
+    if (angle < least_angle) return "by " + shift;
+    if (sine < 1e-4) {
+        int k = 0;
+        for (int i = 1; i < 3; ++i)
+            if (motion(i, i) > motion(k, k)) k = i;
+        axis = {motion(0, k) + (k == 0), motion(1, k) + (k == 1), motion(2, k) + (k == 2)};
+    }
+    axis = axis * (1 / length(axis));
+    const std::string turn =
+        fmt::format("turned by {:.4g} degrees about {}", angle * 180 / pi_double, triple(axis.x, axis.y, axis.z));
+    const Vector3<double> moved{to.x - centre.x, to.y - centre.y, to.z - centre.z};
+    if (has_centre)
+        return turn + " through its centre" +
+               (length(moved) > 1e-6 * (1 + length(Vector3<double>(centre))) ? ", and by " + shift : "");
+    // A screw: the points of its axis move along it.
+    const Vector3<double> t{motion(0, 3), motion(1, 3), motion(2, 3)};
+    const double along = dot(t, axis);
+    const Vector3<double> across = t - axis * along;
+    const Vector3<double> point = (across + cross(axis, across) * (1 / std::tan(angle / 2))) * 0.5;
+    const std::string through = " through " + triple(point.x, point.y, point.z);
+    const Vector3<double> d = axis * along;
+    return turn + through + (std::abs(along) > 1e-6 ? ", and by " + triple(d.x, d.y, d.z) : "");
+}
+
+std::size_t Edit::n_dynamic() const {
+    return std::size_t(
+        std::count_if(new_shapes.begin(), new_shapes.end(), [](const ShapeEdit& s) { return s.dynamic(); }));
+}
+std::size_t Edit::n_ghosts() const {
+    return std::size_t(
+        std::count_if(old_shapes.begin(), old_shapes.end(), [](const ShapeEdit& s) { return s.dynamic(); }));
+}
+std::size_t Edit::n_repainted() const {
+    return std::size_t(std::count_if(new_shapes.begin(), new_shapes.end(), [](const ShapeEdit& s) {
+        return (s.changes & shape_change::repainted) && !s.dynamic();
+    }));
+}
+std::size_t Edit::n_dyed() const {
+    return std::size_t(
+        std::count_if(new_shapes.begin(), new_shapes.end(), [](const ShapeEdit& s) { return s.dyed(); }));
+}
+std::size_t Edit::n_emitters() const {
+    const auto changed = [](const EmitterEdit& e) { return e.changed; };
+    return std::size_t(std::max(std::count_if(old_emitters.begin(), old_emitters.end(), changed),
+                                std::count_if(new_emitters.begin(), new_emitters.end(), changed)));
+}
+
+Edit find_edit(const SceneDescription& old_scene, const SceneDescription& new_scene) {
+    Edit edit;
+    const Object &old_root = *old_scene.root, &new_root = *new_scene.root;
+    check_views(old_root, new_root, edit);
+    Canon canon;
+    Lines lines;
+    constexpr std::uint32_t none = ShapeEdit::none;
+
+    const Objects old_shapes = old_root.children(Category::shape), new_shapes = new_root.children(Category::shape);
+    Pairing pairs = pair_shapes(old_shapes, new_shapes, canon);
+    edit.old_shapes.resize(old_shapes.size());
+    edit.new_shapes.resize(new_shapes.size());
+    // As build_scene() numbers them: area lights by shape, then the emitters of the scene.
+    std::vector<std::uint32_t> old_light(old_shapes.size(), none), new_light(new_shapes.size(), none);
+    std::uint32_t n_old = 0, n_new = 0;
+    for (std::size_t i = 0; i < old_shapes.size(); ++i)
+        if (old_shapes[i]->child(Category::emitter)) old_light[i] = n_old++;
+    for (std::size_t j = 0; j < new_shapes.size(); ++j)
+        if (new_shapes[j]->child(Category::emitter)) new_light[j] = n_new++;
+    const Objects old_emitters = old_root.children(Category::emitter),
+                  new_emitters = new_root.children(Category::emitter);
+    edit.old_emitters.assign(n_old + old_emitters.size(), {true, none});
+    edit.new_emitters.assign(n_new + new_emitters.size(), {true, none});
+
+    const auto is_light = [](const Object& shape) { return shape.child(Category::emitter) ? " (a light)" : ""; };
+    for (std::size_t i = 0; i < old_shapes.size(); ++i) {
+        const Object& a = *old_shapes[i];
+        const std::uint32_t j = pairs.new_of_old[i];
+        std::optional<Matrix4d> motion;
+        if (j != none && canon.form(a) == canon.form(*new_shapes[j]))
+            motion = rigid_motion(placement(a), placement(*new_shapes[j]));
+        if (!motion) {
+            // Of another form or size under the same id, or gone.
+            edit.old_shapes[i].changes = shape_change::removed;
+            if (j != none) {
+                pairs.old_of_new[j] = none;
+                const Object& b = *new_shapes[j];
+                const std::string why = a.plugin != b.plugin ? fmt::format("{} -> {}", a.plugin, b.plugin)
+                                        : canon.form(a) != canon.form(b)
+                                            ? std::string("it has another form")
+                                            : std::string("it is not only turned and shifted");
+                lines.add("removed and added anew", title(a) + is_light(a), why);
+                edit.new_shapes[j].changes = shape_change::added;
+            } else {
+                lines.add("removed", title(a) + is_light(a), "");
+            }
+            continue;
+        }
+        const Object& b = *new_shapes[j];
+        unsigned changes = 0;
+        if (!same_place(placement(a), placement(b))) {
+            changes |= shape_change::moved;
+            lines.add("moved", title(b) + is_light(b),
+                      motion_words(*motion, placement(a).point({0, 0, 0}), centred(a)));
+        }
+        const ObjectPtr bsdf_a = a.child(Category::bsdf), bsdf_b = b.child(Category::bsdf);
+        if (canon.text(bsdf_a) != canon.text(bsdf_b)) {
+            changes |= shape_change::repainted;
+            lines.add("repainted", title(b), differences(bsdf_a, bsdf_b, canon));
+        }
+        const ObjectPtr light_a = a.child(Category::emitter), light_b = b.child(Category::emitter);
+        const bool same_light = canon.text(light_a) == canon.text(light_b);
+        if (!same_light) {
+            changes |= shape_change::relit;
+            if (!light_a || !light_b)
+                lines.add(light_b ? "light added" : "light removed", title(b), "");
+            else
+                lines.add("light changed", title(b), differences(light_a, light_b, canon));
+        }
+        if (light_a && light_b) {
+            const bool changed = !same_light || (changes & shape_change::moved);
+            edit.old_emitters[old_light[i]] = {changed, new_light[j]};
+            edit.new_emitters[new_light[j]] = {changed, old_light[i]};
+        }
+        edit.old_shapes[i] = {changes, j, {}};
+        edit.new_shapes[j] = {changes, std::uint32_t(i), {}};
+        if (changes & shape_change::moved) {
+            edit.old_shapes[i].to_partner = *motion;
+            edit.new_shapes[j].to_partner = inverse_of_rigid(*motion);
+        }
+    }
+    for (std::size_t j = 0; j < new_shapes.size(); ++j)
+        if (pairs.old_of_new[j] == none && !(edit.new_shapes[j].changes & shape_change::added)) {
+            edit.new_shapes[j].changes = shape_change::added;
+            lines.add("added", title(*new_shapes[j]) + is_light(*new_shapes[j]), "");
+        }
+
+    if (read_view(new_root).hides_emitters)
+        for (const auto& [shapes, edits] :
+             {std::pair{&old_shapes, &edit.old_shapes}, std::pair{&new_shapes, &edit.new_shapes}})
+            for (std::size_t i = 0; i < shapes->size(); ++i)
+                if ((*edits)[i].changes != 0 && (*shapes)[i]->has_child(Category::emitter))
+                    fail((*shapes)[i]->at,
+                         "an edit of a light with an area is not supported yet where hide_emitters hides it from the "
+                         "camera; render the new scene afresh");
+
+    const Pairing lights = pair_emitters(old_emitters, new_emitters, canon);
+    for (std::size_t i = 0; i < old_emitters.size(); ++i) {
+        const Object& a = *old_emitters[i];
+        const std::uint32_t j = lights.new_of_old[i];
+        if (j == none) {
+            lines.add("light removed", title(a), "");
+            continue;
+        }
+        const Object& b = *new_emitters[j];
+        const bool changed = canon.text(a) != canon.text(b);
+        edit.old_emitters[n_old + i] = {changed, std::uint32_t(n_new + j)};
+        edit.new_emitters[n_new + j] = {changed, std::uint32_t(n_old + i)};
+        const bool sky = a.plugin == "constant" || a.plugin == "envmap" || a.plugin == "sunsky";
+        if (changed)
+            lines.add(sky ? "sky changed" : "light changed", title(b),
+                      differences(old_emitters[i], new_emitters[j], canon));
+    }
+    for (std::size_t j = 0; j < new_emitters.size(); ++j)
+        if (lights.old_of_new[j] == none) lines.add("light added", title(*new_emitters[j]), "");
+    edit.changes = lines.texts();
+    return edit;
+}
+
+}  // namespace loom

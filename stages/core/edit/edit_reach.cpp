@@ -1,0 +1,254 @@
+#include "stages/core/edit/edit_reach.h"
+
+#include <fmt/format.h>
+
+#include <cstring>
+#include <map>
+#include <tuple>
+
+namespace loom {
+namespace {
+
+/// Part of their size by which obstacles are larger than their shapes; rounding of a ray is a hundredth of it.
+constexpr float margin = 1e-5f;
+/// How far (m) from its vertex a ray may start in a scene.
+float largest_offset(const Scene& scene) {
+    float error = 0;
+    for (const Shape& shape : scene.shapes) error = std::max(error, shape.hit_error);
+    const Point3f& c = scene.center;
+    return 2 * rounding_bound * (std::abs(c.x) + std::abs(c.y) + std::abs(c.z) + 2 * scene.radius) + error;
+}
+
+float largest(const Point3f& p) {
+    return std::max({std::abs(p.x), std::abs(p.y), std::abs(p.z)});
+}
+
+template <class T>
+bool same_bits(const std::vector<T>& a, const std::vector<T>& b) {
+    return a.size() == b.size() && (a.empty() || std::memcmp(a.data(), b.data(), a.size() * sizeof(T)) == 0);
+}
+
+bool same_geometry(const Shape& a, const Shape& b) {
+    return a.kind == b.kind && a.flip_normals == b.flip_normals && a.center == b.center && a.radius == b.radius &&
+           a.u_axis == b.u_axis && a.v_axis == b.v_axis && a.w_axis == b.w_axis &&
+           same_bits(a.mesh.positions, b.mesh.positions) && same_bits(a.mesh.normals, b.mesh.normals) &&
+           same_bits(a.mesh.uvs, b.mesh.uvs) && same_bits(a.mesh.indices, b.mesh.indices);
+}
+
+bool same_image(const TextureImage& a, const TextureImage& b) {
+    return a.width == b.width && a.height == b.height && a.grey == b.grey && a.decode == b.decode &&
+           same_bits(a.bytes, b.bytes) && same_bits(a.floats, b.floats);
+}
+
+bool same_texture(const Texture& a, const Texture& b) {
+    const auto numbers = [](const Texture& t) {
+        return std::tie(t.kind, t.wrap, t.nearest, t.to_uv, t.color0, t.color1, t.swaps_numbers);
+    };
+    if (numbers(a) != numbers(b) || !a.image != !b.image) return false;
+    return a.image == b.image || same_image(*a.image, *b.image);
+}
+
+bool same_model(const BsdfModel& a, const BsdfModel& b) {
+    const auto numbers = [](const BsdfModel& m) {
+        return std::tie(m.kind, m.distribution, m.two_sided, m.nonlinear, m.sample_visible, m.variant, m.bump_shadowing,
+                        m.int_ior, m.ext_ior, m.opacity, m.alpha_u, m.alpha_v, m.exponent, m.diffuse, m.specular,
+                        m.transmittance, m.eta_c, m.k_c, m.coat.fdr_int, m.coat.fdr_ext, m.coat.external_transmittance);
+    };
+    return numbers(a) == numbers(b);
+}
+
+bool same_map(const EnvironmentMap& a, const EnvironmentMap& b) {
+    return a.width == b.width && a.height == b.height && same_bits(a.texels, b.texels);
+}
+
+/// Compares what the two scenes are made of, each pair once.
+class Comparison {
+  public:
+    Comparison(const Scene& old_scene, const Scene& new_scene) : old_(old_scene), new_(new_scene) {}
+
+    bool same_material(int a, int b) {
+        if (a < 0 || b < 0) return a < 0 && b < 0;
+        const auto known = materials_.find({a, b});
+        if (known != materials_.end()) return known->second;
+        const Material &m = old_.materials[std::size_t(a)], &n = new_.materials[std::size_t(b)];
+        bool same = same_model(m.model, n.model) && m.bump_scale == n.bump_scale &&
+                    m.reflectance_scale == n.reflectance_scale && m.index_scale == n.index_scale &&
+                    m.flips_invalid_normals == n.flips_invalid_normals && same_material(m.back, n.back);
+        for (const auto texture : {&Material::diffuse, &Material::specular, &Material::transmittance,
+                                   &Material::alpha_u, &Material::alpha_v, &Material::opacity, &Material::exponent,
+                                   &Material::eta_c, &Material::k_c, &Material::normal_map, &Material::bump_map})
+            same = same && same_texture(m.*texture, n.*texture);
+        return materials_[{a, b}] = same;
+    }
+    /// But for the shape of an area light.
+    bool same_emitter(const Emitter& a, const Emitter& b) {
+        const auto numbers = [](const Emitter& e) {
+            return std::tie(e.kind, e.radiance, e.area, e.parallelogram, e.frame.s, e.frame.t, e.frame.n, e.position,
+                            e.cutoff_rad, e.beam_rad, e.tan_x, e.tan_y);
+        };
+        if (numbers(a) != numbers(b) || !same_texture(a.texture, b.texture) || !a.map != !b.map) return false;
+        return a.map == b.map || same_map(*a.map, *b.map);
+    }
+
+  private:
+    bool same_texture(int a, int b) {
+        if (a < 0 || b < 0) return a < 0 && b < 0;
+        const auto known = textures_.find({a, b});
+        if (known != textures_.end()) return known->second;
+        return textures_[{a, b}] = loom::same_texture(old_.textures[std::size_t(a)], new_.textures[std::size_t(b)]);
+    }
+
+    const Scene &old_, &new_;
+    std::map<std::pair<int, int>, bool> materials_, textures_;
+};
+
+bool same_sensor(const Sensor& a, const Sensor& b) {
+    const auto numbers = [](const Sensor& s) {
+        return std::tie(s.kind, s.width, s.height, s.filter, s.filter_radius, s.gaussian_stddev, s.world_from_camera,
+                        s.tan_half_fov_x, s.principal_x, s.principal_y, s.near_clip, s.far_clip);
+    };
+    return numbers(a) == numbers(b);
+}
+
+/// Calls holds(material) for a material and what is seen of it from behind.
+template <class Holds>
+bool of_both_sides(const Scene& scene, std::uint32_t material, Holds&& holds) {
+    const Material& front = scene.materials[material];
+    return holds(front) && (front.back < 0 || holds(scene.materials[std::size_t(front.back)]));
+}
+
+/// Only what a ray engine looks at.
+Shape enlarged(const Shape& shape) {
+    Shape large;
+    large.kind = shape.kind;
+    large.center = shape.center;
+    large.radius = shape.radius * (1 + margin) + margin * largest(shape.center);
+    const float more = 1 + margin * (1 + largest(shape.center) /
+                                             std::max(std::min(length(shape.u_axis), length(shape.v_axis)), 1e-20f));
+    large.u_axis = shape.u_axis * more;
+    large.v_axis = shape.v_axis * more;
+    large.w_axis = shape.w_axis;
+    const auto& index = shape.mesh.indices;
+    for (std::size_t i = 0; i + 2 < index.size(); i += 3) {
+        const Point3f corners[] = {shape.mesh.positions[index[i]], shape.mesh.positions[index[i + 1]],
+                                   shape.mesh.positions[index[i + 2]]};
+        const Point3f centre = corners[0] + ((corners[1] - corners[0]) + (corners[2] - corners[0])) * (1.0f / 3);
+        for (const Point3f& p : corners) {
+            const Vector3f out = p - centre;
+            const float size = length(out);
+            large.mesh.indices.push_back(std::uint32_t(large.mesh.positions.size()));
+            large.mesh.positions.push_back(size > 0 ? p + out * (margin * (1 + largest(p) / size)) : p);
+        }
+    }
+    return large;
+}
+
+}  // namespace
+
+void Obstacles::add(const Shape& shape) {
+    Box3f box = shape.bounds();
+    if (!(box.lo.x <= box.hi.x)) return;  // a mesh without triangles
+    box.grow(margin * (largest(box.lo) + largest(box.hi)));
+    box_.add(box);
+    boxes_.push_back(box);
+    shapes_.push_back(enlarged(shape));
+}
+
+void Obstacles::finish(float around) {
+    if (empty()) return;
+    rays_ = std::make_unique<RayEngine>(shapes_);
+    box_.grow(around);
+    for (Box3f& box : boxes_) box.grow(around);
+    constexpr std::size_t most = 32;  // asking for more costs more than it spares
+    if (boxes_.size() > most) boxes_ = {box_};
+}
+
+bool Obstacles::may_meet(const Point3f& a, const Vector3f& d) const {
+    float beyond = 0;
+    for (int k = 0; k < 3; ++k) beyond += std::max(std::abs(box_.lo[k] - a[k]), std::abs(box_.hi[k] - a[k]));
+    return may_meet(a, a + d * (2 * beyond));
+}
+
+EditReach::EditReach(const Scene& old_scene, const Scene& new_scene, const Edit& edit) {
+    constexpr std::uint32_t none = ShapeEdit::none;
+    Comparison compare(old_scene, new_scene);
+
+    const auto stays = [&](const ShapeEdit& shape, std::uint32_t old_index, std::uint32_t new_index) {
+        return shape.partner != none && !shape.dynamic() &&
+               same_geometry(old_scene.shapes[old_index], new_scene.shapes[new_index]);
+    };
+    std::vector<std::uint8_t> scatters_alike;
+    for (std::uint32_t i = 0; i < old_scene.shapes.size(); ++i) {
+        const ShapeEdit& shape = edit.old_shapes[i];
+        const Shape& geometry = old_scene.shapes[i];
+        const bool in_place = stays(shape, i, shape.partner);
+        if (!in_place) old_places.add(geometry);
+        scatters_alike.push_back(
+            in_place && !(shape.changes & shape_change::repainted) &&
+            compare.same_material(int(geometry.material), int(new_scene.shapes[shape.partner].material)));
+        const bool same = scatters_alike[i] && !shape.dyed();
+        shapes.push_back(!same);
+        const bool only_repainted =
+            !same && in_place && geometry.emitter < 0 && new_scene.shapes[shape.partner].emitter < 0 &&
+            of_both_sides(old_scene, geometry.material, [](const Material& m) { return !m.perturbed(); }) &&
+            of_both_sides(new_scene, new_scene.shapes[shape.partner].material,
+                          [](const Material& m) { return !m.needs_uv(); });
+        repainted.push_back(only_repainted ? int(new_scene.shapes[shape.partner].material) : -1);
+    }
+    for (std::uint32_t j = 0; j < new_scene.shapes.size(); ++j)
+        if (const ShapeEdit& shape = edit.new_shapes[j]; !stays(shape, shape.partner, j))
+            new_places.add(new_scene.shapes[j]);
+    const float around = std::max(largest_offset(old_scene), largest_offset(new_scene));
+    old_places.finish(around);
+    new_places.finish(around);
+
+    if (!same_sensor(old_scene.sensor, new_scene.sensor)) everything = "the camera differs in its last digits";
+    if (old_scene.features.anisotropic != new_scene.features.anisotropic)
+        everything = "the one scene has a surface with a grain, the other has none: frames are turned otherwise";
+    const std::size_t n = old_scene.emitters.size();
+    if (n != new_scene.emitters.size())
+        everything = fmt::format("{} lights, now {}: the same number picks another", n, new_scene.emitters.size());
+    for (std::uint32_t i = 0; everything.empty() && i < n; ++i) {
+        const EmitterEdit& emitter = edit.old_emitters[i];
+        const Emitter &before = old_scene.emitters[i], &after = new_scene.emitters[i];
+        if (emitter.partner != none && emitter.partner != i)
+            everything = "the lights are in another order: the same number picks another";
+        if (n > 1 && old_scene.emitter_pmf.pmf(i) != new_scene.emitter_pmf.pmf(i))
+            everything = "the lights are chosen by other weights";
+        bool changed = emitter.changed || emitter.partner == none || !compare.same_emitter(before, after);
+        if (!changed && before.kind == EmitterKind::area) {
+            const ShapeEdit& shape = edit.old_shapes[before.shape];
+            changed = shape.partner != after.shape || !stays(shape, before.shape, after.shape);
+        }
+        Emitter as_before = after;
+        as_before.radiance = before.radiance;
+        const bool even =
+            (before.kind == EmitterKind::area && stays(edit.old_shapes[before.shape], before.shape, after.shape)) ||
+            (before.kind == EmitterKind::constant && old_scene.environment == new_scene.environment);
+        relit.push_back(changed && even && before.texture < 0 && !is_black(before.radiance) &&
+                        compare.same_emitter(before, as_before));
+        emitters.push_back(changed && !relit[i]);
+        any_emitter |= emitters[i] != 0;
+        any_relit |= relit[i] != 0;
+    }
+    if (!everything.empty()) return;
+    for (std::uint32_t i = 0; i < shapes.size(); ++i) {
+        const Shape& shape = old_scene.shapes[i];
+        if (shape.emitter < 0) continue;
+        const auto emitter = std::size_t(shape.emitter);
+        shapes[i] = (shapes[i] || emitters[emitter]) && !(scatters_alike[i] && relit[emitter]);
+        dark_light |= shapes[i] && old_scene.materials[shape.material].black();
+    }
+    sky = old_scene.environment != new_scene.environment ||
+          (old_scene.environment >= 0 && emitters[std::size_t(old_scene.environment)]);
+
+    for (const Emitter& emitter : old_scene.emitters) {
+        if (emitter.is_infinite()) bounded_lights = false;
+        if (emitter.kind == EmitterKind::area)
+            lights.add(old_scene.shapes[emitter.shape].bounds());
+        else
+            lights.add(emitter.position);
+    }
+}
+
+}  // namespace loom

@@ -1,0 +1,12 @@
+#pragma once
+
+namespace loom {
+
+struct Scene;
+
+/// The two scenes of an edit; film and camera are the same.
+struct ScenePair {
+    const Scene &old_scene, &new_scene;
+};
+
+}  // namespace loom

@@ -1,0 +1,102 @@
+#pragma once
+// When the light of stored paths arrives.                                                      [TR section 4.1]
+
+#include "stages/core/graph/own_samples.h"
+
+namespace loom {
+
+/// What counts, and how fast light is.
+struct Timing {
+    // counts; of captures around a corner the segment from the laser to where it lights, too
+    bool camera_segment = true;
+    std::vector<std::pair<float, float>> group_index{};  // of light whose phase index is the first
+
+    /// Index of refraction by which light of a phase index is slowed down.
+    double index(float phase) const {
+        for (const auto& [from, to] : group_index)
+            if (std::abs(phase - from) < 1e-4f * from) return to;
+        return phase;
+    }
+};
+
+inline Point3<double> position(const PathGraph& graph, std::size_t j) {
+    const float* p = graph.vertices.p.data() + 3 * j;
+    return {p[0], p[1], p[2]};
+}
+
+/// Where the camera ray of a path starts: the pinhole, or its place on an orthographic sensor; never the near plane.
+inline Point3<double> camera_point(const PathGraph& graph, std::size_t path) {
+    if (graph.paths.origin.empty()) return {graph.sensor.origin[0], graph.sensor.origin[1], graph.sensor.origin[2]};
+    const float* o = graph.paths.origin.data() + 3 * path;
+    return {o[0], o[1], o[2]};
+}
+
+/// Optical path lengths (m) along the positions as they are stored, in double precision. The graph is borrowed.
+///   opl = sum_i eta_i |x_i - x_(i-1)|, infinite for lights at infinity               [TR eq. 4, with absolute indices]
+class OpticalLengths {
+  public:
+    OpticalLengths(const PathGraph& graph, Timing timing)
+        : graph_(graph),
+          timing_(std::move(timing)),
+          laser_segment_(timing_.camera_segment || graph.nlos.capture.empty()) {}
+
+    /// From the camera to the first vertex of a path; 0 where that does not count.
+    double from_camera(std::size_t path) const {
+        return timing_.camera_segment ? to_vertex(graph_.paths.first_vertex[path], camera_point(graph_, path)) : 0.0;
+    }
+    /// From a point to vertex j, in the medium of the segment that arrives there.
+    double to_vertex(std::size_t j, const Point3<double>& from) const {
+        return index_of(graph_.vertices.eta, j) * length(position(graph_, j) - from);
+    }
+    /// Along light edge k from a point, and on to where the light starts if that is elsewhere (a lit spot, which
+    /// reflects: the laser is in the medium of the edge).
+    double to_light(std::size_t k, const Point3<double>& from) const {
+        const auto& e = graph_.light_edges;
+        const float* y = e.y.data() + 4 * k;
+        if (y[3] == 0) return INFINITY;
+        const Point3<double> light{y[0], y[1], y[2]};
+        const bool lit_spot = !graph_.emitters.position.empty() &&
+                              EmitterKind(graph_.emitters.kind[e.emitter[k]]) == EmitterKind::laser_spot;
+        double sum = lit_spot || laser_segment_ ? index_of(e.eta, k) * length(light - from) : 0;
+        if (lit_spot && laser_segment_) {
+            const float* p = graph_.emitters.position.data() + 3 * e.emitter[k];
+            sum += index_of(e.eta, k) * length(Point3<double>{p[0], p[1], p[2]} - light);
+        }
+        return sum;
+    }
+
+  private:
+    double index_of(const Column<float>& eta, std::size_t i) const {
+        return timing_.index(eta.empty() ? 1.0f : eta[i]);
+    }
+
+    const PathGraph& graph_;
+    Timing timing_;
+    bool laser_segment_;
+};
+
+/// Walks along a path: on_light(L, opl) for each light that reaches the camera, what is seen directly included.
+/// in: edge  first light edge of the path; out: that of the next path
+template <class OnLight>
+void walk_in_time(const GraphReader& reader, const OpticalLengths& lengths, std::size_t path, std::size_t& edge,
+                  OnLight&& on_light) {
+    const PathGraph& g = reader.graph();
+    const std::uint64_t begin = g.paths.first_vertex[path];
+    const Spectrum Le = rgb(g.paths.Le, path);
+    double opl = 0;
+    Point3<double> x;
+    if (begin == g.paths.first_vertex[path + 1]) {
+        if (!is_black(Le)) on_light(Le, double(INFINITY));
+        return;
+    }
+    walk_path(
+        reader, path, edge,
+        [&](std::size_t j, const ShadingPoint&) {
+            opl += j == begin ? lengths.from_camera(path) : lengths.to_vertex(j, x);
+            x = position(g, j);
+            if (j == begin && !is_black(Le)) on_light(Le, opl);
+        },
+        [&](std::size_t, std::size_t k, const Spectrum& L) { on_light(L, opl + lengths.to_light(k, x)); });
+}
+
+}  // namespace loom

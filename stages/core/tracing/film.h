@@ -1,0 +1,40 @@
+#pragma once
+// From samples of pixels to an image with its auxiliary layers; the same sums for the tracer that keeps
+// nothing and for the stage that reads a graph.
+
+#include <cstdint>
+#include <string>
+
+#include "formats/image.h"
+#include "stages/core/stats/moments.h"
+#include "stages/core/tracing/path_tracer.h"
+
+namespace loom {
+
+/// Sums over the samples of one pixel, in the order of the samples.
+struct PixelSums {
+    Moments L[3];
+    double albedo[3]{}, n[3]{}, depth = 0;
+    std::uint64_t hits = 0;
+
+    void add(const Spectrum& sample, const FirstHit& first);
+    /// Half of that each, for samples whose radiance comes later than the others.
+    void add(const Spectrum& sample);
+    void add(const FirstHit& first);
+};
+
+/// Layers of an image that pixels are written to, each pixel by one thread.
+class Film {
+  public:
+    Film(std::uint32_t width, std::uint32_t height, std::uint64_t samples);
+
+    /// Means over as many samples as the sums have, one at least.
+    void set(std::uint64_t pixel, const PixelSums& sums);
+    Image finish(Provenance provenance) &&;
+
+  private:
+    Image image_;
+    std::span<float> radiance_[3], var_mean_[3], albedo_[3], n_[3], depth_;
+};
+
+}  // namespace loom

@@ -1,0 +1,43 @@
+#pragma once
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <span>
+#include <vector>
+
+#include "formats/path_graph.h"
+#include "stages/core/scene/scene.h"
+#include "stages/core/tracing/path_record.h"
+#include "stages/core/tracing/path_tracer.h"
+
+namespace loom {
+
+/// Collects the paths of all workers in huge pages, column by column, and numbers their vertices through.
+class GraphBuilder {
+  public:
+    /// in:      n_pieces  batches to come   memory  for their columns; what it held is gone   misses  kept, too
+    GraphBuilder(const Scene& scene, const PathOptions& options, std::size_t n_pieces, std::shared_ptr<Arena> memory,
+                 bool misses);
+
+    /// Takes a batch as the i-th piece. From any thread, once for each i.
+    void set(std::size_t i, const PathRecords& records);
+
+    /// The pieces, in their order, as a graph of `samples` samples per pixel, with what it says of the scene.
+    PathGraphInPieces finish(std::uint64_t first_sample, std::uint64_t samples) &&;
+
+  private:
+    using Rows = PathRows<PlacedColumn>;
+    using Piece = std::vector<std::span<std::byte>>;  // columns in the order of their declaration
+
+    const Scene& scene_;
+    PathOptions options_;
+    Rows wanted_;
+    std::vector<Piece> pieces_;
+    std::shared_ptr<Arena> arena_;
+};
+
+/// Names as on disk and on command lines.
+std::string_view roulette_name(Roulette roulette);
+std::string_view sampler_name(SamplerKind sampler);
+
+}  // namespace loom

@@ -1,0 +1,168 @@
+#pragma once
+// Takes paths that have arrived at plain matte surfaces out of the general step, arrive(), and moves them on side
+// by side, with the very same results.
+
+#include <array>
+#include <vector>
+
+#include "stages/core/tracing/matte_columns.h"
+#include "stages/core/tracing/path_step.h"
+
+namespace loom {
+
+class MatteBlock {
+  public:
+    MatteBlock(const Scene& scene, const PathOptions& options) : scene_(scene), options_(options) {
+        for (const Shape& shape : scene.shapes) {
+            const Material& material = scene.materials[shape.material];
+            const BsdfModel& model = material.model;
+            Surface& surface = surfaces_.emplace_back();
+            surface.matte = model.kind == BsdfKind::diffuse && model.opacity == 1 && material.opacity < 0 &&
+                            material.back < 0 && !material.perturbed() && shape.kind == ShapeKind::mesh &&
+                            shape.emitter < 0 && !scene.features.anisotropic;
+            surface.textured = material.diffuse >= 0;
+            surface.two_sided = model.two_sided ? 1.0f : 0.0f;
+            surface.side = shape.flip_normals ? -1.0f : 1.0f;
+            surface.hit_error = shape.hit_error;
+            surface.reflectance = model.diffuse;
+            surface.vertex.describe(Bsdf<float>(model), scene.features);
+            surface.vertex.shape = std::uint32_t(surfaces_.size() - 1);
+            surface.vertex.material = std::uint16_t(shape.material);
+            surface.vertex.flags =
+                vertex_flag::attempted_bsdf | (scene.emitters.empty() ? 0 : vertex_flag::attempted_nee);
+        }
+    }
+
+    std::size_t size() const { return size_; }
+    bool full() const { return size_ == MatteColumns::capacity; }
+    void clear() { size_ = 0; }
+    /// What `add` was called with for path m of the block.
+    std::uint32_t ray(std::size_t m) const { return rays_[m]; }
+    Roulette roulette(int depth) const { return depth >= options_.rr_depth ? options_.roulette : Roulette::off; }
+
+    /// Takes a path whose ray, number `ray`, has met `hit`. false: it is one for arrive(), which does all that is not
+    /// matte, emits, or is lit by a light that looks at what it lights.
+    bool add(std::uint32_t ray, const Hit& hit, const PathState& path, const LightQuery& lights, Point2f u_direction,
+             float u_roulette) {
+        if (!hit || !surfaces_[hit.shape].matte) return false;
+        if (!scene_.emitters.empty() && !lights.placed) return false;
+        const LightPoint& light = lights.point;
+        const Surface& surface = surfaces_[hit.shape];
+        const Shape& shape = scene_.shapes[hit.shape];
+        const TrianglePoint at = triangle_point(shape, hit, surface.textured);
+        MatteColumns& c = columns_;
+        const std::size_t m = size_++;
+        rays_[m] = ray;
+        c.p.set(m, at.p);
+        c.ng.set(m, at.ng);
+        c.hit_error[m] = surface.hit_error;
+        c.n.set(m, at.n);
+        c.side[m] = length2(at.n) > 0 ? surface.side : 0.0f;
+        c.reflectance.set(
+            m, surface.textured ? scene_.diffuse(scene_.materials[shape.material], at.uv) : surface.reflectance);
+        c.two_sided[m] = surface.two_sided;
+        c.wo.set(m, -path.ray.d);
+        c.beta.set(m, path.beta);
+        c.eta_scale[m] = path.eta_scale;
+        c.u_direction_x[m] = u_direction.x;
+        c.u_direction_y[m] = u_direction.y;
+        c.u_roulette[m] = u_roulette;
+        c.light_y.set(m, light.y);
+        c.light_n.set(m, light.n);
+        c.light_hit_error[m] = light.hit_error;
+        c.light_Li.set(m, light.Li);
+        c.light_area[m] = light.area;
+        c.light_pdf_w[m] = light.pdf_w;
+        c.light_pmf[m] = light.pmf;
+        c.light_at_infinity[m] = light.at_infinity ? 1.0f : 0.0f;
+        emitters_[m] = light.emitter;
+        return true;
+    }
+
+    void shade(int depth) { shade_matte(columns_, size_, roulette(depth)); }
+
+    /// What shade() has found for path m of the block; as arrive().
+    template <bool recording>
+    Step finish(std::size_t m, int depth, const Hit& hit, PathState& path, ShadowRequest& shadow,
+                PathRecorder record) const {
+        const MatteColumns& c = columns_;
+        ++path.result.n_vertices;
+        if (depth == 1) path.result.first = {c.albedo.get<Spectrum>(m), c.ns.get<Normal3f>(m), hit.t};
+        if constexpr (recording) record_vertex(m, depth, hit, path, record);
+        Step step = Step::ends;
+        if (c.asks_shadow(m)) {
+            step = Step::asks_shadow;
+            shadow.ray = {c.shadow_o.get<Point3f>(m), c.shadow_d.get<Vector3f>(m), 0, c.shadow_t_max[m]};
+            shadow.contribution = c.contribution.get<Spectrum>(m);
+            if constexpr (recording) record_light(m, path, record.last_number(), shadow.edge);
+        } else if constexpr (recording) {
+            if (!scene_.emitters.empty()) record.miss(emitters_[m]);
+        }
+        if (c.roulette_ends(m)) {
+            if constexpr (recording) record.last().end(Ending::roulette);
+            return step;
+        }
+        if (!c.has_next(m)) {
+            if constexpr (recording) record.last().end(Ending::invalid_sample);
+            return step;
+        }
+        path.lobe = Lobe::diffuse;
+        path.is_straight = false;
+        path.pdf_w = c.next_pdf_w[m];
+        path.from = c.p.get<Point3f>(m);
+        path.beta = c.next_beta.get<Spectrum>(m);
+        path.ray = {c.next_o.get<Point3f>(m), c.next_d.get<Vector3f>(m), 0, INFINITY};
+        if constexpr (recording) {
+            record.last().lobe = path.lobe;
+            record.last().pdf_w = path.pdf_w;
+        }
+        return step | Step::goes_on;
+    }
+
+  private:
+    /// What `add` asks of a shape, in one place, and what all of its vertices have in common.
+    struct Surface {
+        bool matte = false, textured = false;
+        float two_sided = 0, side = 1, hit_error = 0;
+        Spectrum reflectance;
+        VertexRecord vertex;
+    };
+
+    void record_vertex(std::size_t m, int depth, const Hit& hit, const PathState& path, PathRecorder record) const {
+        const MatteColumns& c = columns_;
+        if (depth > 1) record.last().flags |= vertex_flag::continued;
+        VertexRecord& vertex = record.add(surfaces_[hit.shape].vertex);
+        vertex.p = c.p.get<Point3f>(m);
+        vertex.wo = c.wo.get<Vector3f>(m);
+        vertex.ns = vertex.n_side = normal_code(c.ns.get<Normal3f>(m));
+        if (scene_.features.smooth_normals) vertex.ng = normal_code(c.ng.get<Normal3f>(m));
+        if (scene_.features.textured_diffuse) vertex.diffuse = half_color(c.reflectance.get<Spectrum>(m));
+        vertex.eta = path.media.index();
+        vertex.q = c.q[m];
+    }
+
+    void record_light(std::size_t m, const PathState& path, std::uint32_t vertex, LightEdgeRecord& edge) const {
+        const MatteColumns& c = columns_;
+        edge = {};
+        edge.vertex = vertex;
+        edge.at_infinity = c.light_at_infinity[m] != 0;
+        edge.y = c.light_y.get<Point3f>(m);
+        const auto n = c.light_n.get<Normal3f>(m);
+        edge.n = normal_code(n == Normal3f{} ? Normal3f{0, 0, 1} : n);
+        edge.Li = c.light_Li.get<Spectrum>(m);
+        edge.pdf_nee_w = c.shadow_pdf_w[m];
+        edge.pdf_bsdf_w = c.shadow_pdf_bsdf_w[m];
+        edge.emitter = emitters_[m];
+        edge.eta = path.media.index();
+    }
+
+    const Scene& scene_;
+    PathOptions options_;
+    std::vector<Surface> surfaces_;  // by shape
+    MatteColumns columns_;
+    std::array<std::uint32_t, MatteColumns::capacity> rays_;
+    std::array<std::uint16_t, MatteColumns::capacity> emitters_;
+    std::size_t size_ = 0;
+};
+
+}  // namespace loom

@@ -1,0 +1,73 @@
+#pragma once
+// The step of a path at a matte surface, for many paths side by side: the same formulas as arrive(), number by
+// number, in loops that the compiler vectorises. What needs a look-up (triangle, texture, light) is gathered
+// into columns before, path by path.
+
+#include <cstddef>
+#include <cstdint>
+
+#include "stages/core/math/vector.h"
+#include "stages/core/tracing/path_tracer.h"
+
+namespace loom {
+
+/// Columns of one block of paths; small enough for the innermost cache.
+struct MatteColumns {
+    static constexpr std::size_t capacity = 128;
+
+    struct alignas(64) Numbers {
+        float values[capacity];
+        float& operator[](std::size_t i) { return values[i]; }
+        float operator[](std::size_t i) const { return values[i]; }
+    };
+    /// Points, vectors, normals or colours.
+    struct Triples {
+        Numbers x, y, z;
+        template <class K>
+        void set(std::size_t i, const Triple<float, K>& v) {
+            x[i] = v.x, y[i] = v.y, z[i] = v.z;
+        }
+        void set(std::size_t i, const Spectrum& v) { x[i] = v.r, y[i] = v.g, z[i] = v.b; }
+        template <class V>
+        V get(std::size_t i) const {
+            return {x[i], y[i], z[i]};
+        }
+    };
+
+    // in: the surface, the path that arrives, random numbers
+    Triples p, ng, n;  // n: interpolated, not of unit length
+    Numbers hit_error;
+    Numbers side;  // turns n: 1 or -1; 0: shade with ng
+    Triples reflectance;
+    Numbers two_sided;  // 1 or 0
+    Triples wo, beta;
+    Numbers eta_scale;
+    Numbers u_direction_x, u_direction_y, u_roulette;
+    // in: the light point; black: none
+    Triples light_y, light_n, light_Li;
+    Numbers light_hit_error;
+    Numbers light_area, light_pdf_w, light_pmf, light_at_infinity;
+
+    // out: the vertex
+    Triples ns, albedo;
+    Triples wo_local;  // turned to the front
+    Numbers turn;      // -1 where the front is the mirror image of the surface, else 1
+    Numbers q;         // survival probability of roulette
+    // out: the shadow ray and what it is worth; asks for none where its pdf or its BSDF value is 0
+    Triples light_wi;
+    Triples shadow_o, shadow_d, contribution;
+    Numbers shadow_t_max, shadow_pdf_w, shadow_pdf_bsdf_w, shadow_f;
+    // out: the next ray, roulette folded into its density; there is none where the sum of its weight is 0 or NaN
+    Triples next_o, next_d, next_beta;
+    Numbers next_pdf_w, next_weight;
+
+    bool asks_shadow(std::size_t i) const { return shadow_pdf_w[i] > 0 && shadow_f[i] != 0; }
+    bool roulette_ends(std::size_t i) const { return q[i] < 1 && u_roulette[i] >= q[i]; }
+    bool has_next(std::size_t i) const { return next_weight[i] > 0; }
+};
+
+/// Fills the columns that are marked `out`, for the first n paths; the same bits on every x86-64 level.
+/// in:      roulette  how paths end at this depth; off before rr_depth
+void shade_matte(MatteColumns& columns, std::size_t n, Roulette roulette);
+
+}  // namespace loom

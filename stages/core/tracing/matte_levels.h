@@ -1,0 +1,12 @@
+#pragma once
+#include "stages/core/tracing/matte_columns.h"
+
+// One shade_matte for each x86-64 level.
+#define LOOM_DECLARE_LEVEL(level)                                              \
+    namespace loom::level {                                                    \
+    void shade_matte(MatteColumns& columns, std::size_t n, Roulette roulette); \
+    }
+LOOM_DECLARE_LEVEL(v2)
+LOOM_DECLARE_LEVEL(v3)
+LOOM_DECLARE_LEVEL(v4)
+#undef LOOM_DECLARE_LEVEL

@@ -1,0 +1,154 @@
+#pragma once
+// Paths as the tracer records them: vertices and light edges in the order in which they come to be, which for many
+// paths side by side is depth by depth. GraphBuilder sorts them by path, into columns.
+
+#include <array>
+#include <cstdint>
+#include <vector>
+
+#include "formats/io/octahedral.h"
+#include "formats/path_graph.h"
+#include "stages/core/scene/scene.h"
+#include "stages/core/scene/shading.h"
+
+namespace loom {
+
+/// Unit vector and colour as columns hold them.
+using NormalCode = std::array<std::int16_t, 2>;
+using HalfColor = std::array<Half, 3>;
+
+template <class Kind>
+NormalCode normal_code(const Triple<float, Kind>& v) {
+    return octahedral_from_unit(v.x, v.y, v.z);
+}
+inline HalfColor half_color(const Spectrum& v) {
+    return {half_from_float(v.r), half_from_float(v.g), half_from_float(v.b)};
+}
+
+/// In the types of the columns; those that the scene does not call for stay as they are.
+struct VertexRecord {
+    Point3f p;
+    Vector3f wo;
+    NormalCode ns{}, ng{}, n_side{}, tangent{};
+    HalfColor diffuse{}, specular{}, transmittance{};
+    std::array<Half, 2> alpha{};
+    Half opacity{};
+    HalfColor eta_c{}, k_c{};
+    float exponent = 0;
+    std::uint16_t material = 0, flags = 0;
+    Lobe lobe = Lobe::none;
+    std::uint32_t shape = 0, path = 0;
+    float pdf_w = 0;  // of the BSDF sample, roulette folded in
+    float q = 1;      // survival probability of roulette
+    float eta = 1;    // absolute index of the segment that arrives here
+
+    void end(Ending ending) { flags = flags_with_ending(flags, ending); }
+    /// What a shading point tells of itself.
+    void describe(const ShadingPoint& at, const SceneFeatures& features) {
+        p = at.p;
+        wo = at.wo;
+        ns = normal_code(at.frame.n);
+        if (features.smooth_normals) ng = normal_code(at.ng);
+        if (features.perturbed_normals) n_side = normal_code(at.n_side);
+        if (features.anisotropic) tangent = normal_code(at.frame.s);
+        describe(at.bsdf, features);
+    }
+    void describe(const Bsdf<float>& bsdf, const SceneFeatures& features) {
+        if (features.textured_diffuse) diffuse = half_color(bsdf.diffuse);
+        if (features.textured_specular) specular = half_color(bsdf.specular);
+        if (features.textured_transmittance) transmittance = half_color(bsdf.transmittance);
+        if (features.textured_alpha) alpha = {half_from_float(bsdf.alpha_u), half_from_float(bsdf.alpha_v)};
+        if (features.textured_opacity) opacity = half_from_float(bsdf.opacity);
+        if (features.textured_exponent) exponent = bsdf.exponent;
+        if (features.textured_index) eta_c = half_color(bsdf.eta_c), k_c = half_color(bsdf.k_c);
+    }
+};
+
+struct LightEdgeRecord {
+    std::uint32_t path = 0, vertex = 0;  // within the path
+    LightTechnique technique = LightTechnique::next_event;
+    bool at_infinity = false;
+    std::uint16_t emitter = 0;
+    Point3f y;  // or the direction towards it
+    NormalCode n{};
+    Spectrum Li;
+    float pdf_nee_w = 0, pdf_bsdf_w = 0;
+    float eta = 1;
+};
+
+/// What a vertex asked for and did not get: a light sample that was not seen, a BSDF sample that met no light.
+struct MissRecord {
+    std::uint32_t path = 0, vertex = 0;  // within the path
+    LightTechnique technique = LightTechnique::next_event;
+    std::uint16_t emitter = 0;
+    bool at_infinity = false;
+    // where a shadow ray was to arrive, or its direction; the direction of the BSDF sample; the vertex: no ray
+    Point3f y;
+};
+
+struct PathRecords {
+    struct Path {
+        Point3f origin;
+        Spectrum Le;  // seen directly
+        std::uint32_t n_vertices = 0, n_light_edges = 0, n_misses = 0;
+        std::uint32_t last = 0;  // vertex so far
+    };
+    std::vector<Path> paths;
+    std::vector<VertexRecord> vertices;
+    std::vector<LightEdgeRecord> light_edges;
+    std::vector<MissRecord> misses;
+    bool keeps_misses = false;  // else they are not recorded
+
+    void start(std::size_t n_paths) {
+        paths.assign(n_paths, {});
+        vertices.clear();
+        light_edges.clear();
+        misses.clear();
+    }
+};
+
+/// One path's part of the records.
+class PathRecorder {
+  public:
+    PathRecorder() = default;
+    PathRecorder(PathRecords& records, std::uint32_t path) : records_(&records), path_(path) {}
+
+    PathRecords::Path& path() const { return records_->paths[path_]; }
+    VertexRecord& last() const { return records_->vertices[path().last]; }
+    std::uint32_t last_number() const { return path().n_vertices - 1; }
+
+    VertexRecord& add(const VertexRecord& like) const {
+        PathRecords::Path& mine = path();
+        mine.last = std::uint32_t(records_->vertices.size());
+        ++mine.n_vertices;
+        VertexRecord& vertex = records_->vertices.emplace_back(like);
+        vertex.path = path_;
+        return vertex;
+    }
+    void add(const LightEdgeRecord& edge) const {
+        ++path().n_light_edges;
+        records_->light_edges.emplace_back(edge).path = path_;
+    }
+    /// A light sample without a shadow ray: nothing would arrive.
+    void miss(std::uint16_t emitter) const { keep({.vertex = last_number(), .emitter = emitter, .y = last().p}); }
+    /// A shadow ray that was blocked.
+    void miss(const LightEdgeRecord& edge) const {
+        keep({.vertex = edge.vertex, .emitter = edge.emitter, .at_infinity = edge.at_infinity, .y = edge.y});
+    }
+    /// A BSDF sample that met no light.
+    void miss(const Vector3f& d) const {
+        keep({.vertex = last_number(), .technique = LightTechnique::bsdf_hit, .at_infinity = true, .y = Point3f(d)});
+    }
+
+  private:
+    void keep(const MissRecord& miss) const {
+        if (!records_->keeps_misses) return;
+        ++path().n_misses;
+        records_->misses.emplace_back(miss).path = path_;
+    }
+
+    PathRecords* records_ = nullptr;
+    std::uint32_t path_ = 0;
+};
+
+}  // namespace loom

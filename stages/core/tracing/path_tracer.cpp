@@ -1,0 +1,291 @@
+#include "stages/core/tracing/path_tracer.h"
+
+#include <algorithm>
+#include <vector>
+
+#include "stages/core/scene/embree.h"
+#include "stages/core/tracing/matte_block.h"
+#include "stages/core/tracing/nlos_tracer.h"
+#include "stages/core/tracing/path_step.h"
+#include "stages/core/tracing/segment_columns.h"
+
+namespace loom {
+
+namespace {
+
+/// in: last  no light is sampled from a hit
+LightQuery light_query(const Hit& hit, const Ray& ray, Point2f u, bool last) {
+    LightQuery query;
+    query.ask = !hit ? LightQuery::Ask::environment : last ? LightQuery::Ask::nothing : LightQuery::Ask::point;
+    query.u = u;
+    query.d = ray.d;
+    return query;
+}
+
+}  // namespace
+
+PathResult trace_path(const Scene& scene, const PathOptions& options, PathId id, PathRecords& records) {
+    if (scene.nlos) {
+        PathResult result;
+        trace_nlos(scene, options, {&id, 1}, {&result, 1}, &records);
+        return result;
+    }
+    const Sampler sampler(options.sampler, options.seed, id.pixel, id.sample);
+    PathState path(scene, sampler, id, sampler.pair(film_pair));
+    records.start(1);
+    records.paths[0].origin = path.ray.o;
+    const PathRecorder record(records, 0);
+    for (int depth = 1;; ++depth) {
+        const Hit hit = depth == 1 ? scene.intersect_from_camera(path.ray) : scene.intersect(path.ray);
+        ++path.result.n_rays;
+        ShadowRequest shadow;
+        LightQuery lights =
+            light_query(hit, path.ray, path.sampler.pair(dimension(depth, Place::light)), depth == options.max_depth);
+        look_up_light(scene, lights);
+        const Step step = arrive<true>(scene, options, depth, hit, lights,
+                                       path.sampler.pair(dimension(depth, Place::direction)), path, shadow, record);
+        if (has(step, Step::asks_shadow)) {
+            ++path.result.n_rays;
+            end_next_event<true>(path, shadow, scene.occluded(shadow.ray), record);
+        }
+        if (!has(step, Step::goes_on)) return path.result;
+    }
+}
+
+struct PathBatch::Impl {
+    const Scene& scene;
+    PathOptions options;
+    std::vector<Sampler> samplers;
+    std::vector<PathState> started;
+    std::span<PathState> paths;  // those, or those to be resumed
+    std::vector<ShadowRequest> shadows;
+    std::vector<Hit> hits;
+    std::vector<LightQuery> lights;
+    std::vector<const Ray*> rays;
+    std::vector<std::uint32_t> active, waiting;  // paths under way; paths whose shadow ray is asked for
+    std::vector<std::uint32_t> joining;          // paths that begin at a later depth, the deepest first
+    std::unique_ptr<bool[]> blocked{new bool[capacity]};
+    // Columns of random numbers, in the order of `active`.
+    std::vector<std::uint32_t> key_lo, key_hi, index;
+    std::vector<float> light_x, light_y, direction_x, direction_y, roulette_x, unused;
+    std::vector<Step> steps;
+    MatteBlock matte;
+    bool prefetches;
+    const Watch* watch;
+    std::vector<Ray> segments;  // of the paths in `unmet`, which have met nothing of the watch so far
+    SegmentColumns columns;     // of the same
+    std::vector<std::uint32_t> unmet;
+
+    static constexpr std::size_t cache_bytes = std::size_t(1) << 20;  // of the second level
+
+    Impl(const Scene& s, const PathOptions& o, const Watch* w)
+        : scene(s),
+          options(o),
+          matte(s, o),
+          prefetches(s.table_bytes() > cache_bytes),
+          watch(w),
+          columns(w ? capacity : 0) {
+        samplers.reserve(capacity);
+        started.reserve(capacity);
+        shadows.resize(capacity);
+        hits.resize(capacity);
+        lights.resize(capacity);
+        rays.resize(capacity);
+        for (auto* column : {&key_lo, &key_hi, &index}) column->resize(capacity);
+        for (auto* column : {&light_x, &light_y, &direction_x, &direction_y, &roulette_x, &unused})
+            column->resize(capacity);
+        steps.resize(capacity);
+        segments.reserve(watch ? capacity : 0);
+    }
+
+    /// What a path meets where its ray arrives; the segment up to there waits for watch_segments().
+    void watch_arrival(std::uint32_t i, const Hit& hit, const LightQuery& query) {
+        bool& touched = paths[i].result.touched;
+        if (touched) return;
+        if (hit) {
+            const int emitter = scene.shapes[hit.shape].emitter;
+            touched = watch->shapes[hit.shape] || (emitter >= 0 && watch->emitters[std::size_t(emitter)]) ||
+                      (query.ask == LightQuery::Ask::point && !scene.emitters.empty() &&
+                       watch->emitters[query.point.emitter]);
+        } else {
+            touched = watch->environment;
+        }
+        if (touched) return;
+        Ray segment = paths[i].ray;
+        if (hit) segment.t_max = hit.t * (1 - point_epsilon);
+        watch_segment(i, segment);
+    }
+    void watch_segment(std::uint32_t i, const Ray& segment) {
+        columns.set(unmet.size(), segment);
+        unmet.push_back(i);
+        segments.push_back(segment);
+    }
+    /// in: rays, blocked  overwritten
+    void watch_segments() {
+        find_met(columns, unmet.size(), watch->boxes.data(), watch->boxes.size());
+        std::size_t n = 0;
+        for (std::size_t k = 0; k < unmet.size(); ++k) {
+            if (!columns.met[k]) continue;
+            rays[n] = &segments[k];
+            unmet[n++] = unmet[k];
+        }
+        if (n > 0) watch->passed->occluded(rays.data(), n, blocked.get());
+        for (std::size_t k = 0; k < n; ++k)
+            if (blocked[k]) paths[unmet[k]].result.touched = true;
+        unmet.clear();
+        segments.clear();
+    }
+
+    template <bool recording>
+    void trace(std::span<const PathId> ids, std::span<PathResult> results, PathRecords* records) {
+        if constexpr (recording) records->start(ids.size());
+        started.clear();
+        samplers.clear();
+        active.clear();
+        for (std::size_t i = 0; i < ids.size(); ++i) {
+            samplers.emplace_back(options.sampler, options.seed, ids[i].pixel, ids[i].sample);
+            key_lo[i] = samplers[i].key_lo();
+            key_hi[i] = samplers[i].key_hi();
+            index[i] = samplers[i].index();
+        }
+        sampler_pairs(options.sampler, key_lo.data(), key_hi.data(), index.data(), film_pair, ids.size(),
+                      light_x.data(), light_y.data());
+        for (std::size_t i = 0; i < ids.size(); ++i) {
+            PathState& path = started.emplace_back(scene, samplers[i], ids[i], Point2f{light_x[i], light_y[i]});
+            active.push_back(std::uint32_t(i));
+            if (watch) path.result.touched = false;
+            if constexpr (recording) records->paths[i].origin = path.ray.o;
+        }
+        paths = started;
+        follow<recording>(records);
+        for (std::size_t i = 0; i < ids.size(); ++i) results[i] = paths[i].result;
+    }
+
+    void resume(std::span<PathState> resumed, std::span<const std::uint32_t> under_way) {
+        paths = resumed;
+        active.clear();
+        joining.assign(under_way.begin(), under_way.end());
+        std::stable_sort(joining.begin(), joining.end(),
+                         [this](std::uint32_t a, std::uint32_t b) { return paths[a].depth() > paths[b].depth(); });
+        follow<false>(nullptr);
+    }
+
+    /// Paths that begin here join the active ones.
+    void join(int depth) {
+        for (; !joining.empty() && paths[joining.back()].depth() == depth; joining.pop_back()) {
+            const Sampler& sampler = paths[joining.back()].sampler;
+            const std::size_t k = active.size();
+            key_lo[k] = sampler.key_lo();
+            key_hi[k] = sampler.key_hi();
+            index[k] = sampler.index();
+            active.push_back(joining.back());
+        }
+    }
+
+    template <bool recording>
+    void follow(PathRecords* records) {
+        const auto recorder = [records](std::uint32_t i) {
+            return recording ? PathRecorder(*records, i) : PathRecorder();
+        };
+        for (int depth = 1; !active.empty() || !joining.empty(); ++depth) {
+            join(depth);
+            const std::size_t n = active.size();
+            for (std::size_t k = 0; k < n; ++k) rays[k] = &paths[active[k]].ray;
+            (depth == 1 ? scene.camera_rays : scene.rays)->intersect(rays.data(), n, hits.data(), depth == 1);
+            sampler_pairs(options.sampler, key_lo.data(), key_hi.data(), index.data(), dimension(depth, Place::light),
+                          n, light_x.data(), light_y.data());
+            sampler_pairs(options.sampler, key_lo.data(), key_hi.data(), index.data(),
+                          dimension(depth, Place::direction), n, direction_x.data(), direction_y.data());
+            if (matte.roulette(depth) != Roulette::off)
+                sampler_pairs(options.sampler, key_lo.data(), key_hi.data(), index.data(),
+                              dimension(depth, Place::roulette), n, roulette_x.data(), unused.data());
+            const auto ask = [&](void (Scene::*prefetch)(const Hit&) const) {
+                if (prefetches)
+                    for (std::size_t k = 0; k < n; ++k) (scene.*prefetch)(hits[k]);
+            };
+            ask(&Scene::prefetch_triangle);
+            for (std::size_t k = 0; k < n; ++k)
+                lights[k] = light_query(hits[k], *rays[k], {light_x[k], light_y[k]}, depth == options.max_depth);
+            ask(&Scene::prefetch_corners);
+            look_up_lights(scene, {lights.data(), n});
+            ask(&Scene::prefetch_texels);
+            if (watch) {
+                for (std::size_t k = 0; k < n; ++k) watch_arrival(active[k], hits[k], lights[k]);
+                watch_segments();
+            }
+            // Matte surfaces by column, a block at a time; all else vertex by vertex.
+            const bool by_column = options.max_depth < 0 || depth < options.max_depth;
+            const auto shade = [&] {
+                matte.shade(depth);
+                for (std::size_t m = 0; m < matte.size(); ++m) {
+                    const std::uint32_t k = matte.ray(m), i = active[k];
+                    steps[k] = matte.finish<recording>(m, depth, hits[k], paths[i], shadows[i], recorder(i));
+                }
+                matte.clear();
+            };
+            for (std::size_t k = 0; k < n; ++k) {
+                const std::uint32_t i = active[k];
+                PathState& path = paths[i];
+                ++path.result.n_rays;
+                const Point2f u_direction{direction_x[k], direction_y[k]};
+                if (by_column && matte.add(std::uint32_t(k), hits[k], path, lights[k], u_direction, roulette_x[k])) {
+                    if (matte.full()) shade();
+                } else {
+                    steps[k] = arrive<recording>(scene, options, depth, hits[k], lights[k], u_direction, path,
+                                                 shadows[i], recorder(i));
+                }
+            }
+            shade();
+            std::size_t going = 0;
+            waiting.clear();
+            for (std::size_t k = 0; k < n; ++k) {
+                const std::uint32_t i = active[k];
+                const Step step = steps[k];
+                if (has(step, Step::asks_shadow)) {
+                    rays[waiting.size()] = &shadows[i].ray;
+                    waiting.push_back(i);
+                }
+                if (has(step, Step::goes_on)) {
+                    active[going] = i;
+                    key_lo[going] = key_lo[k];
+                    key_hi[going] = key_hi[k];
+                    index[going] = index[k];
+                    ++going;
+                }
+            }
+            scene.rays->occluded(rays.data(), waiting.size(), blocked.get());
+            for (std::size_t k = 0; k < waiting.size(); ++k) {
+                const std::uint32_t i = waiting[k];
+                ++paths[i].result.n_rays;
+                end_next_event<recording>(paths[i], shadows[i], blocked[k], recorder(i));
+            }
+            if (watch) {
+                for (const std::uint32_t i : waiting)
+                    if (!paths[i].result.touched) watch_segment(i, shadows[i].ray);
+                watch_segments();
+            }
+            active.resize(going);
+        }
+    }
+};
+
+PathBatch::PathBatch(const Scene& scene, const PathOptions& options, const Watch* watch)
+    : impl_(std::make_unique<Impl>(scene, options, watch)) {}
+PathBatch::~PathBatch() = default;
+PathBatch::PathBatch(PathBatch&&) noexcept = default;
+
+void PathBatch::trace(std::span<const PathId> ids, std::span<PathResult> results) {
+    if (impl_->scene.nlos) return trace_nlos(impl_->scene, impl_->options, ids, results, nullptr);
+    impl_->trace<false>(ids, results, nullptr);
+}
+
+void PathBatch::trace(std::span<const PathId> ids, std::span<PathResult> results, PathRecords& records) {
+    if (impl_->scene.nlos) return trace_nlos(impl_->scene, impl_->options, ids, results, &records);
+    impl_->trace<true>(ids, results, &records);
+}
+
+void PathBatch::resume(std::span<PathState> paths, std::span<const std::uint32_t> under_way) {
+    impl_->resume(paths, under_way);
+}
+
+}  // namespace loom

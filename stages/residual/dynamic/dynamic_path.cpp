@@ -1,0 +1,177 @@
+#include "stages/residual/dynamic/dynamic_path.h"
+
+namespace loom::residual {
+namespace {
+
+double cosine(const Normal3f& n, const Vector3f& d) {
+    return std::abs(double(dot(n, d)));
+}
+
+}  // namespace
+
+bool FullPath::dynamic() const {
+    return light.changed ||
+           std::any_of(vertices.begin(), vertices.end(), [](const Interaction& x) { return x.site != no_site; }) ||
+           std::any_of(segments.begin(), segments.end(), [](const Segment& s) { return s.n > 0; });
+}
+
+Vector3f direction_to(const LightEnd& light, const Point3f& from) {
+    return light.at_infinity ? Vector3f(light.y) : normalize(light.y - from);
+}
+
+Ray shadow_ray(const Vertex& v, const LightEnd& light) {
+    return light.at_infinity ? spawn_ray(v.at.end(), Vector3f(light.y)) : spawn_segment(v.at.end(), light.end());
+}
+
+Segment segment_between(const DynamicScene& side, const Vertex& s, const Vertex& l, Crossings& crossings) {
+    const Vector3f d = normalize(l.at.p - s.at.p);
+    const auto first = std::uint32_t(crossings.all.size());
+    return {std::abs(dot(s.at.ng, d)), std::abs(dot(l.at.ng, d)), first,
+            side.cross(spawn_segment(s.at.end(), l.at.end()), crossings)};
+}
+
+Segment segment_to_light(const DynamicScene& side, const Vertex& v, const LightEnd& light, Crossings& crossings) {
+    const auto first = std::uint32_t(crossings.all.size());
+    return {std::abs(dot(v.at.ng, direction_to(light, v.at.p))), 1, first, side.cross(shadow_ray(v, light), crossings)};
+}
+
+double survival(const ShadingPoint& here) {
+    return std::min(max_channel(albedo(here.bsdf, here.wo_local)), max_survival);
+}
+
+bool scatters_on_both_sides(const Scene& scene, const ShadingPoint& here, const Vertex& vertex) {
+    const BsdfModel& model = *here.bsdf.model;
+    return model.two_sided || scene.materials[scene.shapes[vertex.hit.shape].material].back >= 0 ||
+           here.bsdf.opacity < 1 || model.kind == BsdfKind::dielectric || model.kind == BsdfKind::thin_dielectric ||
+           model.kind == BsdfKind::rough_dielectric || model.kind == BsdfKind::null;
+}
+
+Interaction interact(const DynamicScene& side, const Vertex& vertex, const Vector3f& to_sensor,
+                     const Vector3f& to_light, Lobe lobe) {
+    Interaction x;
+    x.site = vertex.site;
+    ShadingPoint here = side.aimed(vertex, to_sensor);
+    x.q_light = survival(here);
+    // One measure for both ways: d_omega_light / d_omega_sensor of a perfectly specular lobe.
+    double projected = 1;
+    if (is_delta(lobe)) {
+        x.specular = true;
+        const DeltaLobe<float> forward = delta_lobe(here.bsdf, here.wo_local, lobe);
+        x.f_cos = Radiance(forward.value);
+        if (here.perturbed && lobe != Lobe::null)
+            x.f_cos *= bump_shadowing(here, to_light, here.frame.to_local(to_light).z);
+        x.pdf_light = forward.pmf;
+        if (lobe == Lobe::delta_transmission && forward.eta != 1)
+            projected = std::abs(double(here.wo_local.z)) /
+                        (sqr(double(forward.eta)) * std::abs(double(here.frame.to_local(to_light).z)));
+    } else {
+        const BsdfValue<float> value = f_cos_pdf(here, to_light);
+        x.f_cos = Radiance(value.f_cos);
+        x.pdf_light = value.pdf_w;
+    }
+    if (x.site != no_site) {
+        const double cos_light = here.frame.to_local(to_light).z;
+        x.pdf_cosine = scatters_on_both_sides(side.scene, here, vertex) ? 0.5 * std::abs(cos_light) / pi_double
+                                                                        : std::max(cos_light, 0.0) / pi_double;
+    }
+    side.aim(vertex, to_light, here);
+    x.q_sensor = survival(here);
+    x.pdf_sensor =
+        is_delta(lobe) ? delta_pmf(here.bsdf, here.wo_local, lobe) * projected : f_cos_pdf(here, to_sensor).pdf_w;
+    return x;
+}
+
+double light_pdf(const Scene& scene, const LightEnd& light, const Point3f& from) {
+    const double pmf = scene.emitters.size() > 1 ? scene.emitter_pmf.pmf(light.emitter) : 1.0;
+    if (light.delta) return pmf;
+    if (light.at_infinity) return pdf_environment_w(scene, Vector3f(light.y));
+    SurfacePoint at;
+    at.p = light.y;
+    at.ng = light.n;
+    at.shape = scene.emitters[light.emitter].shape;
+    return pdf_light_w(scene, from, at);
+}
+
+Evaluation evaluate(const DynamicScenes& scenes, const DynamicScene& side, const SampleCounts& counts,
+                    const PathOptions& options, const FullPath& path, std::vector<Term>* terms) {
+    const std::size_t m = path.m();
+    Evaluation e;
+    if (!path.dynamic()) return e;
+    e.F = path.light.Le;
+    double nee = 1, hit = 1;
+    for (std::size_t i = 0; i < m; ++i) {
+        const Interaction& x = path.vertices[i];
+        e.F *= x.f_cos;
+        const bool roulette = options.roulette != Roulette::off && int(i) + 1 >= options.rr_depth;
+        const double p = x.pdf_light * (roulette ? x.q_light : 1);
+        if (i + 1 < m) nee *= p;
+        hit *= p;
+    }
+    const bool light_can_be_sampled = m > 0 && !path.vertices[m - 1].specular;
+    const double p_light = light_can_be_sampled ? path.light.pdf : 0.0;
+    e.nee_density = nee * p_light;
+    e.camera_density = e.nee_density + (path.light.delta ? 0 : hit);
+    if (terms) terms->push_back({Technique::path_tracing, 0, e.camera_density});
+    if (m == 0 || (counts.first_to_camera && path.dynamic_at_first())) return e;
+
+    // Prefixes from the sensor and from the emitter, S[i] and E[i] of vertex i + 1.
+    constexpr std::size_t inline_size = 32;
+    std::array<double, inline_size> S_few, E_few;
+    std::vector<double> many;
+    if (m > inline_size) many.resize(2 * m);
+    double* const S = m > inline_size ? many.data() : S_few.data();
+    double* const E = m > inline_size ? many.data() + m : E_few.data();
+    // Of what is joined to the sensor; techniques 2 and 5 come from there.
+    const double from_sensor = 1 / (path.sensor.scale * path.segments[0].cos_light);
+    S[0] = path.vertices[0].specular ? 0 : from_sensor;
+    for (std::size_t i = 1; i < m; ++i) {
+        const Interaction& x = path.vertices[i];
+        S[i] = S[i - 1] * x.pdf_sensor * x.q_sensor * path.segments[i].cos_sensor / path.segments[i].cos_light;
+    }
+    E[m - 1] = p_light;
+    for (std::size_t i = m - 1; i-- > 0;) E[i] = path.vertices[i].pdf_light * path.vertices[i].q_light * E[i + 1];
+
+    const auto add = [&](Technique technique, Site site, std::size_t place, double density) {
+        const SampleCounts::FromSite& from = counts.of(technique, site);
+        if (!(from.n > 0)) return;
+        const double d = from.n / scenes.at(site).area(start_of(technique)) * density;
+        e.site_density += d;
+        if (terms) terms->push_back({technique, std::uint32_t(place), d, from.family});
+    };
+    for (std::size_t i = 0; i < m; ++i) {
+        const Interaction& x = path.vertices[i];
+        if (x.site == no_site) continue;
+        const Site site = Site(x.site);
+        if (i + 1 == m)
+            add(Technique::dynamic_from_emitter, site, i + 1, S[i] * E[i]);
+        else if (i == 0)
+            add(Technique::dynamic_from_sensor, site, i + 1, from_sensor * E[0]);
+        else
+            add(Technique::dynamic_two_ends, site, i + 1, S[i] * x.pdf_cosine * E[i + 1]);
+    }
+    const Site ghosts = side.ghost_site();
+    for (std::size_t i = 0; i <= m; ++i) {
+        const Segment& s = path.segments[i];
+        for (std::uint32_t c = s.first; c < s.first + s.n; ++c) {
+            const Crossing& g = (*path.crossings)[c];
+            if (i == m) {
+                if (path.light.delta && path.vertices[m - 1].specular) continue;
+                const Point3f& v = path.places[m - 1]->at.p;
+                const Vector3f to_light = direction_to(path.light, v);
+                double nearer = 1;  // the light of a point falls off from the ghost to the vertex
+                if (path.light.delta && !path.light.at_infinity)
+                    nearer = double(length2(path.light.y - g.p)) / length2(path.light.y - v);
+                add(Technique::ghost_from_emitter, ghosts, c,
+                    light_pdf(side.scene, path.light, g.p) * nearer * s.cos_sensor / cosine(g.n, to_light) * S[m - 1]);
+            } else if (i == 0) {
+                const std::optional<FilmPoint> film = side.scene.sensor.project(g.p);
+                if (film) add(Technique::ghost_from_sensor, ghosts, c, E[0] / (film->scale * cosine(g.n, film->d)));
+            } else {
+                add(Technique::ghost_two_ends, ghosts, c, 0.5 * inv_pi<double> * s.cos_sensor * S[i - 1] * E[i]);
+            }
+        }
+    }
+    return e;
+}
+
+}  // namespace loom::residual

@@ -1,0 +1,145 @@
+#pragma once
+// The two scenes of an edit as paths see them that must meet the edit: which shapes are dynamic, which are ghosts, and
+// points on both to start from.                                                              [RP] §3.3, §4.1, §4.2
+
+#include <array>
+#include <cstdint>
+#include <memory>
+#include <vector>
+
+#include "stages/core/edit/edit.h"
+#include "stages/core/sampling/distribution.h"
+#include "stages/core/scene/embree.h"
+#include "stages/core/scene/scene.h"
+#include "stages/core/scene/shading.h"
+#include "stages/core/tracing/path_tracer.h"
+
+namespace loom::residual {
+
+/// Where the edit is: surfaces that stand there in the new scene only, in the old one only, or in both with another
+/// BSDF. The first are dynamic in the new scene and ghosts in the old one, the second the other way round, the third
+/// dynamic in both.
+enum class Site : std::uint8_t { new_place, old_place, repainted };
+inline constexpr int n_sites = 3;
+inline constexpr std::uint8_t no_site = 255;
+
+/// A point on a site, uniform by area.
+struct SitePoint {
+    std::uint32_t member = 0;  // which of the shapes
+    Hit hit;                   // its shape is a member; t is unset
+    Point3f p;
+    Normal3f ng;
+};
+
+/// What a path starts from: where it scatters, or where it only passes through. Nothing scatters at black shapes, such
+/// as most lamps; they are ghosts, for they hide what lies behind them.
+enum class Start : std::uint8_t { scattering, passing };
+
+/// The shapes of a site, in the order of the scene that they are in (for repainted ones, the new scene).
+class SiteShapes {
+  public:
+    struct Member {
+        std::uint32_t new_shape = ShapeEdit::none, old_shape = ShapeEdit::none;
+    };
+    void add(const Scene& scene, std::uint32_t shape, Member member, bool scatters);
+    void finish();
+
+    bool empty() const { return members_.empty(); }
+    bool scatters() const { return area(Start::scattering) > 0; }    // somewhere
+    double area(Start start) const { return by_area(start).sum(); }  // m^2
+    const std::vector<Member>& members() const { return members_; }
+    /// The same point for both starts where no shape is black.
+    /// in: u_choice, u  [0, 1)
+    SitePoint sample(Start start, float u_choice, Point2f u) const;
+
+  private:
+    const Distribution1& by_area(Start start) const {
+        return start == Start::scattering ? by_scattering_area_ : by_area_;
+    }
+
+    std::vector<Member> members_;
+    std::vector<const Shape*> shapes_;
+    std::vector<Distribution1> triangles_;
+    std::vector<double> areas_, scattering_areas_;
+    Distribution1 by_area_, by_scattering_area_;
+};
+
+/// Where a segment passes through a ghost.
+struct Crossing {
+    Point3f p;
+    Normal3f n;
+    std::uint32_t member = 0, primitive = 0;
+};
+
+/// Those of all segments of a sample, one segment's in a row.
+struct Crossings {
+    std::vector<Crossing> all;
+    std::vector<Hit> scratch;
+};
+
+/// A point on a surface where a path scatters.
+struct Vertex {
+    SurfacePoint at;
+    ShadingPoint here;  // as seen from where it was found
+    Hit hit;
+    std::uint8_t site = no_site;  // of the edit, when its shape is dynamic in this scene
+    bool sided = false;           // is another material, or has another normal, when seen from elsewhere
+};
+
+/// From a place in one scene to that in the other.
+struct RigidMotion {
+    Matrix4d matrix;
+    Point3f operator()(const Point3f& p) const {
+        const Point3<double> q = matrix.point({double(p.x), double(p.y), double(p.z)});
+        return {float(q.x), float(q.y), float(q.z)};
+    }
+};
+
+/// One of the two.
+struct DynamicScene {
+    DynamicScene(const Scene& scene_, bool is_new_) : scene(scene_), is_new(is_new_) {}
+
+    const Scene& scene;
+    bool is_new;
+    std::vector<std::uint8_t> site_of;      // by shape: the site on which it is dynamic, or no_site
+    std::vector<std::uint32_t> partner_of;  // by shape: its index in the other scene, or ShapeEdit::none
+    std::vector<RigidMotion> to_partner;    // by shape: its points to those of its partner
+    std::vector<bool> changed_emitter;      // by emitter
+    std::vector<Shape> ghosts;              // by member of the ghosts' site
+    std::unique_ptr<RayEngine> ghost_rays;  // null: none
+    std::vector<Box3f> ghost_boxes;         // around them, a few
+
+    Site own_site() const { return is_new ? Site::new_place : Site::old_place; }
+    Site ghost_site() const { return is_new ? Site::old_place : Site::new_place; }
+
+    Vertex vertex(const Ray& ray, const Hit& hit) const;
+    /// The vertex as light sees it that leaves along wo.
+    ShadingPoint aimed(const Vertex& vertex, const Vector3f& wo) const {
+        ShadingPoint here = vertex.here;
+        aim(vertex, wo, here);
+        return here;
+    }
+    /// in, out: here  the vertex as light sees it along some direction, then along wo
+    void aim(const Vertex& vertex, const Vector3f& wo, ShadingPoint& here) const;
+    /// A point on a site that is dynamic here, seen from wo.
+    Vertex vertex(const SitePoint& point, std::uint32_t shape, const Vector3f& wo) const;
+    /// Appends where the ray passes through ghosts; returns how many.
+    std::uint32_t cross(const Ray& ray, Crossings& crossings) const;
+};
+
+struct DynamicScenes {
+    DynamicScenes(const Scene& old_scene, const Scene& new_scene, const Edit& edit);
+
+    std::array<SiteShapes, n_sites> sites;
+    DynamicScene new_scene, old_scene;
+    std::vector<Shape> movers;              // at both places
+    std::unique_ptr<RayEngine> mover_rays;  // null: none
+    bool lights_changed = false;
+    bool same_choice_of_lights = true;  // the same random number chooses the same light in both
+
+    /// What a path of one of the scenes meets when it may be another one in the other. needs: same_choice_of_lights
+    Watch watch(const DynamicScene& side) const;
+    const SiteShapes& at(Site site) const { return sites[std::size_t(site)]; }
+};
+
+}  // namespace loom::residual

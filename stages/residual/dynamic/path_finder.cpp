@@ -1,0 +1,463 @@
+#include "stages/residual/dynamic/path_finder.h"
+
+#include "stages/core/sampling/warp.h"
+#include "stages/core/scene/embree.h"
+
+namespace loom::residual {
+namespace {
+
+// Pairs of random numbers of a sample that starts from a site. Each bounce has its own, so that the two scenes of an
+// edit ask for the same ones.
+enum : std::uint32_t { choice_pair = 0, point_pair = 1, light_pair = 2, lobe_pair = 3, first_walk_pair = 8 };
+constexpr std::uint32_t walk_pair(int k, bool to_light, std::uint32_t what) {
+    return first_walk_pair + std::uint32_t(k) * 8 + (to_light ? 4 : 0) + what;
+}
+
+}  // namespace
+
+PathFinder::PathFinder(const DynamicScenes& scenes, const DynamicScene& side, const PathOptions& options)
+    : scenes_(scenes), side_(side), options_(options) {
+    path_.crossings = &crossings_.all;
+}
+
+bool PathFinder::occluded(const Ray& ray) {
+    ++n_rays;
+    return side_.scene.occluded(ray);
+}
+
+Hit PathFinder::intersect(const Ray& ray, bool from_camera) {
+    ++n_rays;
+    return from_camera ? side_.scene.intersect_from_camera(ray) : side_.scene.intersect(ray);
+}
+
+bool PathFinder::scatters(const Hit& hit) const {
+    return hit && !side_.scene.materials[side_.scene.shapes[hit.shape].material].black();
+}
+
+Segment PathFinder::segment_to_sensor(const Vertex& v, const FilmPoint& film) {
+    const auto first = std::uint32_t(crossings_.all.size());
+    return {1, std::abs(dot(v.at.ng, film.d)), first,
+            side_.cross({film.from, film.d, film.t_min, film.t * (1 - point_epsilon)}, crossings_)};
+}
+
+std::optional<FilmPoint> PathFinder::on_film(const Point3f& p) const {
+    const Sensor& sensor = side_.scene.sensor;
+    const std::optional<FilmPoint> at = sensor.project(p);
+    const float r = sensor.filter_radius;
+    const bool reached = at && at->film.x > -r && at->film.y > -r && at->film.x < float(sensor.width) + r &&
+                         at->film.y < float(sensor.height) + r;
+    return reached ? at : std::nullopt;
+}
+
+bool PathFinder::hides_from_sensor(const Vertex& v, const FilmPoint& film) {
+    ++n_rays;
+    return side_.scene.camera_rays->occluded({spawn_ray(v.at.end(), -film.d).o, -film.d, 0, film.t - film.t_min});
+}
+
+LightEnd PathFinder::light_end(const LightSample& s) const {
+    LightEnd light;
+    light.Le = Radiance(s.Li);
+    light.y = s.at_infinity ? Point3f(s.wi) : s.y;
+    light.n = s.n;
+    light.hit_error = s.hit_error;
+    light.pdf = s.pdf_w;
+    light.emitter = s.emitter;
+    light.at_infinity = s.at_infinity;
+    light.delta = s.delta;
+    light.changed = side_.changed_emitter[s.emitter];
+    return light;
+}
+
+bool PathFinder::relocate(const Segment& segment, const SitePoint& point, std::uint32_t& place) {
+    // A sphere is passed through twice: the nearer one.
+    float nearest = INFINITY;
+    for (std::uint32_t c = segment.first; c < segment.first + segment.n; ++c) {
+        const Crossing& crossing = crossings_.all[c];
+        const float distance2 = length2(crossing.p - point.p);
+        if (crossing.member != point.member || crossing.primitive != point.hit.primitive || !(distance2 < nearest))
+            continue;
+        nearest = distance2;
+        place = c;
+    }
+    if (nearest < INFINITY) return true;
+    ++n_unrelocated;
+    return false;
+}
+
+bool PathFinder::step(Stop& from, Point2f u, Point2f u_lobe_roulette, Stop& next) {
+    const ShadingPoint here = side_.aimed(from.v, from.back);
+    if (u_lobe_roulette.y >= survival(here)) return false;
+    const BsdfSample<float> s = sample(here.bsdf, here.wo_local, u_lobe_roulette.x, u);
+    if (s.lobe == Lobe::none || is_black(s.weight)) return false;
+    from.ahead = here.frame.to_world(s.wi);
+    from.lobe = s.lobe;
+    const Ray ray = spawn_ray(from.v.at.end(), from.ahead);
+    const Hit hit = intersect(ray);
+    if (!scatters(hit)) return false;
+    next.v = side_.vertex(ray, hit);
+    next.back = -from.ahead;
+    return true;
+}
+
+void PathFinder::join_sensor(Stop& stop) {
+    const std::optional<FilmPoint> film = on_film(stop.v.at.p);
+    if (!film) return;
+    stop.end = interact(side_, stop.v, -film->d, stop.back, Lobe::none);
+    if (!(max_channel(stop.end.f_cos) > 0) || hides_from_sensor(stop.v, *film)) return;
+    stop.end_segment = segment_to_sensor(stop.v, *film);
+    stop.sensor = {film->film, film->scale};
+    stop.joined = stop.end_segment.cos_light > 0;
+}
+
+void PathFinder::join_light(Stop& stop, Point2f u) {
+    if (side_.scene.emitters.empty()) return;
+    const LightSample light = sample_light(side_.scene, stop.v.at.p, u);
+    if (!(light.pdf_w > 0)) return;
+    stop.end = interact(side_, stop.v, stop.back, light.wi, Lobe::none);
+    stop.light = light_end(light);
+    if (!(max_channel(stop.end.f_cos) > 0) || occluded(shadow_ray(stop.v, stop.light))) return;
+    stop.end_segment = segment_to_light(side_, stop.v, stop.light, crossings_);
+    stop.joined = true;
+}
+
+void PathFinder::walk(std::vector<Stop>& stops, Towards towards, const Numbers& numbers, int n_max, bool join_first) {
+    const bool lit = towards == Towards::light;
+    for (int k = 0;; ++k) {
+        ++n_vertices;
+        if (k > 0 || join_first) {
+            if (lit)
+                join_light(stops.back(), numbers.pair(walk_pair(k, lit, 2)));
+            else
+                join_sensor(stops.back());
+        }
+        if (int(stops.size()) >= n_max) return;
+        stops.emplace_back();
+        Stop &here = stops[stops.size() - 2], &next = stops.back();
+        if (!step(here, numbers.pair(walk_pair(k, lit, 0)), numbers.pair(walk_pair(k, lit, 1)), next)) {
+            stops.pop_back();
+            return;
+        }
+        here.onward = interact(side_, here.v, lit ? here.back : here.ahead, lit ? here.ahead : here.back, here.lobe);
+        here.segment = lit ? segment_between(side_, here.v, next.v, crossings_)
+                           : segment_between(side_, next.v, here.v, crossings_);
+    }
+}
+
+/// The part of path_ from the sensor to where the walk towards it began, and the segment that goes on from there.
+void PathFinder::from_sensor(std::size_t a, const Segment& ahead) {
+    path_.start(z_[a].sensor, z_[a].end_segment);
+    for (std::size_t k = a + 1; k-- > 0;)
+        path_.add(k == a ? z_[k].end : z_[k].onward, z_[k].v, k > 0 ? z_[k - 1].segment : ahead);
+}
+
+/// The part of path_ from where the walk towards the light began.
+void PathFinder::to_light(std::size_t b) {
+    for (std::size_t k = 0; k < b; ++k) path_.add(y_[k].onward, y_[k].v, y_[k].segment);
+    path_.add(y_[b].end, y_[b].v, y_[b].end_segment);
+    path_.light = y_[b].light;
+}
+
+void PathFinder::show_to_sensor(const LightEnd& light, const Segment& light_segment, const Found& found,
+                                const Visitor& visit) {
+    for (std::size_t a = 0; a < z_.size(); ++a) {
+        if (!z_[a].joined) continue;
+        from_sensor(a, light_segment);
+        path_.light = light;
+        Found mine = found;
+        if (found.technique == Technique::dynamic_from_emitter) mine.place = std::uint32_t(path_.m());
+        visit(path_, mine);
+    }
+}
+
+void PathFinder::show_from_sensor(const SensorEnd& sensor, const Segment& sensor_segment, const Found& found,
+                                  std::size_t first, const Visitor& visit) {
+    for (std::size_t b = first; b < y_.size(); ++b) {
+        if (!y_[b].joined) continue;
+        path_.start(sensor, sensor_segment);
+        to_light(b);
+        visit(path_, found);
+    }
+}
+
+void PathFinder::show_two_ends(const Interaction* middle, const Vertex* middle_vertex, const Segment* between,
+                               const Found& found, const Visitor& visit) {
+    const int most = longest();
+    for (std::size_t a = 0; a < z_.size(); ++a) {
+        if (!z_[a].joined) continue;
+        for (std::size_t b = 0; b < y_.size(); ++b) {
+            if (!y_[b].joined || int(a + b + 2 + (middle ? 1 : 0)) > most) continue;
+            Found mine = found;
+            from_sensor(a, between[0]);
+            if (middle) {
+                path_.add(*middle, *middle_vertex, between[1]);
+                mine.place = std::uint32_t(path_.m());
+            }
+            to_light(b);
+            visit(path_, mine);
+        }
+    }
+}
+
+void PathFinder::find(Technique technique, Site site, const Numbers& numbers, const Visitor& visit) {
+    const SiteShapes& shapes = scenes_.at(site);
+    const Scene& scene = side_.scene;
+    const int most = longest();
+    if (most < 1) return;
+    crossings_.all.clear();
+    z_.clear();
+    y_.clear();
+    const Point2f u_choice = numbers.pair(choice_pair), u_light = numbers.pair(light_pair);
+    const Start start = start_of(technique);
+    if (!(shapes.area(start) > 0)) return;
+    const SitePoint point = shapes.sample(start, u_choice.x, numbers.pair(point_pair));
+    const SiteShapes::Member& member = shapes.members()[point.member];
+    const std::uint32_t shape = side_.is_new ? member.new_shape : member.old_shape;
+    Found found{technique, 0};
+
+    switch (technique) {
+        case Technique::dynamic_from_emitter: {
+            if (scene.emitters.empty()) return;
+            const LightSample s = sample_light(scene, point.p, u_light);
+            if (!(s.pdf_w > 0)) return;
+            Stop first;
+            first.v = side_.vertex(point, shape, s.wi);
+            first.back = s.wi;
+            if (!scatters(first.v.hit) || !has_smooth_lobe(first.v.here.bsdf)) return;
+            if (!scatters_on_both_sides(scene, first.v.here, first.v) && !(first.v.here.wo_local.z > 0)) return;
+            const LightEnd light = light_end(s);
+            if (occluded(shadow_ray(first.v, light))) return;
+            const Segment light_segment = segment_to_light(side_, first.v, light, crossings_);
+            z_.push_back(first);
+            walk(z_, Towards::sensor, numbers, most);
+            show_to_sensor(light, light_segment, found, visit);
+            return;
+        }
+        case Technique::ghost_from_emitter: {
+            if (scene.emitters.empty()) return;
+            LightQuery query;
+            query.u = u_light;
+            look_up_light(scene, query);
+            const LightSample seen = sample_light(scene, point.p, query);
+            if (!(seen.pdf_w > 0)) return;
+            const Ray away{point.p, -seen.wi};
+            const Hit hit = intersect(away);
+            if (!scatters(hit)) return;
+            Stop first;
+            first.v = side_.vertex(away, hit);
+            const Point3f& p = first.v.at.p;
+            LightEnd light;
+            if (query.placed || seen.delta) {
+                const LightSample s = sample_light(scene, p, query);
+                if (!(s.pdf_w > 0)) return;
+                light = light_end(s);
+            } else {
+                light = light_end(seen);
+                light.pdf = light_pdf(scene, light, p);
+            }
+            first.back = direction_to(light, p);
+            if (occluded(shadow_ray(first.v, light))) return;
+            const Segment light_segment = segment_to_light(side_, first.v, light, crossings_);
+            if (!relocate(light_segment, point, found.place)) return;
+            z_.push_back(first);
+            walk(z_, Towards::sensor, numbers, most);
+            show_to_sensor(light, light_segment, found, visit);
+            return;
+        }
+        case Technique::dynamic_from_sensor:
+        case Technique::ghost_from_sensor: {
+            const bool ghost = technique == Technique::ghost_from_sensor;
+            const std::optional<FilmPoint> film = on_film(point.p);
+            if (!film) return;
+            Stop first;
+            first.back = -film->d;
+            FilmPoint at = *film;
+            if (ghost) {
+                const Ray ray{film->from, film->d, film->t_min, INFINITY};
+                const Hit hit = intersect(ray, true);
+                if (!scatters(hit) || hit.t < film->t) return;
+                first.v = side_.vertex(ray, hit);
+                at.scale *= scene.sensor.kind == SensorKind::perspective ? sqr(double(film->t) / hit.t) : 1.0;
+                at.t = hit.t;
+            } else {
+                first.v = side_.vertex(point, shape, first.back);
+                if (!scatters(first.v.hit)) return;
+                if (!scatters_on_both_sides(scene, first.v.here, first.v) && !(first.v.here.wo_local.z > 0)) return;
+                if (hides_from_sensor(first.v, *film)) return;
+                found.place = 1;
+            }
+            const Segment sensor_segment = segment_to_sensor(first.v, at);
+            if (!(sensor_segment.cos_light > 0)) return;
+            if (ghost && !relocate(sensor_segment, point, found.place)) return;
+            y_.push_back(first);
+            walk(y_, Towards::light, numbers, most, ghost);
+            show_from_sensor({at.film, at.scale}, sensor_segment, found, ghost ? 0 : 1, visit);
+            return;
+        }
+        case Technique::dynamic_two_ends: {
+            Stop middle;
+            middle.v = side_.vertex(point, shape, Vector3f(point.ng));
+            if (!scatters(middle.v.hit)) return;
+            Vector3f local = sample_cosine_hemisphere(u_light);
+            if (scatters_on_both_sides(scene, middle.v.here, middle.v) && u_choice.y >= 0.5f) local.z = -local.z;
+            const Vector3f to_light_d = middle.v.here.frame.to_world(local);
+            const Ray ray = spawn_ray(middle.v.at.end(), to_light_d);
+            const Hit hit = intersect(ray);
+            if (!scatters(hit)) return;
+            middle.back = to_light_d;
+            Stop z, y;
+            if (!step(middle, numbers.pair(walk_pair(0, false, 3)), numbers.pair(lobe_pair), z)) return;
+            const Interaction x = interact(side_, middle.v, middle.ahead, to_light_d, middle.lobe);
+            y.v = side_.vertex(ray, hit);
+            y.back = -to_light_d;
+            const Segment between[2] = {segment_between(side_, z.v, middle.v, crossings_),
+                                        segment_between(side_, middle.v, y.v, crossings_)};
+            z_.push_back(z);
+            y_.push_back(y);
+            walk(z_, Towards::sensor, numbers, most - 2);
+            walk(y_, Towards::light, numbers, most - 2);
+            show_two_ends(&x, &middle.v, between, found, visit);
+            return;
+        }
+        case Technique::ghost_two_ends: {
+            Vector3f local = sample_cosine_hemisphere(u_light);
+            if (u_choice.y >= 0.5f) local.z = -local.z;
+            const Vector3f d = Framef(point.ng).to_world(local);
+            const Ray ahead{point.p, d}, behind{point.p, -d};
+            const Hit light_hit = intersect(ahead);
+            if (!scatters(light_hit)) return;
+            const Hit sensor_hit = intersect(behind);
+            if (!scatters(sensor_hit)) return;
+            Stop z, y;
+            z.v = side_.vertex(behind, sensor_hit);
+            y.v = side_.vertex(ahead, light_hit);
+            y.back = normalize(z.v.at.p - y.v.at.p);
+            z.back = -y.back;
+            const Segment between = segment_between(side_, z.v, y.v, crossings_);
+            if (!relocate(between, point, found.place)) return;
+            z_.push_back(z);
+            y_.push_back(y);
+            walk(z_, Towards::sensor, numbers, most - 1);
+            walk(y_, Towards::light, numbers, most - 1);
+            show_two_ends(nullptr, nullptr, &between, found, visit);
+            return;
+        }
+        case Technique::path_tracing:
+            return;
+    }
+}
+
+bool PathFinder::find_from_camera(PathId id, const Sampler& numbers, const Visitor& visit) {
+    const Scene& scene = side_.scene;
+    crossings_.all.clear();
+    y_.clear();
+    first_hit = {};
+    const Ray first = scene.sensor.sample_ray(std::uint32_t(id.pixel % scene.sensor.width),
+                                              std::uint32_t(id.pixel / scene.sensor.width), numbers.pair(film_pair));
+    Ray ray = first;
+    bool touched = !scenes_.same_choice_of_lights, escaped = false, is_straight = true;
+    LightEnd sky;
+    const auto crosses = [&](const Ray& r) { return scenes_.mover_rays && scenes_.mover_rays->occluded(r); };
+    // What the path meets, first; what it is worth only where the edit has a part in it.
+    for (int depth = 1;; ++depth) {
+        const Hit hit = intersect(ray, depth == 1);
+        Ray upto = ray;
+        if (hit) upto.t_max = hit.t * (1 - point_epsilon);
+        touched = touched || crosses(upto);
+        if (!hit) {
+            escaped = true;
+            touched = touched || scenes_.lights_changed;
+            if (scene.environment < 0 || hides_sky(scene, is_straight)) break;
+            sky.Le = Radiance(environment(scene, ray.d));
+            sky.y = Point3f(ray.d);
+            sky.at_infinity = true;
+            sky.emitter = std::uint16_t(scene.environment);
+            sky.changed = side_.changed_emitter[std::size_t(scene.environment)];
+            sky.pdf = pdf_environment_w(scene, ray.d);
+            break;
+        }
+        Stop stop;
+        stop.v = side_.vertex(ray, hit);
+        stop.back = -ray.d;
+        touched = touched || stop.v.site != no_site;
+        if (depth == 1) first_hit = {albedo(stop.v.here.bsdf, stop.v.here.wo_local), stop.v.here.frame.n, hit.t};
+        if (const int emitter = scene.shapes[hit.shape].emitter; emitter >= 0) {
+            stop.met.Le = Radiance(emitted(scene, stop.v.at, stop.back));
+            stop.met.y = stop.v.at.p;
+            stop.met.n = stop.v.at.ng;
+            stop.met.hit_error = stop.v.at.hit_error;
+            stop.met.emitter = std::uint16_t(emitter);
+            stop.met.changed = side_.changed_emitter[std::size_t(emitter)];
+            stop.met.pdf = depth > 1 ? pdf_light_w(scene, y_.back().v.at.p, stop.v.at) : 0.0f;
+            touched = touched || stop.met.changed;
+        }
+        if (depth == options_.max_depth || !scatters(hit)) {
+            y_.push_back(stop);
+            break;
+        }
+        ++n_vertices;
+        const ShadingPoint& here = stop.v.here;
+        if (!scene.emitters.empty() && has_smooth_lobe(here.bsdf)) {
+            const LightSample s = sample_light(scene, here.p, numbers.pair(dimension(depth, Place::light)));
+            touched = touched || side_.changed_emitter[s.emitter];
+            if (s.pdf_w > 0 && !is_black(f_cos_pdf(here, s.wi).f_cos)) {
+                stop.light = light_end(s);
+                const Ray shadow = shadow_ray(stop.v, stop.light);
+                stop.joined = !occluded(shadow);
+                touched = touched || crosses(shadow);
+            }
+        }
+        const float q = options_.roulette != Roulette::off && depth >= options_.rr_depth ? float(survival(here)) : 1.0f;
+        bool goes_on = !(q < 1 && numbers.pair(dimension(depth, Place::roulette)).x >= q);
+        if (goes_on) {
+            const BsdfModel& model = *here.bsdf.model;
+            const bool one_lobe = model.kind == BsdfKind::diffuse && here.bsdf.opacity == 1;
+            const float u_lobe = one_lobe ? 0.0f : numbers.pair(dimension(depth, Place::lobe)).x;
+            const BsdfSample<float> s =
+                sample(here.bsdf, here.wo_local, u_lobe, numbers.pair(dimension(depth, Place::direction)));
+            goes_on = s.lobe != Lobe::none && !is_black(s.weight);
+            if (goes_on) {
+                stop.ahead = here.frame.to_world(s.wi);
+                stop.lobe = s.lobe;
+                is_straight &= goes_straight_on(s.lobe, model.kind);
+                ray = spawn_ray(here.end(), stop.ahead);
+            }
+        }
+        y_.push_back(stop);
+        if (!goes_on) break;
+    }
+    if (!touched || options_.max_depth == 0) return false;
+
+    const auto show = [&](const LightEnd& light, bool next_event) {
+        path_.light = light;
+        if (max_channel(light.Le) > 0 && path_.dynamic()) visit(path_, {Technique::path_tracing, 0, next_event});
+    };
+    const auto go_on = [&](Stop& from, const Segment& ahead) {
+        from.onward = interact(side_, from.v, from.back, from.ahead, from.lobe);
+        path_.add(from.onward, from.v, ahead);
+    };
+    const FilmPoint film = scene.sensor.film_of(first, y_.empty() ? 1 : first_hit.depth);
+    const SensorEnd sensor{film.film, film.scale};
+    for (std::size_t k = 0; k < y_.size(); ++k) {
+        Stop& here = y_[k];
+        if (k == 0)
+            path_.start(sensor, segment_to_sensor(here.v, film));
+        else
+            go_on(y_[k - 1], segment_between(side_, y_[k - 1].v, here.v, crossings_));
+        show(here.met, false);
+        if (!here.joined) continue;
+        here.end = interact(side_, here.v, here.back, direction_to(here.light, here.v.at.p), Lobe::none);
+        path_.add(here.end, here.v, segment_to_light(side_, here.v, here.light, crossings_));
+        show(here.light, true);
+        path_.remove_last();
+    }
+    if (escaped && y_.empty()) {
+        const auto at = std::uint32_t(crossings_.all.size());
+        path_.start(sensor, {1, 1, at, side_.cross(first, crossings_)});
+    } else if (escaped) {
+        go_on(y_.back(), segment_to_light(side_, y_.back().v, sky, crossings_));
+    }
+    if (escaped) show(sky, false);
+    return true;
+}
+
+}  // namespace loom::residual

@@ -1,0 +1,98 @@
+#pragma once
+// Finds whole paths by the seven techniques of [RP] §4, in one of the two scenes of an edit.
+
+#include <functional>
+#include <optional>
+#include <vector>
+
+#include "stages/residual/dynamic/dynamic_path.h"
+#include "stages/residual/dynamic/numbers.h"
+
+namespace loom::residual {
+
+/// What a path was found by: the technique, and the vertex or crossing that it started from (as Term::place).
+struct Found {
+    Technique technique;
+    std::uint32_t place;
+    bool by_next_event = true;  // path tracing: else by hitting the light
+};
+
+/// One thread's. Paths that one sample finds share its vertices; each is shown once, and is gone afterwards.
+class PathFinder {
+  public:
+    using Visitor = std::function<void(const FullPath&, const Found&)>;
+
+    PathFinder(const DynamicScenes& scenes, const DynamicScene& side, const PathOptions& options);
+
+    /// Paths from one point of a site. With the same numbers in the two scenes the two points are the same: one of the
+    /// shape itself where the site is its place in either, the same in space where it is dynamic in one and a ghost in
+    /// the other.
+    /// needs: technique is 1 to 3 and the site dynamic here, or 4 to 6 and the site a ghost
+    void find(Technique technique, Site site, const Numbers& numbers, const Visitor& visit);
+
+    /// Paths of one camera sample, with the random numbers that loom-trace takes; static ones are not shown.
+    /// out: whether the same sample may be another path in the other scene
+    bool find_from_camera(PathId id, const Sampler& numbers, const Visitor& visit);
+
+    FirstHit first_hit;  // of the last camera sample
+    std::uint64_t n_rays = 0, n_vertices = 0;
+    std::uint64_t n_unrelocated = 0;  // samples of ghosts whose segment, looked at again, does not pass there
+
+  private:
+    /// A vertex of a walk: how the walk goes on from it, and how it is joined to the sensor or a light.
+    struct Stop {
+        Vertex v;
+        Vector3f back;   // to the vertex before, or to what the walk starts from
+        Vector3f ahead;  // to the next
+        Lobe lobe = Lobe::none;
+        Interaction onward;
+        Segment segment;  // to the next
+        bool joined = false;
+        Interaction end;
+        Segment end_segment;
+        SensorEnd sensor;
+        LightEnd light;
+        LightEnd met;  // of a camera path: what shines at the vertex itself
+    };
+    enum class Towards : std::uint8_t { sensor, light };
+
+    /// Goes on from the last of the stops, and joins each on the way (the first only if told to).
+    void walk(std::vector<Stop>& stops, Towards towards, const Numbers& numbers, int n_max, bool join_first = true);
+    /// in:  u_lobe_roulette  x, y
+    bool step(Stop& from, Point2f u, Point2f u_lobe_roulette, Stop& next);
+    void join_sensor(Stop& stop);
+    void join_light(Stop& stop, Point2f u);
+
+    bool occluded(const Ray& ray);
+    Hit intersect(const Ray& ray, bool from_camera = false);
+    bool hides_from_sensor(const Vertex& v, const FilmPoint& film);
+    bool scatters(const Hit& hit) const;
+    std::optional<FilmPoint> on_film(const Point3f& p) const;
+    Segment segment_to_sensor(const Vertex& v, const FilmPoint& film);
+    LightEnd light_end(const LightSample& light) const;
+    /// Finds the point of a ghost among the crossings of the segment that it has led to.
+    bool relocate(const Segment& segment, const SitePoint& point, std::uint32_t& place);
+
+    void from_sensor(std::size_t a, const Segment& ahead);
+    void to_light(std::size_t b);
+    void show_to_sensor(const LightEnd& light, const Segment& light_segment, const Found& found, const Visitor& visit);
+    void show_from_sensor(const SensorEnd& sensor, const Segment& sensor_segment, const Found& found, std::size_t first,
+                          const Visitor& visit);
+    void show_two_ends(const Interaction* middle, const Vertex* middle_vertex, const Segment* between,
+                       const Found& found, const Visitor& visit);
+
+    int longest() const {
+        return options_.max_depth < 0 ? most_vertices : std::min(options_.max_depth - 1, most_vertices);
+    }
+
+    static constexpr int most_vertices = 512;  // survival is at most 0.95 each
+
+    const DynamicScenes& scenes_;
+    const DynamicScene& side_;
+    PathOptions options_;
+    std::vector<Stop> z_, y_;  // walks towards the sensor and the light
+    Crossings crossings_;
+    FullPath path_;
+};
+
+}  // namespace loom::residual

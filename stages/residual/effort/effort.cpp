@@ -1,0 +1,319 @@
+#include "stages/residual/effort/effort.h"
+
+#include <fmt/format.h>
+#include <tbb/enumerable_thread_specific.h>
+
+#include <numeric>
+
+#include "stages/core/compute/parallel.h"
+#include "stages/core/stats/moments.h"
+#include "stages/residual/dynamic/camera_paths.h"
+#include "stages/residual/effort/blur.h"
+#include "stages/residual/effort/effort_model.h"
+
+namespace loom::residual {
+namespace {
+
+/// A ray of dynamic paths, found one by one with all that is worked out for it, over one of a batch of camera paths.
+constexpr double cost_of_site_ray = 3.2;
+/// Half of the paths go everywhere alike: a pixel whose pilot saw nothing has at most twice the variance. With a
+/// quarter, as in [001], what few samples say is trusted too much (equal or more variance in ten of twelve edits).
+constexpr double share_of_map_floor = 0.5;
+constexpr std::uint64_t most_recorded_pixels = 4096, recorded_one_in = 8, most_pilot_samples = 1 << 15;
+/// Recorded camera paths that an edit has touched: with fewer they do not say how noisy they are.
+constexpr std::uint64_t few_recorded = 64;
+/// What camera paths keep of the effort: they find what no other sample of the pilot has found.
+constexpr double least_share_of_cameras = 0.5;
+
+/// Of pairs of camera paths: a difference and the old path.
+struct PairMoments {
+    Moments difference, old;
+    double product = 0;  // sum of products of deviations from the means
+    void add(double d, double f) {
+        const double off = d - difference.mean;
+        difference.add(d);
+        old.add(f);
+        product += off * (f - old.mean);
+    }
+    double covariance() const { return old.n > 1 ? product / double(old.n - 1) : 0; }
+};
+
+/// Where camera paths go.
+struct Map {
+    std::vector<double> density;  // by pixel, over that of the same cost in every pixel
+    double gain = 1;              // variance of the picture that is not spread, over that of the one that is
+};
+
+/// in: variances, costs  of one path, by pixel
+Map map_of(const Sensor& sensor, const std::vector<double>& variances, const std::vector<double>& costs) {
+    std::vector<double> deviations(variances.size());
+    std::transform(variances.begin(), variances.end(), deviations.begin(), [](double v) { return std::sqrt(v); });
+    deviations = blurred(sensor, deviations);
+    double all_costs = 0, wanted_costs = 0, flat = 0, spread = 0;
+    for (std::size_t p = 0; p < deviations.size(); ++p) {
+        all_costs += costs[p];
+        wanted_costs += costs[p] * deviations[p];
+    }
+    Map map;
+    for (const double deviation : deviations) {
+        map.density.push_back(wanted_costs > 0
+                                  ? share_of_map_floor + (1 - share_of_map_floor) * deviation * all_costs / wanted_costs
+                                  : 1);
+        flat += sqr(deviation);
+        spread += sqr(deviation) / map.density.back();
+    }
+    if (spread > 0) map.gain = flat / spread;
+    return map;
+}
+
+/// Camera paths of each pixel, n over all of them. Two at least, which VarMean takes.
+std::vector<std::uint32_t> rounded(const Map& map, double n) {
+    std::vector<std::uint32_t> out;
+    double carried = 0.5;  // what rounding left over
+    for (const double density : map.density) {
+        carried += n * density;
+        const double taken = std::max(std::floor(carried), 2.0);
+        out.push_back(std::uint32_t(taken));
+        carried = std::max(carried - taken, 0.0);
+    }
+    return out;
+}
+
+/// What one thread works with.
+struct PilotWorker {
+    PathPairs pairs;
+    CameraPaths cameras;
+    NumbersBlock numbers;
+    std::vector<PilotPart> parts;  // of the sample under way, and the pixels that they go to
+    std::vector<std::uint32_t> pixels;
+
+    /// in: K  families
+    ///     n0  camera paths of a recorded pixel
+    void keep(const Part& part, std::size_t K, double n0) {
+        PilotPart kept{};
+        const double camera = n0 * part.h * part.density.camera_density, density = part.density.site_density + camera;
+        for (const Term& t : part.terms)
+            if (t.technique != Technique::path_tracing) kept.w[t.family] += float(t.density / density);
+        kept.w[K - 1] = float(camera / density);
+        for (int c = 0; c < 3; ++c) kept.v[c] = float(part.value[c] / density);
+        kept.at_first = part.at_first;
+        parts.push_back(kept);
+        pixels.push_back(part.pixel);
+    }
+};
+
+/// Takes the samples of a pilot.
+class PilotRun {
+  public:
+    Pilot pilot;
+    const std::uint64_t per_family, per_pixel;  // samples of each family; camera paths of each pixel, for the map
+    std::vector<double> variances, costs;       // by pixel, of one pair: of its difference, and rays
+    std::vector<double> covariance[3], old_variance[3];  // as Effort
+    double new_rays = 0, pair_rays = 0,
+           touched = 0;    // of one camera path in every pixel: rays of the new one and of both, how many are touched
+    double recording = 0;  // cost of finding the densities of camera paths
+    std::uint64_t n_recorded = 0;  // pixels whose camera paths are recorded
+
+    PilotRun(const DynamicScenes& scenes, const std::vector<Family>& families, const PathPairs::Options& pairs,
+             const PathOptions& path, const Work& work)
+        : per_family(std::clamp<std::uint64_t>(scenes.new_scene.scene.sensor.n_pixels() * work.spp / 1024, 256,
+                                               most_pilot_samples)),
+          per_pixel(std::max<std::uint64_t>(work.spp / 32, 2)),
+          n_pixels_(scenes.new_scene.scene.sensor.n_pixels()),
+          K_(families.size()),
+          threads_(work.threads),
+          path_(path),
+          samples_(K_, double(per_family)),
+          workers_([&scenes, &families, &pairs, this] {
+              return PilotWorker{
+                  PathPairs(scenes, families, samples_, false, path_, pairs), CameraPaths(scenes, path_), {}, {}, {}};
+          }) {
+        pilot.families.resize(K_);
+        pilot.cost.assign(K_, 0);
+        for (std::size_t f = 0; f + 1 < K_; ++f) sample_site(f);
+        sample_pixels();
+    }
+
+    void count(Counts& counts) const {
+        for (const PilotWorker& w : workers_) {
+            counts.add(w.cameras.counts_new);
+            counts.add(w.cameras.counts_old);
+            counts.add({w.pairs.rays(), w.pairs.vertices(), w.pairs.nonfinite});
+        }
+    }
+
+  private:
+    double rays_of_pairs() const {
+        std::uint64_t sum = 0;
+        for (const PilotWorker& w : workers_) sum += w.pairs.rays();
+        return double(sum);
+    }
+    /// Calls body(worker, samples of the chunk, begin, end).
+    template <class Body>
+    void record(std::uint64_t n, std::uint64_t chunk_size, PilotSamples& all, Body&& body) {
+        std::vector<PilotSamples> chunks((n + chunk_size - 1) / chunk_size);
+        parallel_chunks(n, chunk_size, threads_, [&](std::uint64_t chunk, std::uint64_t begin, std::uint64_t end) {
+            body(workers_.local(), chunks[chunk], begin, end);
+        });
+        for (const PilotSamples& r : chunks) all.append(r);
+    }
+
+    void sample_site(std::size_t f) {
+        const std::uint64_t seed = mix64(path_.seed ^ (f + 1) * 0x9e3779b97f4a7c15ull);
+        const double before = rays_of_pairs();
+        record(per_family, 128, pilot.families[f],
+               [&](PilotWorker& w, PilotSamples& out, std::uint64_t begin, std::uint64_t end) {
+                   for (std::uint64_t i = begin; i < end; ++i) {
+                       w.pairs.from_site(f, w.numbers.of(path_.sampler, seed, i),
+                                         [&](const Part& part) { w.keep(part, K_, double(pilot.per_pixel)); });
+                       out.end_sample(w.parts, w.pixels);
+                   }
+               });
+        pilot.cost[f] = cost_of_site_ray * (rays_of_pairs() - before);
+    }
+
+    /// Pairs of all pixels for the map; with which densities families find them, of a few.
+    void sample_pixels() {
+        const std::uint64_t one_in = std::max(recorded_one_in, n_pixels_ / most_recorded_pixels);
+        const auto is_recorded = [&](std::uint64_t pixel) { return K_ > 1 && mix64(pixel) % one_in == 0; };
+        for (std::uint64_t pixel = 0; pixel < n_pixels_; ++pixel) n_recorded += is_recorded(pixel);
+        for (auto* by_pixel : {&variances, &costs}) by_pixel->resize(n_pixels_);
+        for (int c = 0; c < 3; ++c)
+            for (auto* by_pixel : {&covariance[c], &old_variance[c]}) by_pixel->resize(n_pixels_);
+        const double before = rays_of_pairs();
+        record(n_pixels_, 64, pilot.families[K_ - 1],
+               [&](PilotWorker& w, PilotSamples& out, std::uint64_t begin, std::uint64_t end) {
+                   std::vector<PathId> ids;
+                   for (std::uint64_t pixel = begin; pixel < end; ++pixel)
+                       for (std::uint64_t s = 0; s < per_pixel; ++s) ids.push_back({pixel, s});
+                   std::vector<PairMoments> moments(3 * (end - begin));
+                   for (std::size_t k = 0; k < ids.size(); k += PathBatch::capacity) {
+                       const std::span<const PathId> some{&ids[k], std::min(PathBatch::capacity, ids.size() - k)};
+                       w.cameras.trace(some);
+                       for (std::size_t i = 0; i < some.size(); ++i) {
+                           const PathId id = some[i];
+                           const Spectrum difference = w.cameras.difference(i), L_new = w.cameras.L_new(i);
+                           costs[id.pixel] += double(w.cameras.rays(i)) / double(per_pixel);
+                           if (!all_finite(difference) || !all_finite(L_new)) continue;
+                           for (int c = 0; c < 3; ++c)
+                               moments[3 * (id.pixel - begin) + std::size_t(c)].add(difference[c],
+                                                                                    L_new[c] - difference[c]);
+                           if (!w.cameras.touched(i) || id.sample >= pilot.per_pixel || !is_recorded(id.pixel))
+                               continue;
+                           w.pairs.from_camera(id, Sampler(path_.sampler, path_.seed, id.pixel, id.sample),
+                                               [&](const Part& part) { w.keep(part, K_, double(pilot.per_pixel)); });
+                           out.end_sample(w.parts, w.pixels);
+                       }
+                   }
+                   for (std::uint64_t pixel = begin; pixel < end; ++pixel)
+                       for (std::size_t c = 0; c < 3; ++c) {
+                           const PairMoments& m = moments[3 * (pixel - begin) + c];
+                           variances[pixel] += m.difference.var_sample() / 3;
+                           covariance[c][pixel] = m.covariance();
+                           old_variance[c][pixel] = m.old.var_sample();
+                       }
+               });
+        recording = cost_of_site_ray * (rays_of_pairs() - before);
+        for (const PilotWorker& w : workers_) {
+            new_rays += double(w.cameras.counts_new.rays) / double(per_pixel);
+            pair_rays += double(w.cameras.counts_new.rays + w.cameras.counts_old.rays) / double(per_pixel);
+            touched += double(w.cameras.n_touched) / double(n_pixels_ * per_pixel);
+        }
+        pilot.camera_scale = double(n_pixels_) / double(std::max<std::uint64_t>(n_recorded, 1));
+        pilot.cost[K_ - 1] = double(pilot.per_pixel) * new_rays + recording * pilot.camera_scale;
+    }
+
+    const std::uint64_t n_pixels_;
+    const std::size_t K_;
+    const int threads_;
+    const PathOptions path_;
+    const std::vector<double> samples_;
+    tbb::enumerable_thread_specific<PilotWorker> workers_;
+};
+
+}  // namespace
+
+bool Effort::cameras_alone() const {
+    return std::all_of(samples.begin(), samples.end() - 1, [](double n) { return n == 0; });
+}
+
+Effort equal_effort(const std::vector<Family>& families, const Sensor& sensor, std::uint64_t spp) {
+    Effort effort;
+    effort.samples.assign(families.size(), double(sensor.n_pixels() * spp));
+    effort.per_pixel.assign(sensor.n_pixels(), std::uint32_t(spp));
+    return effort;
+}
+
+Effort camera_effort(const std::vector<Family>& families, const Sensor& sensor, std::uint64_t spp) {
+    Effort effort = equal_effort(families, sensor, spp);
+    std::fill(effort.samples.begin(), effort.samples.end(), 0.0);
+    return effort;
+}
+
+Effort effort_by_pilot(const DynamicScenes& scenes, const std::vector<Family>& families, const PilotOptions& options,
+                       const PathOptions& path, const Work& work, Counts& counts) {
+    const Sensor& sensor = scenes.new_scene.scene.sensor;
+    const std::size_t K = families.size();
+    PilotRun run(scenes, families, options.pairs, path, work);
+    run.count(counts);
+    const Pilot& pilot = run.pilot;
+    const double n0 = double(pilot.per_pixel);
+    // What spp plain pairs cost, less what the pilot has taken.
+    const double whole = 2 * run.new_rays * double(work.spp);
+    const double taken = double(run.per_pixel) * run.pair_rays + run.recording +
+                         std::accumulate(pilot.cost.begin(), pilot.cost.end() - 1, 0.0);
+    const double budget = std::max(whole - taken, 0.25 * whole);
+
+    const Map map = options.adaptive_map ? map_of(sensor, run.variances, run.costs)
+                                         : Map{std::vector<double>(sensor.n_pixels(), 1.0), 1};
+    Spending best;
+    best.x.assign(K, 0);
+    best.x[K - 1] = budget / (n0 * run.pair_rays);
+    double M_alone = 0;
+    if (run.n_recorded > 0) {
+        const bool hardly_met = pilot.families[K - 1].groups().size() < few_recorded;
+        M_alone = (hardly_met ? camera_variance_by_all(pilot, best.x[K - 1]) : variance_of(pilot, false, best.x).M) /
+                  map.gain;
+        const double least_cameras = hardly_met ? least_share_of_cameras / 2 : least_share_of_cameras;
+        Spending with = best_spending(pilot, false, budget, map.gain, least_cameras);
+        if (Spending first = best_spending(pilot, true, budget, map.gain, least_cameras);
+            !hardly_met && first.M < with.M)
+            with = std::move(first);
+        // What pairs of all pixels have beyond those of the recorded ones is taken for what camera paths alone can
+        // find.
+        const double of_all =
+            std::accumulate(run.variances.begin(), run.variances.end(), 0.0) / (n0 * best.x[K - 1] * map.gain);
+        const double unseen = hardly_met ? 0 : std::max(of_all - M_alone, 0.0);
+        M_alone += unseen;
+        with.M += unseen * best.x[K - 1] / with.x[K - 1];
+        if (with.M * options.must_gain < M_alone) best = std::move(with);
+    }
+    Effort effort;
+    effort.first_to_camera = best.first_to_camera;
+    effort.samples.assign(K, 0);
+    for (std::size_t f = 0; f + 1 < K; ++f) effort.samples[f] = std::floor(best.x[f] * double(run.per_family));
+    effort.per_pixel = rounded(map, best.x[K - 1] * n0);
+    for (int c = 0; c < 3; ++c) {
+        effort.covariance[c] = std::move(run.covariance[c]);
+        effort.old_variance[c] = std::move(run.old_variance[c]);
+    }
+
+    const auto [fewest, most] = std::minmax_element(effort.per_pixel.begin(), effort.per_pixel.end());
+    effort.why = fmt::format(
+        "pilot ({:.0f} % of the effort): the edit touches {:.0f} % of camera paths; {:.1f} per pixel ({} to {})",
+        100 * taken / whole, 100 * run.touched, best.x[K - 1] * n0, *fewest, *most);
+    if (options.adaptive_map) effort.why += fmt::format(", {:.1f} times less variance than evenly", map.gain);
+    if (!effort.cameras_alone()) {
+        for (std::size_t f = 0; f + 1 < K; ++f)
+            if (effort.samples[f] > 0)
+                effort.why += fmt::format(", {} {:.0f} %", families[f].name, 100 * best.x[f] * pilot.cost[f] / budget);
+        effort.why +=
+            fmt::format("{}: {:.1f} times less variance than camera paths alone",
+                        best.first_to_camera ? ", none of what the camera sees directly" : "", M_alone / best.M);
+    } else if (K > 1) {
+        effort.why += "; paths from the edit do not pay";
+    }
+    return effort;
+}
+
+}  // namespace loom::residual

@@ -1,0 +1,382 @@
+#include "stages/residual/stored/old_graph.h"
+
+#include <fmt/format.h>
+#include <tbb/enumerable_thread_specific.h>
+
+#include <algorithm>
+#include <cmath>
+#include <filesystem>
+#include <optional>
+
+#include "formats/io/content_hash.h"
+#include "formats/io/error.h"
+#include "stages/core/app/report.h"
+#include "stages/core/app/values.h"
+#include "stages/core/tracing/film.h"
+#include "stages/core/tracing/graph_builder.h"
+#include "stages/residual/stored/resumed_paths.h"
+
+namespace loom::residual {
+namespace {
+
+constexpr const char* rgb[] = {"R", "G", "B"};
+
+template <class Enum>
+std::optional<Enum> named(std::string_view name, std::string_view (*name_of)(Enum),
+                          std::initializer_list<Enum> values) {
+    for (const Enum value : values)
+        if (name_of(value) == name) return value;
+    return std::nullopt;
+}
+
+bool alike(const PathOptions& a, const PathOptions& b) {
+    return a.seed == b.seed && a.sampler == b.sampler && a.roulette == b.roulette && a.rr_depth == b.rr_depth &&
+           a.max_depth == b.max_depth;
+}
+
+PathOptions options_of(const PathGraph& graph, const std::string& file) {
+    PathOptions path;
+    path.seed = graph.provenance.seed;
+    path.rr_depth = graph.tracing.roulette_depth;
+    path.max_depth = graph.tracing.max_depth;
+    const auto sampler = named(graph.tracing.sampler, sampler_name, {SamplerKind::sobol, SamplerKind::independent});
+    const auto roulette =
+        named(graph.tracing.roulette, roulette_name, {Roulette::albedo, Roulette::throughput, Roulette::off});
+    if (!sampler || !roulette)
+        throw InputError(fmt::format("{}: was traced with sampler {} and roulette {}, which are not known here", file,
+                                     graph.tracing.sampler, graph.tracing.roulette));
+    path.sampler = *sampler;
+    path.roulette = *roulette;
+    return path;
+}
+
+void check_pass(const PathGraph& graph, const std::string& file, const Scene& old_scene, const std::string& scene_name,
+                int max_depth) {
+    const Provenance& made = graph.provenance;
+    if (made.stage != "loom-trace")
+        throw InputError(
+            fmt::format("{}: --old-graph: was written by {}; only paths as loom-trace writes them can be traced again",
+                        file, made.stage));
+    const std::string hash = content_hash_text(old_scene.content_hash);
+    if (std::none_of(made.inputs.begin(), made.inputs.end(), [&](const InputId& i) { return i.hash == hash; }))
+        throw InputError(fmt::format(
+            "{}: is a graph of {} with content {}, not of {} with these values, whose content is {}; trace it again",
+            file, made.inputs.empty() ? "no known scene" : made.inputs[0].name,
+            made.inputs.empty() ? "unknown" : made.inputs[0].hash, scene_name, hash));
+    if (graph.sensor.width != old_scene.sensor.width || graph.sensor.height != old_scene.sensor.height)
+        throw InputError(fmt::format("{}: is of {} x {} pixels, but the film of {} has {} x {}", file,
+                                     graph.sensor.width, graph.sensor.height, scene_name, old_scene.sensor.width,
+                                     old_scene.sensor.height));
+    if (graph.tracing.max_depth != max_depth)
+        throw InputError(fmt::format("{}: was traced with max_depth {}, not {}; give --max-depth {}", file,
+                                     graph.tracing.max_depth, max_depth, graph.tracing.max_depth));
+    if (graph.shapes.id.size() != old_scene.shapes.size() || graph.emitters.id.size() != old_scene.emitters.size())
+        throw InputError(fmt::format("{}: has {} shapes and {} lights, but {} has {} and {}", file,
+                                     graph.shapes.id.size(), graph.emitters.id.size(), scene_name,
+                                     old_scene.shapes.size(), old_scene.emitters.size()));
+}
+
+std::uint64_t end_of(const PathGraph& graph) {
+    return graph.tracing.first_sample + graph.tracing.samples_per_pixel;
+}
+
+/// A command of loom-trace apart from which samples it traces.
+struct TraceCommand {
+    std::string rest;
+    std::uint64_t first = 0, spp = 0;
+};
+std::optional<TraceCommand> parse(std::string command) {
+    TraceCommand parsed;
+    for (const auto& [flag, value] :
+         {std::pair<std::string, std::uint64_t*>{" --first-sample ", &parsed.first}, {" --spp ", &parsed.spp}}) {
+        const auto at = command.find(flag);
+        if (at == std::string::npos) return std::nullopt;
+        const auto digits = at + flag.size(), end = std::min(command.find(' ', digits), command.size());
+        const std::optional<std::uint64_t> number =
+            app::parse_number<std::uint64_t>(command.substr(digits, end - digits));
+        if (!number) return std::nullopt;
+        *value = *number;
+        command.erase(at, end - at);
+    }
+    for (const std::string same_paths : {" --passes 1", " --misses"})
+        if (const auto at = command.find(same_paths); at != std::string::npos) command.erase(at, same_paths.size());
+    parsed.rest = std::move(command);
+    return parsed;
+}
+
+/// What one thread works with, kept from chunk to chunk.
+class Worker {
+  public:
+    Counts counts;
+    std::uint64_t touched = 0, probed = 0, others = 0;  // probed paths that are not those of the graph
+    std::string other;                                  // one of them
+
+    /// in:  passes  of the graph
+    Worker(const ScenePair& scenes, const OldGraph& graph, const EditReach& reach,
+           const std::vector<StoredPaths>& passes, const Image* old_picture, NonfiniteLog& old_log,
+           NonfiniteLog& new_log, Film& film, GraphResidual& out)
+        : graph_(graph),
+          passes_(passes),
+          old_batch_(scenes.old_scene, graph.path),
+          resumed_(scenes.new_scene, reach, graph.path),
+          old_nonfinite_(old_log),
+          new_nonfinite_(new_log),
+          film_(film),
+          out_(out),
+          n_pixels_(scenes.old_scene.sensor.n_pixels()) {
+        for (const StoredPaths& pass : passes) {
+            finders_.emplace_back(pass, reach);
+            first_hits_.emplace_back(pass);
+        }
+        for (int c = 0; old_picture && c < 3; ++c) old_mean_[c] = old_picture->find(rgb[c]);
+    }
+
+    void run(std::uint64_t begin, std::uint64_t end) {
+        width_ = end - begin;
+        sums_.assign(width_, {});
+        trace(begin);
+        probe();
+        add(begin);
+        for (std::uint64_t pixel = begin; pixel < end; ++pixel) film_.set(pixel, sums_[pixel - begin]);
+    }
+
+  private:
+    /// Fills flags_, [sample of all passes][pixel of the chunk], and pairs_ in this order. Adds the first surfaces of
+    /// paths that are not touched.
+    void trace(std::uint64_t begin) {
+        flags_.resize(width_ * graph_.spp);
+        touched_.clear();
+        pairs_.clear();
+        pairs_.reserve(flags_.size());  // they stay where they are
+        std::uint8_t* flags = flags_.data();
+        for (std::size_t i = 0; i < passes_.size(); ++i)
+            for (std::uint64_t s = 0; s < graph_.passes[i].tracing.samples_per_pixel; ++s, flags += width_) {
+                const std::size_t first = s * n_pixels_ + begin;
+                changes_.clear();
+                finders_[i].find(first, first + width_, flags, changes_);
+                for (std::size_t k = 0; k < width_; ++k)
+                    if (!flags[k]) sums_[k].add(first_hits_[i].of(first + k));
+                std::span<const std::uint32_t> again(changes_.again);
+                for (const PathChange& change : changes_.paths) {
+                    PathPair& pair = pairs_.emplace_back();
+                    pair.first = first_hits_[i].of(change.path);
+                    resumed_.add(passes_[i], change, again.first(change.n_again), pair);
+                    again = again.subspan(change.n_again);
+                    touched_.push_back({i, change.path});
+                }
+            }
+        resumed_.finish();
+        counts.add(resumed_.counts);
+        resumed_.counts = {};
+        touched += touched_.size();
+    }
+
+    /// Traces some of the touched paths in the old scene as well: they must be those of the graph.
+    void probe() {
+        constexpr std::size_t one_in = 64;
+        const std::size_t step = std::max(one_in, touched_.size() / PathBatch::capacity + 1);
+        probes_.clear();
+        for (std::size_t k = 0; k < touched_.size(); k += step)
+            probes_.push_back(passes_[touched_[k].pass].id(touched_[k].path));
+        probed_.resize(probes_.size());
+        old_batch_.trace(probes_, probed_);
+        for (std::size_t i = 0; i < probes_.size(); ++i) {
+            const auto& [pass, path] = touched_[i * step];
+            const PathResult& traced = probed_[i];
+            counts.add(traced);
+            const Spectrum& known = pairs_[i * step].before;
+            const auto& first = graph_.passes[pass].paths.first_vertex;
+            const std::uint64_t n = first[path + 1] - first[path];
+            constexpr double tolerance = 1e-4;
+            bool same = n == traced.n_vertices;
+            for (int c = 0; c < 3; ++c)
+                same &= !(std::abs(double(traced.L[c]) - known[c]) > tolerance * std::abs(double(known[c])));
+            ++probed;
+            if (same) continue;
+            ++others;
+            if (other.empty())
+                other = fmt::format(
+                    "{}: path {} has {} vertices and brings ({}, {}, {}), but {} and ({}, {}, {}) when it is traced "
+                    "again",
+                    graph_.files[pass], path, n, known.r, known.g, known.b, traced.n_vertices, traced.L.r, traced.L.g,
+                    traced.L.b);
+        }
+    }
+
+    /// Adds what the samples bring, in their order; zeros before the first that brings something only count.
+    void add(std::uint64_t begin) {
+        squares_.assign(old_mean_[0].empty() ? 0 : 3 * width_, 0.0);
+        const std::uint8_t* flags = flags_.data();
+        std::size_t t = 0;
+        for (std::uint64_t sample = 0; sample < graph_.spp; ++sample, flags += width_)
+            for (std::size_t k = 0; k < width_; ++k) {
+                PixelSums& sums = sums_[k];
+                if (!flags[k]) {
+                    if (sums.L[0].n > 0) sums.add(Spectrum(0));
+                    continue;
+                }
+                const PathPair& pair = pairs_[t];
+                const PathId id = passes_[touched_[t].pass].id(touched_[t].path);
+                ++t;
+                old_nonfinite_.check(pair.before, id);
+                new_nonfinite_.check(pair.after, id);
+                for (Moments& L : sums.L) L.n = std::max(L.n, sample);
+                sums.add(pair.after - pair.before, pair.first);
+                for (std::size_t c = 0; c < 3 && !squares_.empty(); ++c)
+                    squares_[3 * k + c] +=
+                        (double(pair.after[int(c)]) - pair.before[int(c)]) *
+                        (double(pair.after[int(c)]) + pair.before[int(c)] - 2.0 * old_mean_[c][begin + k]);
+            }
+        for (PixelSums& sums : sums_)
+            for (Moments& L : sums.L) L.n = graph_.spp;
+        for (std::size_t k = 0; k < squares_.size(); ++k) out_.squares[k % 3][begin + k / 3] = float(squares_[k]);
+    }
+
+    struct Touched {
+        std::size_t pass, path;  // path of a pass
+    };
+    const OldGraph& graph_;
+    const std::vector<StoredPaths>& passes_;
+    PathBatch old_batch_;
+    ResumedPaths resumed_;
+    std::vector<TouchedPaths> finders_;  // by pass
+    std::vector<FirstHits> first_hits_;  // by pass
+    NonfiniteLog &old_nonfinite_, &new_nonfinite_;
+    Film& film_;
+    GraphResidual& out_;
+    std::uint64_t n_pixels_;
+    std::span<const float> old_mean_[3];
+    std::size_t width_ = 0;  // pixels of the chunk
+    std::vector<PixelSums> sums_;
+    std::vector<double> squares_;  // of pixels and channels
+    std::vector<std::uint8_t> flags_;
+    PathChanges changes_;  // of one sample number
+    std::vector<Touched> touched_;
+    std::vector<PathPair> pairs_;  // of those
+    std::vector<PathId> probes_;
+    std::vector<PathResult> probed_;
+};
+
+}  // namespace
+
+OldGraph read_old_graph(const std::vector<std::string>& files, const Scene& old_scene, const std::string& scene_name,
+                        int max_depth) {
+    OldGraph graph;
+    std::vector<std::pair<std::string, PathGraph>> passes;
+    for (const std::string& file : files) passes.emplace_back(file, read_path_graph(file, Check::structure));
+    std::sort(passes.begin(), passes.end(), [](const auto& a, const auto& b) {
+        return a.second.tracing.first_sample < b.second.tracing.first_sample;
+    });
+    for (auto& [file, pass] : passes) {
+        check_pass(pass, file, old_scene, scene_name, max_depth);
+        const PathOptions path = options_of(pass, file);
+        if (graph.passes.empty()) {
+            graph.path = path;
+        } else {
+            const PathGraph& before = graph.passes.back();
+            if (!alike(graph.path, path))
+                throw InputError(
+                    fmt::format("{}: was not traced like {} (seed, sampler, roulette)", file, graph.files[0]));
+            if (end_of(before) > pass.tracing.first_sample)
+                throw InputError(fmt::format("{}: has samples from {} on, which {} has too (to {})", file,
+                                             pass.tracing.first_sample, graph.files.back(), end_of(before) - 1));
+        }
+        graph.spp += pass.tracing.samples_per_pixel;
+        graph.files.push_back(file);
+        graph.passes.push_back(std::move(pass));
+    }
+    if (graph.spp == 0) throw InputError(fmt::format("{}: has no paths", files[0]));
+    return graph;
+}
+
+bool same_samples(const Image& old_picture, const std::string& file, const OldGraph& graph) {
+    const Provenance& made = old_picture.provenance;
+    // Programs other than these say nothing of their random numbers.
+    if (!made.stage.starts_with("loom-") || made.seed != graph.path.seed) return false;
+    const auto picture = parse(made.command), traced = parse(graph.provenance().command);
+    const std::uint64_t first = graph.passes.front().tracing.first_sample, last = end_of(graph.passes.back());
+    const bool no_gap = last - first == graph.spp;
+    if (made.stage == "loom-trace" && picture && traced && picture->rest == traced->rest && no_gap &&
+        picture->first == first && picture->spp == graph.spp)
+        return true;
+    throw InputError(
+        fmt::format("{}: has seed {} like {}, but not just the same samples with the same options: its noise and that "
+                    "of the residual are neither the same nor "
+                    "independent; trace the graph with another --seed, or like the picture",
+                    file, made.seed, graph.files[0]));
+}
+
+std::string GraphResidual::summary() const {
+    return fmt::format("{} of {} old paths traced again ({:.3g} %){}", touched, paths,
+                       100.0 * double(touched) / double(std::max<std::uint64_t>(paths, 1)),
+                       why_all.empty() ? "" : ": " + why_all);
+}
+
+GraphResidual render_residual(const ScenePair& scenes, const Edit& edit, const OldGraph& graph, int threads,
+                              const Image* old_picture, app::Report& report) {
+    const Sensor& sensor = scenes.new_scene.sensor;
+    const std::uint64_t n_pixels = sensor.n_pixels();
+    GraphResidual out;
+    const EditReach reach(scenes.old_scene, scenes.new_scene, edit);
+    std::vector<GraphReader> readers;
+    out.why_all = reach.everything;
+    for (const PathGraph& pass : graph.passes) readers.emplace_back(pass);
+    std::vector<StoredPaths> passes;
+    for (const GraphReader& reader : readers) passes.emplace_back(scenes.old_scene, reader, graph.path);
+    for (auto& squares : out.squares) squares.resize(old_picture ? n_pixels : 0);
+
+    Film film(sensor.width, sensor.height, graph.spp);
+    NonfiniteLog old_log(report, sensor.width, graph.path.seed, " of the old scene"),
+        new_log(report, sensor.width, graph.path.seed, " of the new scene");
+    app::Progress progress(report, "tracing", n_pixels * graph.spp);
+    tbb::enumerable_thread_specific<Worker> workers(
+        [&] { return Worker(scenes, graph, reach, passes, old_picture, old_log, new_log, film, out); });
+    // Large enough for batches of touched paths where few are.
+    constexpr std::uint64_t paths_per_chunk = 1 << 15;
+    parallel_chunks(n_pixels, std::clamp<std::uint64_t>(paths_per_chunk / graph.spp, 16, paths_per_chunk), threads,
+                    [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
+                        workers.local().run(begin, end);
+                        progress.add((end - begin) * graph.spp);
+                    });
+    out.paths = n_pixels * graph.spp;
+    out.counts.nonfinite = old_log.count() + new_log.count();
+    std::uint64_t probed = 0, others = 0;
+    std::string other;
+    for (const Worker& worker : workers) {
+        out.counts.add(worker.counts);
+        out.touched += worker.touched;
+        probed += worker.probed;
+        others += worker.others;
+        if (other.empty()) other = worker.other;
+    }
+    // A few may meet two surfaces in one place, and another of them than when the graph was made.
+    if (100 * others > probed) throw InputError(other + ": graph and scene do not belong together");
+    out.image = std::move(film).finish({});
+    LedgerLink& link = out.image.ledger.emplace_back();
+    link.method = old_graph_method;
+    link.samples = graph.spp;
+    link.seed = graph.path.seed;
+    link.var_mean = mean_var_mean(out.image);
+    return out;
+}
+
+Image add_residual_of_same_samples(const Image& old_picture, const Image& residual, const GraphResidual& paths) {
+    Image sum = residual;
+    sum.scene = residual.ledger.back().scene;
+    sum.ledger.clear();
+    const double n = double(sum.samples);
+    for (int c = 0; c < 3; ++c) {
+        const auto before = old_picture.find(rgb[c]), var_before = old_picture.find(std::string("VarMean.") + rgb[c]);
+        const auto mean = sum.add(rgb[c]);
+        for (std::size_t i = 0; i < mean.size(); ++i) mean[i] += before[i];
+        const auto difference = residual.find(rgb[c]);
+        const auto var_mean = sum.add(std::string("VarMean.") + rgb[c]);
+        for (std::size_t i = 0; i < var_mean.size(); ++i) {
+            const double more = double(paths.squares[c][i]) - n * double(difference[i]) * difference[i];
+            var_mean[i] = float(std::max(0.0, double(var_before[i]) + more / (n * (n - 1))));
+        }
+    }
+    return sum;
+}
+
+}  // namespace loom::residual

@@ -1,0 +1,177 @@
+#pragma once
+// The paths of a graph as the tracer had them.
+
+#include <algorithm>
+#include <optional>
+#include <vector>
+
+#include "stages/core/graph/graph_reader.h"
+#include "stages/core/tracing/path_step.h"
+
+namespace loom::residual {
+
+/// What the columns do not hold follows from a path's own random numbers. Scene and graph are borrowed. Vertices are
+/// rows of the graph.
+class StoredPaths {
+  public:
+    /// in:      options  with which the graph was traced in the scene
+    StoredPaths(const Scene& scene, const GraphReader& reader, const PathOptions& options)
+        : scene_(scene), reader_(reader), options_(options) {}
+
+    const Scene& scene() const { return scene_; }
+    const GraphReader& reader() const { return reader_; }
+    const PathGraph& graph() const { return reader_.graph(); }
+    const PathOptions& options() const { return options_; }
+
+    PathId id(std::size_t path) const {
+        const std::size_t n_pixels = graph().n_pixels();
+        return {path % n_pixels, graph().tracing.first_sample + path / n_pixels};
+    }
+    Sampler sampler(std::size_t path) const {
+        const PathId of = id(path);
+        return {options_.sampler, options_.seed, of.pixel, of.sample};
+    }
+    Ray camera_ray(std::size_t path) const {
+        const std::uint64_t pixel = id(path).pixel;
+        return scene_.sensor.sample_ray(std::uint32_t(pixel % graph().sensor.width),
+                                        std::uint32_t(pixel / graph().sensor.width), sampler(path).pair(film_pair));
+    }
+    Point3f camera(std::size_t path) const {
+        const auto& origin = graph().paths.origin;
+        return origin.empty() ? scene_.sensor.origin
+                              : Point3f{origin[3 * path], origin[3 * path + 1], origin[3 * path + 2]};
+    }
+    /// Emitter that the camera has seen; -1: none.
+    int seen_emitter(std::size_t path) const {
+        const PathGraph& g = graph();
+        if (is_black(rgb(g.paths.Le, path))) return -1;
+        const std::size_t j = g.paths.first_vertex[path];
+        return j == g.paths.first_vertex[path + 1] ? scene_.environment : scene_.shapes[g.vertices.shape[j]].emitter;
+    }
+    /// Number of a vertex within its path, from 1: that of the edge which leads to it.
+    int depth(std::size_t path, std::size_t vertex) const { return int(vertex - graph().paths.first_vertex[path]) + 1; }
+    Point3f position(std::size_t vertex) const {
+        const float* p = graph().vertices.p.data() + 3 * vertex;
+        return {p[0], p[1], p[2]};
+    }
+    Normal3f ng(std::size_t vertex) const {
+        const auto& v = graph().vertices;
+        return unit_vector<Normal3f>(v.ng.empty() ? v.ns : v.ng, vertex);
+    }
+    RayEnd end(std::size_t vertex) const {
+        return {position(vertex), ng(vertex), scene_.shapes[graph().vertices.shape[vertex]].hit_error};
+    }
+    /// All of a vertex, the very one that the tracer had.
+    ShadingPoint shading_point(std::size_t vertex) const {
+        ShadingPoint here = reader_.vertex(vertex);
+        here.hit_error = end(vertex).hit_error;
+        return here;
+    }
+    /// Direction of the ray that found a vertex.
+    Vector3f arrival(std::size_t vertex) const {
+        const float* wo = graph().vertices.wo.data() + 3 * vertex;
+        return {-wo[0], -wo[1], -wo[2]};
+    }
+    float survival(std::size_t vertex) const { return graph().vertices.q.empty() ? 1.0f : graph().vertices.q[vertex]; }
+    BsdfSample<float> redraw(const ShadingPoint& here, const Sampler& sampler, int depth) const {
+        return draw(here, sampler, depth, sampler.pair(dimension(depth, Place::direction)));
+    }
+    /// From a vertex along its BSDF sample.
+    Ray sampled_ray(std::size_t path, std::size_t vertex) const {
+        const ShadingPoint here = shading_point(vertex);
+        return spawn_ray(here.end(), here.frame.to_world(redraw(here, sampler(path), depth(path, vertex)).wi));
+    }
+
+  private:
+    const Scene& scene_;
+    const GraphReader& reader_;
+    PathOptions options_;
+};
+
+/// A vertex that is asked for a few things only: what a plain matte surface does follows from cosines alone, without a
+/// frame.
+class StoredVertex {
+  public:
+    StoredVertex(const StoredPaths& paths, std::size_t vertex) : paths_(paths), vertex_(vertex) {
+        const PathGraph& g = paths.graph();
+        const std::size_t material = g.vertices.material[vertex];
+        const BsdfModel& model = paths.reader().model(material);
+        const std::uint8_t textured = g.materials.textured[material];
+        matte_ = model.kind == BsdfKind::diffuse && model.opacity == 1 && !(textured & textured_parameter::opacity) &&
+                 g.vertices.n_side.empty();
+        if (!matte_) return;
+        bsdf_.diffuse = textured & textured_parameter::diffuse ? paths.reader().bsdf(vertex).diffuse : model.diffuse;
+        n_ = unit_vector<Normal3f>(g.vertices.ns, vertex);
+        wo_.z = dot(-paths.arrival(vertex), n_);
+        if (model.two_sided && wo_.z < 0) n_ = -n_, wo_.z = -wo_.z;
+    }
+
+    /// All of it.
+    const ShadingPoint& whole() {
+        if (!whole_) whole_ = paths_.shading_point(vertex_);
+        return *whole_;
+    }
+    Spectrum f_cos(const Vector3f& wi) {
+        return matte_ ? DiffuseFamily::f_cos_pdf(bsdf_, wo_, {0, 0, dot(wi, n_)}).f_cos : f_cos_pdf(whole(), wi).f_cos;
+    }
+    /// What the tracer has drawn. in:  depth  number of the vertex within its path
+    /// out: of a matte vertex only its weight
+    BsdfSample<float> redraw(const Sampler& sampler, int depth) {
+        const Point2f u = sampler.pair(dimension(depth, Place::direction));
+        if (!matte_) return draw(whole(), sampler, depth, u);
+        const BsdfValue<float> value = DiffuseFamily::f_cos_pdf(bsdf_, wo_, sample_cosine_hemisphere(u));
+        BsdfSample<float> s;
+        if (value.pdf_w > 0) s.weight = value.f_cos / value.pdf_w;
+        return s;
+    }
+    /// Its direction.
+    Vector3f direction(const Sampler& sampler, int depth) {
+        return whole().frame.to_world(paths_.redraw(whole(), sampler, depth).wi);
+    }
+
+  private:
+    const StoredPaths& paths_;
+    std::size_t vertex_;
+    bool matte_ = false;
+    Bsdf<float> bsdf_;  // matte: the colour alone
+    Normal3f n_;        // matte: of the side that it is seen from
+    Vector3f wo_;       // matte: z alone
+    std::optional<ShadingPoint> whole_;
+};
+
+/// What the tracer has said of the first surfaces of paths, depth but for rounding. One belongs to one thread.
+class FirstHits {
+  public:
+    explicit FirstHits(const StoredPaths& paths) : paths_(paths) {
+        for (std::size_t i = 0; i < paths.graph().materials.kind.size(); ++i)
+            for (const float side : {1.0f, -1.0f})
+                matte_.push_back(albedo(Bsdf<float>(paths.reader().model(i)), {0, 0, side}));
+    }
+
+    FirstHit of(std::size_t path) {
+        const PathGraph& g = paths_.graph();
+        const std::size_t j = g.paths.first_vertex[path];
+        if (j == g.paths.first_vertex[path + 1]) return {};
+        const std::int16_t* const code = g.vertices.ns.data() + 2 * j;
+        if (code[0] != last_code_[0] || code[1] != last_code_[1]) {
+            last_normal_ = unit_vector<Normal3f>(g.vertices.ns, j);
+            std::copy(code, code + 2, last_code_);
+        }
+        const Vector3f v = paths_.position(j) - paths_.camera(path);
+        const std::size_t material = g.vertices.material[j];
+        const bool matte =
+            paths_.reader().model(material).kind == BsdfKind::diffuse && g.materials.textured[material] == 0;
+        // An albedo depends on the angle to the normal alone, a matte one on the side.
+        return {matte ? matte_[2 * material + (dot(v, last_normal_) > 0)]
+                      : albedo(paths_.reader().bsdf(j), {0, 0, dot(-paths_.arrival(j), last_normal_)}),
+                last_normal_, length(v)};
+    }
+
+  private:
+    const StoredPaths& paths_;
+    std::vector<Spectrum> matte_;         // by material and side, of matte ones without texture
+    std::int16_t last_code_[2] = {0, 0};  // of a normal, and that normal: neighbours lie on one surface
+    Normal3f last_normal_{0, 0, 1};
+};
+
+}  // namespace loom::residual
