@@ -21,6 +21,7 @@ build libcli11-dev command lines
 build libtbb-dev threads
 build libfmt-dev text
 build libspdlog-dev logs
+build libxxhash-dev hashes of files
 build zlib1g-dev compressed meshes
 build libpng-dev previews
 build libgtest-dev tests
