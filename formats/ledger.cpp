@@ -1,7 +1,9 @@
 #include "formats/ledger.h"
 
 #include <limits>
+#include <nlohmann/json.hpp>
 
+#include "formats/io/error.h"
 #include "formats/io/json_members.h"
 
 namespace loom {
@@ -60,10 +62,9 @@ Ledger ledger_from_text(const std::string& text, const std::filesystem::path& fi
     Ledger ledger;
     if (text.empty()) return ledger;
     const std::string where = file.native() + ": ledger";
-    const JsonValue json = parse_json(text, where);
-    const auto* links = std::get_if<JsonValue::Array>(&json.value);
-    if (links == nullptr) throw InputError(where + ": is not a list");
-    for (const JsonValue& link : *links) members(ledger.emplace_back(), MemberReader{link, where});
+    const nlohmann::json json = parse_json(text, where);
+    if (!json.is_array()) throw InputError(where + ": is not a list");
+    for (const nlohmann::json& link : json) members(ledger.emplace_back(), MemberReader{link, where});
     return ledger;
 }
 

@@ -22,6 +22,7 @@ build libtbb-dev threads
 build libfmt-dev text
 build libspdlog-dev logs
 build libxxhash-dev hashes of files
+build nlohmann-json3-dev JSON
 build zlib1g-dev compressed meshes
 build libpng-dev previews
 build libgtest-dev tests

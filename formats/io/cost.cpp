@@ -1,5 +1,7 @@
 #include "formats/io/cost.h"
 
+#include <nlohmann/json.hpp>
+
 #include "formats/io/json_members.h"
 #include "formats/io/mapped_file.h"
 #include "formats/io/output_file.h"
@@ -24,30 +26,6 @@ void members(Self& cost, Visitor&& visit) {
     visit.optional("plan", cost.plan);
 }
 
-struct Writer : MemberWriter {
-    using MemberWriter::operator();
-    void operator()(const char* key, const std::vector<std::string>& values) const {
-        json.begin_array(key);
-        for (const auto& value : values) json.text({}, value);
-        json.end_array();
-    }
-    void optional(const char* key, const auto& value) const { (*this)(key, value); }
-};
-
-struct Reader : MemberReader {
-    using MemberReader::operator();
-    void operator()(const char* key, std::vector<std::string>& values) const {
-        for (const JsonValue& element : get<JsonValue::Array>(key)) {
-            const auto* text = std::get_if<std::string>(&element.value);
-            if (text == nullptr) throw InputError(fmt::format("{}: \"{}\" is not a list of names", file, key));
-            values.push_back(*text);
-        }
-    }
-    void optional(const char* key, auto& value) const {
-        if (json.find(key) != nullptr) (*this)(key, value);
-    }
-};
-
 }  // namespace
 
 std::string parent_of(const std::filesystem::path& output, const std::filesystem::path& input) {
@@ -65,7 +43,7 @@ std::filesystem::path cost_path(const std::filesystem::path& output) {
 void write_cost(const Cost& cost, const std::filesystem::path& output) {
     JsonWriter json;
     json.begin_object();
-    members(cost, Writer{json});
+    members(cost, MemberWriter{json});
     json.end_object();
     write_text_file(cost_path(output), json.str());
 }
@@ -74,9 +52,9 @@ Cost read_cost(const std::filesystem::path& output) {
     const std::string file = cost_path(output).native();
     const MappedFile mapped(file);
     const auto bytes = mapped.bytes();
-    const JsonValue json = parse_json({reinterpret_cast<const char*>(bytes.data()), bytes.size()}, file);
+    const nlohmann::json json = parse_json({reinterpret_cast<const char*>(bytes.data()), bytes.size()}, file);
     Cost cost;
-    members(cost, Reader{json, file});
+    members(cost, MemberReader{json, file});
     return cost;
 }
 

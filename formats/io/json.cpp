@@ -3,8 +3,8 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <cctype>
 #include <cmath>
+#include <nlohmann/json.hpp>
 
 #include "formats/io/error.h"
 
@@ -12,134 +12,15 @@ namespace loom {
 namespace {
 
 std::string quoted(std::string_view text) {
-    std::string out = "\"";
-    for (char c : text) {
-        if (c == '"' || c == '\\')
-            out += {'\\', c};
-        else if (c == '\n')
-            out += "\\n";
-        else if (c == '\t')
-            out += "\\t";
-        else if (static_cast<unsigned char>(c) < 0x20)
-            out += fmt::format("\\u{:04x}", static_cast<int>(c));
-        else
-            out += c;
-    }
-    return out + "\"";
+    return nlohmann::json(text).dump(-1, ' ', false, nlohmann::json::error_handler_t::replace);
 }
 
-class Parser {
-  public:
-    Parser(std::string_view text, std::string_view file) : text_(text), file_(file) {}
-
-    JsonValue whole() {
-        JsonValue value = next(0);
-        skip_space();
-        if (at_ != text_.size()) fail("text after the end");
-        return value;
-    }
-
-  private:
-    static constexpr int max_depth = 64;
-
-    [[noreturn]] void fail(std::string_view what) const {
-        const auto line = 1 + std::count(text_.begin(), text_.begin() + static_cast<std::ptrdiff_t>(at_), '\n');
-        throw InputError(fmt::format("{}:{}: {}", file_, line, what));
-    }
-    void skip_space() {
-        while (at_ < text_.size() && std::string_view(" \t\r\n").find(text_[at_]) != std::string_view::npos) ++at_;
-    }
-    bool take(std::string_view word) {
-        skip_space();
-        if (!text_.substr(at_).starts_with(word)) return false;
-        at_ += word.size();
-        return true;
-    }
-    void expect(std::string_view word) {
-        if (!take(word)) fail(fmt::format("expected {}", word));
-    }
-
-    JsonValue next(int depth) {
-        if (depth > max_depth) fail("nested too deep");
-        skip_space();
-        if (at_ == text_.size()) fail("the text ends early");
-        if (take("{")) return {object(depth)};
-        if (take("[")) return {array(depth)};
-        if (text_[at_] == '"') return {text()};
-        if (take("null")) return {nullptr};
-        if (take("true")) return {true};
-        if (take("false")) return {false};
-        return {number()};
-    }
-    JsonValue::Object object(int depth) {
-        JsonValue::Object members;
-        if (take("}")) return members;
-        do {
-            skip_space();
-            std::string key = text();
-            expect(":");
-            members.insert_or_assign(std::move(key), next(depth + 1));
-        } while (take(","));
-        expect("}");
-        return members;
-    }
-    JsonValue::Array array(int depth) {
-        JsonValue::Array elements;
-        if (take("]")) return elements;
-        do elements.push_back(next(depth + 1));
-        while (take(","));
-        expect("]");
-        return elements;
-    }
-    JsonValue::Number number() {
-        const std::size_t begin = at_;
-        while (at_ < text_.size() && (std::isdigit(static_cast<unsigned char>(text_[at_])) != 0 ||
-                                      std::string_view("+-.eE").find(text_[at_]) != std::string_view::npos)) {
-            ++at_;
-        }
-        if (at_ == begin) fail("expected a value");
-        return {std::string(text_.substr(begin, at_ - begin))};
-    }
-    std::string text() {
-        expect("\"");
-        std::string out;
-        for (; at_ < text_.size() && text_[at_] != '"'; ++at_) {
-            if (text_[at_] != '\\') {
-                out += text_[at_];
-                continue;
-            }
-            if (++at_ == text_.size()) break;
-            switch (text_[at_]) {
-                case 'n':
-                    out += '\n';
-                    break;
-                case 't':
-                    out += '\t';
-                    break;
-                case 'u':
-                    out += escaped();
-                    break;
-                default:
-                    out += text_[at_];
-            }
-        }
-        expect("\"");
-        return out;
-    }
-    /// \u00XX, the only escapes by number that the writer makes.
-    char escaped() {
-        const std::string digits(text_.substr(at_ + 1, 4));
-        if (digits.size() != 4 || !digits.starts_with("00") ||
-            !std::all_of(digits.begin(), digits.end(), [](unsigned char c) { return std::isxdigit(c) != 0; })) {
-            fail("expected \\u00XX");
-        }
-        at_ += 4;
-        return static_cast<char>(std::stoi(digits, nullptr, 16));
-    }
-
-    std::string_view text_, file_;
-    std::size_t at_ = 0;
-};
+/// The library's message without its kind and its own way to say where.
+std::string_view reason_of(const nlohmann::json::exception& error) {
+    std::string_view what = error.what();
+    what.remove_prefix(what.find("] ") + 2);
+    return what.starts_with("parse error at ") ? what.substr(what.find(": ") + 2) : what;
+}
 
 }  // namespace
 
@@ -184,15 +65,21 @@ void JsonWriter::integer(std::string_view key, std::uint64_t value) {
     text_ += fmt::format("{}", value);
 }
 
-const JsonValue* JsonValue::find(std::string_view key) const {
-    const auto* object = std::get_if<Object>(&value);
-    if (object == nullptr) return nullptr;
-    const auto found = object->find(key);
-    return found == object->end() ? nullptr : &found->second;
-}
-
-JsonValue parse_json(std::string_view text, std::string_view file) {
-    return Parser(text, file).whole();
+nlohmann::json parse_json(std::string_view text, std::string_view file) {
+    constexpr int max_depth = 64;
+    const auto check_depth = [&](int depth, nlohmann::json::parse_event_t, const nlohmann::json&) {
+        if (depth > max_depth) throw InputError(fmt::format("{}: nested deeper than {}", file, max_depth));
+        return true;
+    };
+    try {
+        return nlohmann::json::parse(text, check_depth);
+    } catch (const nlohmann::json::parse_error& error) {
+        const std::string_view read = text.substr(0, error.byte);
+        const auto line = 1 + std::count(read.begin(), read.end(), '\n');
+        throw InputError(fmt::format("{}:{}: {}", file, line, reason_of(error)));
+    } catch (const nlohmann::json::exception& error) {
+        throw InputError(fmt::format("{}: {}", file, reason_of(error)));
+    }
 }
 
 }  // namespace loom

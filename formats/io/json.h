@@ -1,14 +1,14 @@
 #pragma once
 #include <cstdint>
-#include <map>
+#include <nlohmann/json_fwd.hpp>
 #include <string>
 #include <string_view>
-#include <variant>
 #include <vector>
 
 namespace loom {
 
-/// Builds JSON text with one member or element per line. Commas and indents are its own business.
+/// Writes JSON text with one member or element per line; commas and indents come by themselves. A double has the fewest
+/// digits that read back as the same number. Bytes that are no UTF-8 become U+FFFD.
 class JsonWriter {
   public:
     void begin_object(std::string_view key = {}) { open(key, '{'); }
@@ -29,20 +29,8 @@ class JsonWriter {
     std::vector<bool> has_items_;
 };
 
-/// A parsed JSON value. Numbers keep their text, so that 64-bit integers stay exact.
-struct JsonValue {
-    struct Number {
-        std::string text;
-    };
-    using Array = std::vector<JsonValue>;
-    using Object = std::map<std::string, JsonValue, std::less<>>;
-    std::variant<std::nullptr_t, bool, Number, std::string, Array, Object> value;
-
-    /// The member of an object; null when there is none or this is no object.
-    const JsonValue* find(std::string_view key) const;
-};
-
-/// throws:  InputError "FILE:LINE: …" when the text is not one JSON value
-JsonValue parse_json(std::string_view text, std::string_view file);
+/// Parses one JSON value of at most 64 levels.
+/// throws:  InputError "FILE:LINE: …" when the text is no such value, or is no UTF-8
+nlohmann::json parse_json(std::string_view text, std::string_view file);
 
 }  // namespace loom

