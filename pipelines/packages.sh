@@ -23,6 +23,7 @@ build libfmt-dev text
 build libspdlog-dev logs
 build libxxhash-dev hashes of files
 build nlohmann-json3-dev JSON
+build libboost-dev p-values
 build zlib1g-dev compressed meshes
 build libpng-dev previews
 build libgtest-dev tests

@@ -17,12 +17,6 @@ TEST(Student, MatchesTabulatedQuantiles) {
     EXPECT_NEAR(student_p_value(2.0, 2), 2 * 0.0917517, 1e-6);
 }
 
-TEST(Student, IncompleteBetaHasClosedForms) {
-    EXPECT_NEAR(incomplete_beta(1, 3, 0.2), 1 - std::pow(0.8, 3), 1e-14);
-    EXPECT_NEAR(incomplete_beta(2, 1, 0.9), 0.81, 1e-14);
-    EXPECT_NEAR(incomplete_beta(2.5, 2.5, 0.5), 0.5, 1e-14);
-}
-
 TEST(Student, WelchDegreesOfFreedom) {
     // Equal errors with n - 1 degrees each add up to 2 (n - 1).
     const Estimate a{1.0, 0.1, 9}, b{1.3, 0.1, 9};

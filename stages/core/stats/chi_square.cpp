@@ -2,52 +2,12 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <numeric>
 #include <vector>
 
+#include "stages/core/stats/special_functions.h"
+
 namespace loom {
-namespace {
-
-constexpr double tiny = std::numeric_limits<double>::min();
-constexpr double precision = 1e-15;
-
-/// P(a, x) by its power series; converges fast for x < a + 1.
-double gamma_p_series(double a, double x) {
-    double term = 1 / a, sum = term;
-    for (double k = a + 1; std::abs(term) > precision * std::abs(sum); ++k) {
-        term *= x / k;
-        sum += term;
-    }
-    return sum * std::exp(a * std::log(x) - x - std::lgamma(a));
-}
-
-/// Q(a, x) by its continued fraction (modified Lentz); converges fast for x > a + 1.
-double gamma_q_fraction(double a, double x) {
-    double b = x + 1 - a;
-    double c = 1 / tiny;
-    double d = 1 / b;
-    double product = d;
-    for (int i = 1;; ++i) {
-        const double an = -i * (i - a);
-        b += 2;
-        d = an * d + b;
-        if (std::abs(d) < tiny) d = tiny;
-        c = b + an / c;
-        if (std::abs(c) < tiny) c = tiny;
-        d = 1 / d;
-        product *= d * c;
-        if (std::abs(d * c - 1) < precision) break;
-    }
-    return product * std::exp(a * std::log(x) - x - std::lgamma(a));
-}
-
-}  // namespace
-
-double regularized_gamma_q(double a, double x) {
-    if (x <= 0) return 1;
-    return x < a + 1 ? 1 - gamma_p_series(a, x) : gamma_q_fraction(a, x);
-}
 
 double chi_square_tail(double statistic, int dof) {
     return regularized_gamma_q(0.5 * dof, 0.5 * statistic);

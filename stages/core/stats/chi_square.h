@@ -6,11 +6,6 @@
 
 namespace loom {
 
-/// Regularised upper incomplete gamma function Q(a, x), the tail of a gamma distribution.
-///   Q(a, x) = 1/Γ(a) ∫_x^∞ t^(a-1) e^-t dt                           [NumericalRecipes] §6.2
-/// needs:   a > 0, x >= 0
-double regularized_gamma_q(double a, double x);
-
 /// Probability that a χ² variable with `dof` degrees of freedom exceeds `statistic`.
 double chi_square_tail(double statistic, int dof);
 

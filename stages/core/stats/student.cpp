@@ -4,42 +4,9 @@
 #include <limits>
 
 #include "stages/core/stats/moments.h"
+#include "stages/core/stats/special_functions.h"
 
 namespace loom {
-namespace {
-
-/// Continued fraction of the incomplete beta function by the modified method of Lentz.
-double beta_fraction(double a, double b, double x) {
-    constexpr double tiny = 1e-300;
-    double c = 1, d = 1 - (a + b) * x / (a + 1);
-    d = 1 / (std::abs(d) < tiny ? tiny : d);
-    double h = d;
-    for (int m = 1; m < 1000; ++m) {
-        const auto step = [&](double coefficient) {
-            d = 1 + coefficient * d;
-            d = 1 / (std::abs(d) < tiny ? tiny : d);
-            c = 1 + coefficient / c;
-            if (std::abs(c) < tiny) c = tiny;
-            h *= d * c;
-            return d * c;
-        };
-        step(m * (b - m) * x / ((a + 2 * m - 1) * (a + 2 * m)));
-        if (std::abs(step(-(a + m) * (a + b + m) * x / ((a + 2 * m) * (a + 2 * m + 1))) - 1) < 1e-15) break;
-    }
-    return h;
-}
-
-}  // namespace
-
-double incomplete_beta(double a, double b, double x) {
-    if (x <= 0) return 0;
-    if (x >= 1) return 1;
-    const double front =
-        std::exp(std::lgamma(a + b) - std::lgamma(a) - std::lgamma(b) + a * std::log(x) + b * std::log1p(-x));
-    // The fraction converges fast on one side of the mean only.
-    if (x < (a + 1) / (a + b + 2)) return front * beta_fraction(a, b, x) / a;
-    return 1 - front * beta_fraction(b, a, 1 - x) / b;
-}
 
 double student_p_value(double t, double dof) {
     if (std::isnan(t)) return 0;

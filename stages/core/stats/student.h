@@ -3,9 +3,6 @@
 
 namespace loom {
 
-/// Regularised incomplete beta function I_x(a, b).     needs: a, b > 0, 0 <= x <= 1
-double incomplete_beta(double a, double b, double x);
-
 /// Two-sided p-value of Student's t with `dof` degrees of freedom.
 double student_p_value(double t, double dof);
 
