@@ -1,6 +1,10 @@
 #include "tests/bench/bare_tracer.h"
 
+#if LOOM_EMBREE >= 4
+#include <embree4/rtcore.h>
+#else
 #include <embree3/rtcore.h>
+#endif
 
 #include <mutex>
 #include <stdexcept>
@@ -64,6 +68,28 @@ float grey_albedo(const Scene& scene, const Material& m) {
     return max_channel(albedo(b, Vector3f{0, 0, 1}));
 }
 
+#if RTC_VERSION_MAJOR >= 4
+void intersect1(RTCScene scene, RTCRayHit& ray) {
+    rtcIntersect1(scene, &ray);
+}
+
+void occluded1(RTCScene scene, RTCRay& ray) {
+    rtcOccluded1(scene, &ray);
+}
+#else
+void intersect1(RTCScene scene, RTCRayHit& ray) {
+    RTCIntersectContext context;
+    rtcInitIntersectContext(&context);
+    rtcIntersect1(scene, &context, &ray);
+}
+
+void occluded1(RTCScene scene, RTCRay& ray) {
+    RTCIntersectContext context;
+    rtcInitIntersectContext(&context);
+    rtcOccluded1(scene, &context, &ray);
+}
+#endif
+
 struct Lamp {
     Point3f p;
     Vector3f e1, e2;
@@ -126,9 +152,7 @@ struct BareTracer::Impl {
 
     bool occluded(const Point3f& p, const Vector3f& d, float t_max) const {
         RTCRay ray{p.x, p.y, p.z, 0, d.x, d.y, d.z, 0, t_max, ~0u, 0, 0};
-        RTCIntersectContext context;
-        rtcInitIntersectContext(&context);
-        rtcOccluded1(scene, &context, &ray);
+        occluded1(scene, ray);
         return ray.tfar < 0;
     }
 
@@ -161,9 +185,7 @@ struct BareTracer::Impl {
         float radiance = 0, beta = 1;
         for (int depth = 1;; ++depth) {
             rh.hit.geomID = RTC_INVALID_GEOMETRY_ID;
-            RTCIntersectContext context;
-            rtcInitIntersectContext(&context);
-            rtcIntersect1(scene, &context, &rh);
+            intersect1(scene, rh);
             if (rh.hit.geomID == RTC_INVALID_GEOMETRY_ID) return radiance;
             ++n;
             if (depth == 1) radiance += emission[rh.hit.geomID];

@@ -1,7 +1,11 @@
-// The only file that knows Embree.
+// The only file that knows Embree, 3 or 4.
 #include "stages/core/scene/embree.h"
 
+#if LOOM_EMBREE >= 4
+#include <embree4/rtcore.h>
+#else
 #include <embree3/rtcore.h>
+#endif
 
 #include <algorithm>
 #include <stdexcept>
@@ -97,14 +101,23 @@ void analytic_intersect(const RTCIntersectFunctionNArguments* args) {
     }
 }
 
-/// What crossings() hands to the functions below: they write all that a ray meets, and never stop it.
-struct CollectingContext {
+/// Context of a ray query; callbacks get the address of its first member.
+struct QueryContext {
+#if RTC_VERSION_MAJOR >= 4
+    RTCRayQueryContext rtc;
+#else
     RTCIntersectContext rtc;
-    std::vector<Hit>* hits;
+#endif
+    bool coherent = false;
+    std::vector<Hit>* crossings = nullptr;  // collects every hit; no hit ends the ray
 };
 
+std::vector<Hit>* crossings_of(const auto& args) {
+    return reinterpret_cast<QueryContext*>(args.context)->crossings;
+}
+
 void collect_triangle(const RTCFilterFunctionNArguments* args) {
-    std::vector<Hit>& hits = *reinterpret_cast<CollectingContext*>(args->context)->hits;
+    std::vector<Hit>& hits = *crossings_of(*args);
     for (unsigned i = 0; i < args->N; ++i) {
         if (!args->valid[i]) continue;
         args->valid[i] = 0;
@@ -130,12 +143,11 @@ void collect_analytic(const Shape& shape, unsigned index, const Ray& ray, std::v
 
 void analytic_occluded(const RTCOccludedFunctionNArguments* args) {
     const unsigned n = args->N;
-    if (args->context->filter == collect_triangle) {
-        std::vector<Hit>& hits = *reinterpret_cast<CollectingContext*>(args->context)->hits;
+    if (std::vector<Hit>* hits = crossings_of(*args)) {
         for (unsigned i = 0; i < n; ++i)
             if (args->valid[i])
                 collect_analytic(*static_cast<const Shape*>(args->geometryUserPtr), args->geomID, lane(args->ray, n, i),
-                                 hits);
+                                 *hits);
         return;
     }
     for (unsigned i = 0; i < n; ++i) {
@@ -144,6 +156,90 @@ void analytic_occluded(const RTCOccludedFunctionNArguments* args) {
             intersect_analytic(*static_cast<const Shape*>(args->geometryUserPtr), lane(args->ray, n, i), hit))
             RTCRayN_tfar(args->ray, n, i) = -INFINITY;
     }
+}
+
+#if RTC_VERSION_MAJOR >= 4
+
+constexpr RTCSceneFlags crossings_flag = RTC_SCENE_FLAG_FILTER_FUNCTION_IN_ARGUMENTS;
+
+/// The default context of Embree 4 has no QueryContext around it, so every query brings its own.
+void init(QueryContext& context) {
+    rtcInitRayQueryContext(&context.rtc);
+}
+
+RTCIntersectArguments intersect_arguments(QueryContext& context) {
+    RTCIntersectArguments args;
+    rtcInitIntersectArguments(&args);
+    args.context = &context.rtc;
+    if (context.coherent) args.flags = RTC_RAY_QUERY_FLAG_COHERENT;
+    return args;
+}
+
+RTCOccludedArguments occluded_arguments(QueryContext& context) {
+    RTCOccludedArguments args;
+    rtcInitOccludedArguments(&args);
+    args.context = &context.rtc;
+    if (context.crossings) {
+        args.flags = RTC_RAY_QUERY_FLAG_INVOKE_ARGUMENT_FILTER;
+        args.filter = collect_triangle;
+    }
+    return args;
+}
+
+void intersect1(RTCScene scene, QueryContext& context, RTCRayHit& ray) {
+    RTCIntersectArguments args = intersect_arguments(context);
+    rtcIntersect1(scene, &ray, &args);
+}
+
+void intersect16(const int* valid, RTCScene scene, QueryContext& context, RTCRayHit16& rays) {
+    RTCIntersectArguments args = intersect_arguments(context);
+    rtcIntersect16(valid, scene, &rays, &args);
+}
+
+void occluded1(RTCScene scene, QueryContext& context, RTCRay& ray) {
+    RTCOccludedArguments args = occluded_arguments(context);
+    rtcOccluded1(scene, &ray, &args);
+}
+
+void occluded16(const int* valid, RTCScene scene, QueryContext& context, RTCRay16& rays) {
+    RTCOccludedArguments args = occluded_arguments(context);
+    rtcOccluded16(valid, scene, &rays, &args);
+}
+
+#else
+
+constexpr RTCSceneFlags crossings_flag = RTC_SCENE_FLAG_CONTEXT_FILTER_FUNCTION;
+
+void init(QueryContext& context) {
+    rtcInitIntersectContext(&context.rtc);
+    if (context.coherent) context.rtc.flags = RTC_INTERSECT_CONTEXT_FLAG_COHERENT;
+    if (context.crossings) context.rtc.filter = collect_triangle;
+}
+
+void intersect1(RTCScene scene, QueryContext& context, RTCRayHit& ray) {
+    rtcIntersect1(scene, &context.rtc, &ray);
+}
+
+void intersect16(const int* valid, RTCScene scene, QueryContext& context, RTCRayHit16& rays) {
+    rtcIntersect16(valid, scene, &context.rtc, &rays);
+}
+
+void occluded1(RTCScene scene, QueryContext& context, RTCRay& ray) {
+    rtcOccluded1(scene, &context.rtc, &ray);
+}
+
+void occluded16(const int* valid, RTCScene scene, QueryContext& context, RTCRay16& rays) {
+    rtcOccluded16(valid, scene, &context.rtc, &rays);
+}
+
+#endif
+
+QueryContext make_context(bool coherent = false, std::vector<Hit>* crossings = nullptr) {
+    QueryContext context;
+    context.coherent = coherent;
+    context.crossings = crossings;
+    init(context);
+    return context;
 }
 
 RTCRay to_rtc(const Ray& ray) {
@@ -167,7 +263,7 @@ RayEngine::RayEngine(const std::vector<Shape>& shapes, Use use) : impl_(std::mak
     if (!impl_->device) throw std::runtime_error("Embree cannot make a device");
     rtcSetDeviceErrorFunction(impl_->device, on_error, nullptr);
     impl_->scene = rtcNewScene(impl_->device);
-    if (use == Use::crossings) rtcSetSceneFlags(impl_->scene, RTC_SCENE_FLAG_CONTEXT_FILTER_FUNCTION);
+    if (use == Use::crossings) rtcSetSceneFlags(impl_->scene, crossings_flag);
     rtcSetSceneBuildQuality(impl_->scene, RTC_BUILD_QUALITY_HIGH);
     for (std::size_t i = 0; i < shapes.size(); ++i) {
         const Shape& shape = shapes[i];
@@ -206,9 +302,8 @@ Hit RayEngine::intersect(const Ray& ray) const {
     rh.ray = to_rtc(ray);
     rh.hit.geomID = RTC_INVALID_GEOMETRY_ID;
     rh.hit.instID[0] = RTC_INVALID_GEOMETRY_ID;
-    RTCIntersectContext context;
-    rtcInitIntersectContext(&context);
-    rtcIntersect1(impl_->scene, &context, &rh);
+    QueryContext context = make_context();
+    intersect1(impl_->scene, context, rh);
     Hit hit;
     if (rh.hit.geomID == RTC_INVALID_GEOMETRY_ID) return hit;
     hit.t = rh.ray.tfar;
@@ -221,20 +316,16 @@ Hit RayEngine::intersect(const Ray& ray) const {
 
 bool RayEngine::occluded(const Ray& ray) const {
     RTCRay r = to_rtc(ray);
-    RTCIntersectContext context;
-    rtcInitIntersectContext(&context);
-    rtcOccluded1(impl_->scene, &context, &r);
+    QueryContext context = make_context();
+    occluded1(impl_->scene, context, r);
     return r.tfar < 0;
 }
 
 void RayEngine::crossings(const Ray& ray, std::vector<Hit>& hits) const {
     hits.clear();
     RTCRay r = to_rtc(ray);
-    CollectingContext context;
-    rtcInitIntersectContext(&context.rtc);
-    context.rtc.filter = collect_triangle;
-    context.hits = &hits;
-    rtcOccluded1(impl_->scene, &context.rtc, &r);
+    QueryContext context = make_context(false, &hits);
+    occluded1(impl_->scene, context, r);
 }
 
 namespace {
@@ -260,9 +351,7 @@ void set_lane(RTCRay16& p, std::size_t i, const Ray& ray) {
 }  // namespace
 
 void RayEngine::intersect(const Ray* const* rays, std::size_t n, Hit* hits, bool coherent) const {
-    RTCIntersectContext context;
-    rtcInitIntersectContext(&context);
-    if (coherent) context.flags = RTC_INTERSECT_CONTEXT_FLAG_COHERENT;
+    QueryContext context = make_context(coherent);
     for (std::size_t begin = 0; begin < n; begin += packet) {
         const std::size_t count = std::min(packet, n - begin);
         alignas(64) int valid[packet];
@@ -273,7 +362,7 @@ void RayEngine::intersect(const Ray* const* rays, std::size_t n, Hit* hits, bool
             p.hit.geomID[i] = RTC_INVALID_GEOMETRY_ID;
             p.hit.instID[0][i] = RTC_INVALID_GEOMETRY_ID;
         }
-        rtcIntersect16(valid, impl_->scene, &context, &p);
+        intersect16(valid, impl_->scene, context, p);
         for (std::size_t i = 0; i < count; ++i)
             hits[begin + i] = p.hit.geomID[i] == RTC_INVALID_GEOMETRY_ID
                                   ? Hit{}
@@ -282,8 +371,7 @@ void RayEngine::intersect(const Ray* const* rays, std::size_t n, Hit* hits, bool
 }
 
 void RayEngine::occluded(const Ray* const* rays, std::size_t n, bool* blocked) const {
-    RTCIntersectContext context;
-    rtcInitIntersectContext(&context);
+    QueryContext context = make_context();
     for (std::size_t begin = 0; begin < n; begin += packet) {
         const std::size_t count = std::min(packet, n - begin);
         alignas(64) int valid[packet];
@@ -292,7 +380,7 @@ void RayEngine::occluded(const Ray* const* rays, std::size_t n, bool* blocked) c
             valid[i] = i < count ? -1 : 0;
             set_lane(p, i, *rays[begin + std::min(i, count - 1)]);
         }
-        rtcOccluded16(valid, impl_->scene, &context, &p);
+        occluded16(valid, impl_->scene, context, p);
         for (std::size_t i = 0; i < count; ++i) blocked[begin + i] = p.tfar[i] < 0;
     }
 }
