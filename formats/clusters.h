@@ -82,20 +82,21 @@ void Clusters::fields(Self& c, Visitor& v) {
     v.value("settings/method", s.method, "", "1",
             "balanced: median splits; centres: each vertex to the nearest of randomly chosen vertices");
     v.value("settings/k", s.k, "", "1", "balanced: largest cluster; centres: mean size of a cluster");
-    v.value("settings/max_size", s.max_size, "", "1", "no cluster is larger");
+    v.value("settings/max_size", s.max_size, "", "1", "size of the largest allowed cluster");
     v.value("settings/normal_weight", s.normal_weight, "", "1",
-            "w of distance^2 = (dp / s)^2 + (w dn)^2 between positions p and shading normals n on the side of wo");
-    v.value("settings/length_scale", s.length_scale, "", "m", "s of that distance");
+            "weight w of normals in distance^2 = (dp / s)^2 + (w dn)^2 between positions p and shading normals n on "
+            "the side of wo");
+    v.value("settings/length_scale", s.length_scale, "", "m", "length scale s in distance^2");
     v.value("settings/private_roughness", s.private_roughness, "", "1",
-            "vertices with a smaller microfacet roughness are in no cluster");
-    v.value("settings/seed", s.seed, "", "1", "seed of what is drawn anew in each pass");
+            "smallest microfacet roughness of a vertex in a cluster");
+    v.value("settings/seed", s.seed, "", "1", "seed of the random choices of this pass");
 
     v.optional("separation/other_media", c.separation.other_media, 1, "one", "1",
-               "vertices cut off from their cell because they lie in another medium; absent: not tested");
+               "vertices separated from their cell because they lie in another medium; absent: not tested");
     v.optional("separation/same_path", c.separation.same_path, 1, "one", "1",
-               "vertices cut off from their cell because another vertex of their path is in it; absent: not tested");
+               "vertices separated from their cell because another vertex of their path is in it; absent: not tested");
     v.optional("separation/occluded", c.separation.occluded, 1, "one", "1",
-               "vertices cut off from their cell because a surface hides them from its middle; absent: not tested");
+               "vertices separated from their cell because they are occluded from its middle; absent: not tested");
 
     v.field("clusters/first", c.first, 1, "cluster+1", "1",
             "offsets into clusters/member; neighbouring clusters lie close in space");

@@ -15,7 +15,7 @@ constexpr std::string_view preamble = R"(# Formats
 
 Printed by `loom-inspect --formats` from the declarations in this folder; a test fails when it is stale.
 
-Stages meet in files. HDF5 files hold contiguous datasets of exact extent without filters, little-endian, those of 64 KiB
+Stages exchange files. HDF5 files hold contiguous datasets of exact extent without filters, little-endian, those of 64 KiB
 and more aligned to 4 KiB, so that a reader may map them. Each dataset has the attributes `units`, `axes` (slowest first)
 and `description`. Equal inputs, options and seed give equal bytes.
 
@@ -33,7 +33,7 @@ Attributes of the root, and text attributes in the header of an EXR file:
 
 What it cost to make a file (seconds, rays, samples, memory, parents, the command and the plan) is in `FILE.cost.json` beside it.
 
-A stage whose output holds NaN or infinity ends with exit code 3, says which datasets hold how many, and keeps the file as
+A stage whose output holds NaN or infinity ends with exit code 3, reports which datasets hold how many, and keeps the file as
 `NAME.not-finite.EXT`. Readers take such a file where a dataset says "NaN allowed", and count.
 
 A dataset with `?` is there only when the scene needs it. Datasets that share the name of their first axis have the same

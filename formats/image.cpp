@@ -81,26 +81,25 @@ double mean_var_mean(const Image& image) {
 }
 
 std::string image_markdown() {
-    return "| channels | units | what it is |\n|---|---|---|\n"
-           "| `R`, `G`, `B` | W m^-2 sr^-1 | mean radiance over the samples of a pixel |\n"
-           "| `VarMean.R`, `VarMean.G`, `VarMean.B` ? | (W m^-2 sr^-1)^2 | variance of that mean: s^2 / "
-           "samples |\n"
-           "| `Albedo.R`, `Albedo.G`, `Albedo.B` ? | 1 | reflectance at the first hit |\n"
-           "| `N.X`, `N.Y`, `N.Z` ? | 1 | shading normal at the first hit, world space, mean over the "
-           "samples |\n"
-           "| `Depth.Z` ? | m | distance from the camera to the first hit |\n"
-           "\n| attribute | what it is |\n|---|---|\n"
-           "| `samples` | per pixel |\n"
-           "| `scene` ? | content hash and name of the scene that the picture shows; a residual shows none |\n"
-           "| `ledger` ? | of a picture that edits were added to: JSON, a list with the picture before them and each "
-           "edit, in order "
-           "(of a residual: itself alone); per link `scene` and `hash` (shown from there on), `what`, `method` (empty "
-           "for the first), "
-           "`samples` per pixel (pairs for an edit), `seed` of its random numbers, `var_mean` (that it adds, (W m^-2 "
-           "sr^-1)^2, mean "
-           "over pixels and R, G, B) and `var_sample` (of one path-traced sample of that scene; 0: not known). The "
-           "links have no "
-           "random numbers in common, so that their `var_mean` add up |\n";
+    return R"(| channels | units | what it is |
+|---|---|---|
+| `R`, `G`, `B` | W m^-2 sr^-1 | mean radiance over the samples of a pixel |
+| `VarMean.R`, `VarMean.G`, `VarMean.B` ? | (W m^-2 sr^-1)^2 | variance of that mean: s^2 / samples |
+| `Albedo.R`, `Albedo.G`, `Albedo.B` ? | 1 | reflectance at the first hit |
+| `N.X`, `N.Y`, `N.Z` ? | 1 | shading normal at the first hit, world space, mean over the samples |
+| `Depth.Z` ? | m | distance from the camera to the first hit |
+
+| attribute | what it is |
+|---|---|
+| `samples` | samples per pixel |
+| `scene` ? | content hash and name of the scene of the image; absent for a residual |
+| `ledger` ? | history of an image with edits: JSON, a list of the image before them and each edit, in order; of a residual, itself alone |
+
+Each link of `ledger`: `scene` and `hash` of the scene after it; `what` it changes; `method` (empty for the first); `samples` per
+pixel (pairs for an edit); `seed` of its random numbers; `var_mean`, the variance that it adds ((W m^-2 sr^-1)^2, mean over pixels
+and R, G, B); `var_sample`, the variance of one path-traced sample of that scene (0: not known). Links share no random numbers, so
+their `var_mean` add up.
+)";
 }
 
 }  // namespace loom

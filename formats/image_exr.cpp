@@ -96,8 +96,8 @@ void check_size(const Imath::Box2i& window, std::size_t n_channels, const std::f
     const std::int64_t width = std::int64_t{window.max.x} - window.min.x + 1;
     const std::int64_t height = std::int64_t{window.max.y} - window.min.y + 1;
     const auto refuse = [&] {
-        throw InputError(fmt::format("{}: absurd size {} x {} with {} channels in a file of {} bytes", path.native(),
-                                     width, height, n_channels, std::filesystem::file_size(path)));
+        throw InputError(fmt::format("{}: impossible size {} x {} with {} channels in a file of {} bytes",
+                                     path.native(), width, height, n_channels, std::filesystem::file_size(path)));
     };
     if (width < 1 || height < 1 || width > (1 << 20) || height > (1 << 20)) refuse();
     const std::size_t bytes = static_cast<std::size_t>(width * height) * n_channels * sizeof(float);

@@ -162,10 +162,10 @@ std::string bad_capture(const PathGraph& g) {
     const std::size_t n_sensor = std::size_t(c.grids[0]) * c.grids[1], n_laser = std::size_t(c.grids[2]) * c.grids[3];
     const std::size_t n_points = scans ? n_sensor : 0;
     if (c.sensor_points.size() != 3 * n_points || c.sensor_normals.size() != 3 * n_points)
-        return fmt::format("nlos/sensor_points, sensor_normals: not {} rows, as {}", n_points,
-                           scans ? "nlos/grids says" : "the sensor is a camera");
+        return fmt::format("nlos/sensor_points, sensor_normals: not {} rows, the number {}", n_points,
+                           scans ? "in nlos/grids" : "of a camera");
     if (c.laser_points.size() != 3 * n_laser || c.laser_normals.size() != 3 * n_laser)
-        return fmt::format("nlos/laser_points, laser_normals: not {} rows, as nlos/grids says", n_laser);
+        return fmt::format("nlos/laser_points, laser_normals: not {} rows, the number in nlos/grids", n_laser);
     if (g.n_pixels() != (c.capture[0] == 2 ? n_sensor * n_laser : n_sensor))
         return fmt::format("sensor/width, height: {} pixels do not fit nlos/grids", g.n_pixels());
     return {};

@@ -236,14 +236,14 @@ void PathRows<ColumnOf>::row_fields(Self& g, Visitor& v) {
             "offsets into vertices; path i is sample first_sample + i / (width height) of pixel i mod (width "
             "height), pixel = y width + x, row 0 on top");
     v.field("paths/Le", p.Le, 3, "path,rgb", "W m^-2 sr^-1",
-            "radiance seen directly: emitter at the first hit, or environment of a camera ray that escaped",
+            "directly visible radiance: emitter at the first hit, or environment of a camera ray that escaped",
             Finite::counted);
     v.optional("paths/origin", p.origin, 3, "path,xyz", "m", "origin of the camera ray; absent: sensor/origin");
 
     auto& x = g.vertices;
     v.field("vertices/p", x.p, 3, "vertex,xyz", "m", "position, world space");
     v.field("vertices/wo", x.wo, 3, "vertex,xyz", "1",
-            "unit direction to where light leaves to, the previous vertex or the camera");
+            "unit direction in which light leaves, towards the previous vertex or the camera");
     v.field("vertices/ns", x.ns, 2, "vertex,uv", "1/32767", "shading normal, octahedral");
     v.optional("vertices/ng", x.ng, 2, "vertex,uv", "1/32767", "geometric normal, octahedral; absent: ns");
     v.optional("vertices/n_side", x.n_side, 2, "vertex,uv", "1/32767",
@@ -283,7 +283,7 @@ void PathRows<ColumnOf>::row_fields(Self& g, Visitor& v) {
     auto& e = g.light_edges;
     v.field("light_edges/vertex", e.vertex, 1, "edge", "1", "row of vertices; never decreasing");
     v.field("light_edges/technique", e.technique, 1, "edge", "1",
-            "0 next-event estimation, 1 hit by the BSDF sample; in this order for a vertex");
+            "0 next-event estimation, 1 BSDF sample that hit the light; in this order for a vertex");
     v.field("light_edges/y", e.y, 4, "edge,xyzw", "m, or 1 at infinity",
             "homogeneous light point: w = 1 position; w = 0 unit direction towards the light. Found by the BSDF "
             "sample it lies exactly in the sampled direction, off the light by the ray's offset at most");
@@ -302,14 +302,13 @@ void PathRows<ColumnOf>::row_fields(Self& g, Visitor& v) {
 
     auto& m = g.misses;
     v.optional("misses/vertex", m.vertex, 1, "miss", "1",
-               "row of vertices whose attempt at light found none, never decreasing; all of them, or misses is absent");
+               "row of vertices of failed light samples, never decreasing; misses holds all of them or is absent");
     v.optional("misses/technique", m.technique, 1, "miss", "1",
                "0 next-event estimation, 1 the BSDF sample that ended the path; in this order for a vertex");
     v.optional("misses/y", m.y, 4, "miss,xyzw", "m, or 1 at infinity",
-               "where its ray was to arrive, as light_edges/y, or w = 0 and the unit direction of the BSDF sample; the "
-               "vertex itself: nothing could have "
-               "arrived, and no ray was asked for");
-    v.optional("misses/emitter", m.emitter, 1, "miss", "1", "row of emitters that was chosen; 0 for a BSDF sample");
+               "target of the ray, as light_edges/y, or w = 0 and the unit direction of the BSDF sample; the vertex's "
+               "own position: no ray was traced, because nothing could arrive");
+    v.optional("misses/emitter", m.emitter, 1, "miss", "1", "row of the chosen emitter; 0 for a BSDF sample");
 }
 
 template <template <class> class ColumnOf>
@@ -317,9 +316,9 @@ template <class Self, class Visitor>
 void PathGraphOf<ColumnOf>::fields(Self& g, Visitor& v) {
     auto& s = g.sensor;
     v.value("sensor/kind", s.kind, "", "1",
-            "perspective, orthographic or nlos_capture_meter: the sensor looks from its origin at the points of a "
-            "relay wall (nlos), a pixel each; width x height is sensor points, or in an exhaustive capture laser "
-            "points x sensor points");
+            "perspective, orthographic or nlos_capture_meter: the sensor measures the points of a relay wall (nlos) "
+            "from its origin, one per pixel; width x height is the number of sensor points, or in an exhaustive "
+            "capture of laser points x sensor points");
     v.value("sensor/width", s.width, "", "px", "image width");
     v.value("sensor/height", s.height, "", "px", "image height");
     v.value("sensor/world_from_camera", s.world_from_camera, "row,column", "1 and m",
@@ -330,7 +329,7 @@ void PathGraphOf<ColumnOf>::fields(Self& g, Visitor& v) {
             "offset of the principal point in image widths and heights");
     v.value("sensor/near_clip", s.near_clip, "", "m", "near clip distance along the optical axis");
     v.value("sensor/far_clip", s.far_clip, "", "m", "far clip distance along the optical axis");
-    v.value("sensor/rfilter", s.rfilter, "", "1", "pixel filter that the scene asks for");
+    v.value("sensor/rfilter", s.rfilter, "", "1", "pixel filter of the scene");
     v.value("sensor/rfilter_radius", s.rfilter_radius, "", "px", "radius of the pixel filter");
 
     auto& t = g.tracing;
@@ -338,52 +337,52 @@ void PathGraphOf<ColumnOf>::fields(Self& g, Visitor& v) {
     v.value("tracing/samples_per_pixel", t.samples_per_pixel, "", "1", "samples of each pixel in this file");
     v.value("tracing/max_depth", t.max_depth, "", "1", "largest number of edges of a path; -1 for no limit");
     v.value("tracing/roulette", t.roulette, "", "1", "rule of Russian roulette");
-    v.value("tracing/roulette_depth", t.roulette_depth, "", "1", "depth from which roulette is played");
+    v.value("tracing/roulette_depth", t.roulette_depth, "", "1", "first vertex at which roulette may end a path");
     v.value("tracing/sampler", t.sampler, "", "1",
             "sampler; its numbers are a function of (seed, pixel, sample, dimension)");
 
     auto& w = g.transient;
     v.optional("transient/n_bins", w.n_bins, 1, "film", "1", "time-resolved film: number of bins");
-    v.optional("transient/start_opl", w.start_opl, 1, "film", "m", "optical path length at which the first bin begins");
-    v.optional("transient/bin_width_opl", w.bin_width_opl, 1, "film", "m", "optical path length of a bin");
+    v.optional("transient/start_opl", w.start_opl, 1, "film", "m", "optical path length at the start of the first bin");
+    v.optional("transient/bin_width_opl", w.bin_width_opl, 1, "film", "m", "width of a bin in optical path length");
     v.optional("transient/sigma_opl", w.sigma_opl, 1, "film", "m",
                "standard deviation of the film's Gaussian temporal filter; 0: box");
     v.optional("transient/camera_segment", w.camera_segment, 1, "film", "1",
-               "1: lengths count from the camera, 0: from the first hit, and with nlos up to the point that the laser "
-               "lights");
+               "1: lengths count from the camera, 0: from the first hit, and with nlos up to the laser spot");
 
     auto& c = g.nlos;
     v.optional("nlos/capture", c.capture, 1, "film", "1",
-               "0 single: one laser point; 1 confocal: the laser lights the point that the sensor looks at; 2 "
-               "exhaustive: every laser point for every sensor point");
+               "0 single: one laser point; 1 confocal: the laser point is the sensor point; 2 exhaustive: every laser "
+               "point for every sensor point");
     v.optional("nlos/grids", c.grids, 4, "film,count", "1",
                "width and height of the grid of sensor points, then of laser points; points go row by row, x first");
     v.optional("nlos/true_area", c.true_area, 1, "film", "1",
                "0: a laser spot has unit area, 1: that of the beam's section");
-    v.optional("nlos/laser", c.laser, 3, "film,xyz", "m", "where the laser stands");
+    v.optional("nlos/laser", c.laser, 3, "film,xyz", "m", "position of the laser");
     v.optional("nlos/sensor_points", c.sensor_points, 3, "sensor_point,xyz", "m",
-               "what an nlos_capture_meter looks at; absent for a camera");
-    v.optional("nlos/sensor_normals", c.sensor_normals, 3, "sensor_point,xyz", "1", "its geometric normal");
-    v.optional("nlos/laser_points", c.laser_points, 3, "laser_point,xyz", "m", "what the laser lights");
+               "measured points of the relay wall; absent for a camera");
+    v.optional("nlos/sensor_normals", c.sensor_normals, 3, "sensor_point,xyz", "1",
+               "geometric normal at the sensor point");
+    v.optional("nlos/laser_points", c.laser_points, 3, "laser_point,xyz", "m", "points that the laser hits");
     v.optional("nlos/laser_normals", c.laser_normals, 3, "laser_point,xyz", "1",
-               "its geometric normal; (0, 0, 0): the laser meets nothing");
+               "geometric normal at the laser point; (0, 0, 0): the laser hits nothing");
 
     PathRows<ColumnOf>::row_fields(g, v);
 
     auto& m = g.materials;
-    v.names("materials/id", m.id, "material", "id in the scene file, or a made-up one");
+    v.names("materials/id", m.id, "material", "id in the scene file, or a generated one");
     v.field("materials/kind", m.kind, 1, "material", "1",
             "0 diffuse, 1 rough diffuse, 2 conductor, 3 rough conductor, 4 dielectric, 5 thin dielectric, 6 "
             "rough dielectric, 7 plastic, 8 rough plastic, 9 phong, 10 ward, 11 null");
     v.field("materials/distribution", m.distribution, 1, "material", "1", "microfacets: 0 GGX, 1 Beckmann");
-    v.field("materials/two_sided", m.two_sided, 1, "material", "1", "1: reflects alike from behind");
+    v.field("materials/two_sided", m.two_sided, 1, "material", "1", "1: both sides reflect alike");
     v.field("materials/nonlinear", m.nonlinear, 1, "material", "1",
             "1: internal scattering of a plastic shifts its colour");
     v.field("materials/sample_visible", m.sample_visible, 1, "material", "1",
             "1: microfacets are sampled by their visible area");
     v.field("materials/textured", m.textured, 1, "material", "1",
-            "parameters that a texture gives, to be read at the vertex: bit 0 diffuse, bit 1 specular, "
-            "bit 2 transmittance, bit 3 alpha, bit 4 opacity, bit 5 exponent, bit 6 eta_c and k_c");
+            "textured parameters, whose values are stored per vertex: bit 0 diffuse, bit 1 specular, bit 2 "
+            "transmittance, bit 3 alpha, bit 4 opacity, bit 5 exponent, bit 6 eta_c and k_c");
     v.optional("materials/variant", m.variant, 1, "material", "1",
                "ward: 0 Ward's own normalisation, 1 Duer's, 2 balanced; absent: 2");
     v.optional("materials/bump_shadowing", m.bump_shadowing, 1, "material", "1",
@@ -401,32 +400,31 @@ void PathGraphOf<ColumnOf>::fields(Self& g, Visitor& v) {
     v.field("materials/fdr_int", m.fdr_int, 1, "material", "1", "plastic: diffuse Fresnel reflectance from inside");
     v.field("materials/fdr_ext", m.fdr_ext, 1, "material", "1", "plastic: diffuse Fresnel reflectance from outside");
     v.optional("materials/external_transmittance", m.external_transmittance, 64, "material,cos_theta", "1",
-               "rough plastic: what the interface lets through, cosines evenly over [0, 1]");
+               "rough plastic: transmittance of the interface, at cosines evenly spaced in [0, 1]");
 
     auto& r = g.coats;
     v.optional(
         "coats/material", r.material, 1, "coat", "1",
-        "rough plastic with textured alpha: row of materials; its rows follow one another, evenly spaced in alpha; the "
-        "interface of a vertex is linear between two rows, and that of the nearest end outside");
+        "rough plastic with textured alpha: row of materials; rows of one material follow one another, evenly spaced "
+        "in alpha; the interface of a vertex is interpolated linearly between two rows and clamped to the nearest end");
     v.optional("coats/alpha", r.alpha, 1, "coat", "1", "microfacet roughness");
     v.optional("coats/fdr_int", r.fdr_int, 1, "coat", "1",
                "diffuse Fresnel reflectance from inside, at this roughness");
     v.optional("coats/fdr_ext", r.fdr_ext, 1, "coat", "1",
                "diffuse Fresnel reflectance from outside, at this roughness");
     v.optional("coats/external_transmittance", r.external_transmittance, 64, "coat,cos_theta", "1",
-               "what the interface lets through at this roughness, cosines evenly over [0, 1]");
+               "transmittance of the interface at this roughness, at cosines evenly spaced in [0, 1]");
 
     auto& l = g.emitters;
-    v.names("emitters/id", l.id, "emitter", "id in the scene file, or a made-up one");
+    v.names("emitters/id", l.id, "emitter", "id in the scene file, or a generated one");
     v.field("emitters/kind", l.kind, 1, "emitter", "1",
             "0 area, 1 point, 2 spot, 3 directional, 4 constant, 5 envmap, 6 projector, 7 laser spot");
-    v.field("emitters/pmf", l.pmf, 1, "emitter", "1", "probability of being chosen by next-event estimation");
-    v.optional(
-        "emitters/position", l.position, 3, "emitter,xyz", "m",
-        "of projector and laser spot: where the light starts (the way from there to the spot is no edge); (0, 0, "
-        "0) for others");
+    v.field("emitters/pmf", l.pmf, 1, "emitter", "1", "probability that next-event estimation chooses it");
+    v.optional("emitters/position", l.position, 3, "emitter,xyz", "m",
+               "projector and laser spot: origin of the beam (the segment from it to the spot is no edge); (0, 0, 0) "
+               "for others");
 
-    v.names("shapes/id", g.shapes.id, "shape", "id in the scene file, or a made-up one");
+    v.names("shapes/id", g.shapes.id, "shape", "id in the scene file, or a generated one");
 }
 
 }  // namespace loom

@@ -72,28 +72,27 @@ void Radiance::fields(Self& r, Visitor& v) {
     v.value("settings/reuse", s.reuse, "", "1",
             "points: continuations of neighbours are reconnected; directions: only their direction is taken");
     v.value("settings/clamp", s.clamp, "", "1", "none; column: once, per edge; cluster: per cluster and iteration");
-    v.value("settings/start", s.start, "", "1", "paths: from the radiance of the paths; zero: from darkness");
-    v.value("settings/iterations", s.iterations, "", "1", "Jacobi steps that were asked for");
-    v.value("settings/epsilon", s.epsilon, "", "1", "the clamp keeps 1 - epsilon");
-    v.value("settings/as_printed", s.as_printed, "", "1", "1: the paper's equations to the letter, biased");
+    v.value("settings/start", s.start, "", "1", "paths: from the radiance of the paths; zero: from zero");
+    v.value("settings/iterations", s.iterations, "", "1", "requested number of Jacobi steps");
+    v.value("settings/epsilon", s.epsilon, "", "1", "margin of the clamp: gains are limited to 1 - epsilon");
+    v.value("settings/as_printed", s.as_printed, "", "1", "1: the paper's equations as printed (biased)");
 
-    v.field(
-        "vertices/L", r.L, 3, "vertex,rgb", "W m^-2 sr^-1",
-        "radiance that the vertex reflects towards wo; its own emission is not in it; where steps from darkness count "
-        "bounces, that of a first hit, but of one bounce less at all other vertices",
-        Finite::counted);
+    v.field("vertices/L", r.L, 3, "vertex,rgb", "W m^-2 sr^-1",
+            "radiance that the vertex reflects towards wo, without its own emission; where steps from zero count "
+            "bounces, it has one bounce less at vertices other than first hits",
+            Finite::counted);
     v.optional("paths/direct", r.direct, 3, "path,rgb", "W m^-2 sr^-1",
-               "part of L at the first vertex that arrives straight from lights; 0 for paths without vertices",
+               "part of L at the first vertex that is reflected light of emitters; 0 for paths without vertices",
                Finite::counted);
     v.optional("paths/indirect_path", r.indirect_path, 3, "path,rgb", "W m^-2 sr^-1",
-               "what the path's own samples, of no neighbour, estimate of the other light that its first vertex "
-               "reflects; 0 for paths without vertices",
+               "indirect light that the first vertex reflects, estimated by the path's own samples alone; 0 for paths "
+               "without vertices",
                Finite::counted);
     v.field("iterations/residual", r.residual, 1, "iteration", "1", "sum |X' - X| / sum |X'| over vertices",
             Finite::counted);
-    v.field("iterations/image_change", r.image_change, 1, "iteration", "1", "the same over first vertices",
-            Finite::counted);
-    v.value("clamped_share", r.clamped_share, "", "1", "energy that the clamp took, over what was there before");
+    v.field("iterations/image_change", r.image_change, 1, "iteration", "1",
+            "sum |X' - X| / sum |X'| over first vertices", Finite::counted);
+    v.value("clamped_share", r.clamped_share, "", "1", "share of the energy that the clamp removed");
 }
 
 }  // namespace loom

@@ -62,7 +62,8 @@ class TalWriter {
     }
     void grid(const std::string& of, const TalCapture::Grid& grid) {
         if (grid.xyz.size() != 3 * grid.size() || grid.normals.size() != 3 * grid.size())
-            throw std::logic_error(output_.path().native() + ": " + of + "_grid has not as many points as it says");
+            throw std::logic_error(output_.path().native() + ": " + of +
+                                   "_grid: width x height is not its number of points");
         const std::vector<hsize_t> extents{grid.width, grid.height, 3};
         floats((of + "_grid_xyz").c_str(), extents, grid.xyz.data());
         floats((of + "_grid_normals").c_str(), extents, grid.normals.data());
@@ -87,7 +88,7 @@ class TalWriter {
 void write_tal_capture(const TalCapture& c, const std::filesystem::path& path, Sync sync) {
     const std::size_t pairs = c.sensor_grid.size() * (c.exhaustive ? c.laser_grid.size() : 1);
     if (c.H.size() != c.n_bins * pairs)
-        throw std::logic_error(path.native() + ": H has not as many numbers as its grids say");
+        throw std::logic_error(path.native() + ": H has not as many values as its grids have points");
     TalWriter writer(path);
     std::vector<hsize_t> extents{c.n_bins};
     if (c.exhaustive) extents.insert(extents.end(), {c.laser_grid.width, c.laser_grid.height});

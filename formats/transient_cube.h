@@ -113,14 +113,13 @@ void TransientCubeOf<ColumnOf>::fields(Self& c, Visitor& v) {
     v.value("time/n_bins", t.n_bins, "", "1", "number of bins");
     v.value("time/start_opl", t.start_opl, "", "m",
             "optical path length at which bin 0 opens; bin k opens k bin_width_opl later");
-    v.value("time/bin_width_opl", t.bin_width_opl, "", "m", "from bin to bin");
-    v.value("time/gate_opl", t.gate_opl, "", "m", "how long a bin is open");
-    v.value("time/unit", t.unit, "", "1", "opl or ns: how pictures of this cube are labelled");
+    v.value("time/bin_width_opl", t.bin_width_opl, "", "m", "distance between the starts of neighbouring bins");
+    v.value("time/gate_opl", t.gate_opl, "", "m", "length for which a bin is open");
+    v.value("time/unit", t.unit, "", "1", "opl or ns: unit of the labels of this cube");
     v.value("time/metres_per_unit", t.metres_per_unit, "", "m",
             "length of a unit of the scene: an optical path length l takes l metres_per_unit / 0.299792458 ns");
     v.value("time/camera_segment", t.camera_segment, "", "1",
-            "1: lengths count from the camera, 0: from the first hit, and in a capture around a corner up to the lit "
-            "point");
+            "1: lengths count from the camera, 0: from the first hit, and in an NLOS capture up to the laser spot");
 
     auto& r = c.response;
     v.value("response/pulse", r.pulse, "", "1", "delta, box, gaussian, expgauss, table, or modulated: sine, square");
@@ -132,8 +131,7 @@ void TransientCubeOf<ColumnOf>::fields(Self& c, Visitor& v) {
     const std::size_t width = c.film.width, bins = c.time.n_bins;
     constexpr std::string_view unit = "W m^-2 sr^-1";
     v.grid("radiance", c.radiance, {width, bins, 3}, "y,x,bin,channel", unit,
-           "mean radiance that each bin records, not divided by its width; row 0 on top, channels R G B",
-           Finite::counted);
+           "mean radiance in each bin, not divided by its width; row 0 on top, channels R G B", Finite::counted);
     v.grid("var_mean", c.var_mean, {width, bins, 3}, "y,x,bin,channel", "(W m^-2 sr^-1)^2", "variance of that mean",
            Finite::counted);
     v.grid("before", c.before, {width, 3}, "y,x,channel", unit, "radiance that arrives before bin 0 opens",
@@ -141,7 +139,7 @@ void TransientCubeOf<ColumnOf>::fields(Self& c, Visitor& v) {
     v.grid("after", c.after, {width, 3}, "y,x,channel", unit, "radiance that arrives after the last bin",
            Finite::counted);
     v.grid("never", c.never, {width, 3}, "y,x,channel", unit,
-           "radiance of lights at infinity, which has no time of arrival", Finite::counted);
+           "radiance of emitters at infinity, which has no arrival time", Finite::counted);
     v.grid("steady", c.steady, {width, 3}, "y,x,channel", unit,
            "radiance at all times: with gates that tile the time, sum of the bins + before + after + never",
            Finite::counted);

@@ -41,7 +41,7 @@ Format read_format(const std::filesystem::path& path, Check check = Check::every
     } catch (const std::bad_alloc&) {
         throw InputError(path.native() + ": a dataset is too large for the memory of this machine");
     } catch (const std::length_error&) {
-        throw InputError(path.native() + ": a dataset has an absurd length");
+        throw InputError(path.native() + ": a dataset has an impossible length");
     }
     data.provenance = reader.provenance();
     data.storage = reader.storage();

@@ -110,7 +110,7 @@ Hdf5Reader::Found Hdf5Reader::find(const Field& field) const {
     const std::size_t element_bytes = element_size(field.type);
     const std::size_t n_elements = extents[0] * field.row_size();
     if (extents[0] != 0 && n_elements / extents[0] != field.row_size()) {
-        impl_->refuse(fmt::format("{}: absurd length {}", field.name, extents[0]));
+        impl_->refuse(fmt::format("{}: impossible length {}", field.name, extents[0]));
     }
     const Hdf5Handle creation(H5Dget_create_plist(dataset.get()), H5Pclose);
     if (n_elements == 0 || H5Pget_layout(creation.get()) != H5D_CONTIGUOUS) return {n_elements, nullptr};
@@ -149,7 +149,7 @@ std::vector<std::string> Hdf5Reader::texts(const Field& field, std::size_t rank)
     const Hdf5Handle type(H5Dget_type(dataset.get()), H5Tclose);
     const std::size_t n_bytes = H5Tget_size(type.get());
     if (n > storage_->bytes().size() || n_bytes > storage_->bytes().size()) {
-        impl_->refuse(fmt::format("{}: absurd length {} x {}", field.name, n, n_bytes));
+        impl_->refuse(fmt::format("{}: impossible length {} x {}", field.name, n, n_bytes));
     }
     std::vector<char> buffer(n * n_bytes);
     if (n > 0 && H5Dread(dataset.get(), type.get(), H5S_ALL, H5S_ALL, H5P_DEFAULT, buffer.data()) < 0) {
