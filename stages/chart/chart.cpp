@@ -44,18 +44,20 @@ std::string summary(const std::vector<Curve>& curves, const Options& options) {
 }
 
 void declare(app::Command& command, Options& options) {
-    command.files("tables", options.tables, "TSV with a line of names, as loom-compare --tsv prints it").required();
+    command.files("tables", options.tables, "tables (TSV) of loom-compare --tsv, with a header line").required();
     command.output("-o,--output", options.output, "chart.svg; beside it chart.png, .tsv (data), .gp (commands), tables")
         .required();
     command.choice<Kind>("--kind", options.kind,
-                         "error against cost, its parts against cost, or time by stage (of loom-compare --cost --tsv)",
+                         "curves: error against cost; parts: bias and variance against cost; stages: time by stage "
+                         "(from loom-compare --cost --tsv)",
                          {{"curves", Kind::curves}, {"parts", Kind::parts}, {"stages", Kind::stages}});
-    command.option("--x", options.x, "column of the cost (samples, wall_s, an iteration, …)");
-    command.option("--y", options.y, "column of the error");
-    command.option("--by", options.by, "column that tells curves apart");
-    command.flag("--linear-x", options.linear_x, "a linear axis, for what falls by a factor per step");
-    command.flag("--no-front", options.no_front, "no Pareto front: less of x is not bought with more of y");
-    command.option("--title", options.title, "above the chart");
+    command.option("--x", options.x, "column of the x axis (cpu_s, wall_s, samples, iteration, …)");
+    command.option("--y", options.y, "column of the y axis");
+    command.option("--by", options.by, "column whose values name the curves");
+    command.flag("--linear-x", options.linear_x,
+                 "linear x axis, for quantities that fall by a constant factor per step");
+    command.flag("--no-front", options.no_front, "leave out the Pareto front, for columns that are no trade-off");
+    command.option("--title", options.title, "title above the chart");
     command.example("loom-chart errors.tsv -o error-cost.svg --x wall_s --y relmse_trimmed");
 }
 

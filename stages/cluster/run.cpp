@@ -189,31 +189,32 @@ class Maker {
 
 void declare(app::Command& command, Options& options) {
     ClusterOptions& c = options.cluster;
-    command.files("graphs", options.graphs, "path graphs (.h5), clustered one after the other");
+    command.files("graphs", options.graphs, "path graphs (.h5), each clustered by itself");
     command.output("-o,--output", options.output,
                    "clusters (.h5); % stands for the name of the graph without its ending");
-    command.file(
-        "--scene", options.scene,
-        "scene file that the graphs were traced in: members that a surface hides from one another are kept apart");
-    command.option("-D,--define", options.defines, "NAME=VALUE of a parameter of that scene");
-    command.option("--sensor", options.sensor, "sensor of that scene, as loom-trace had it");
+    command.file("--scene", options.scene,
+                 "scene file of the graphs; turns on the visibility test between members of a cluster");
+    command.option("-D,--define", options.defines, "NAME=VALUE of a parameter $NAME of that scene");
+    command.option("--sensor", options.sensor, "sensor of that scene, as given to loom-trace");
     command.files("--with", options.with,
-                  "for each graph another one, of nearly the same scene, that is put into the same cells; for "
-                  "differences of the two");
-    command.output("--with-output", options.with_output, "their clusters (.h5), named as those of --output");
-    command.file("--with-scene", options.with_scene, "their scene file");
-    command.option("--with-define", options.with_defines, "NAME=VALUE of a parameter of their scene");
-    command.choice("--method", c.method, "median splits, or nearest of random centres",
+                  "for each graph, a graph of an edited scene to cluster jointly with it, for differences of the two");
+    command.output("--with-output", options.with_output,
+                   "clusters of the --with graphs (.h5), named like those of --output");
+    command.file("--with-scene", options.with_scene, "scene file of the --with graphs");
+    command.option("--with-define", options.with_defines, "NAME=VALUE of a parameter $NAME of the --with scene");
+    command.choice("--method", c.method, "balanced: median splits; centres: nearest of random centres",
                    {{"balanced", Method::balanced}, {"centres", Method::centres}});
     command.option("--k", c.k, "balanced: largest cluster; centres: mean size", app::Range<std::uint32_t>{1, 65536});
     command.option("--max-size", c.max_size, "largest cluster; 0: 2 k", app::Range<std::uint32_t>{0, 131072});
     command.option("--normal-weight", c.normal_weight,
-                   "distance of normals in cluster radii per unit; 0: positions alone", app::Range<float>{0, 1e6f});
-    command.option("--private-roughness", c.private_roughness, "vertices with a smaller microfacet alpha share nothing",
-                   app::Range<float>{0, 1});
-    command.option("--seed", c.seed, "of the first graph, the next ones count on; another seed moves the borders");
+                   "weight of a unit difference of normals, in cluster radii; 0: positions alone",
+                   app::Range<float>{0, 1e6f});
+    command.option("--private-roughness", c.private_roughness,
+                   "smallest microfacet alpha of a vertex that shares samples", app::Range<float>{0, 1});
+    command.option("--seed", c.seed,
+                   "seed of the first graph (the next ones count up); moves the borders between clusters");
     command.threads(c.threads);
-    command.flag("--plan", options.plan, "print what is on and what is off, and stop");
+    command.flag("--plan", options.plan, "print the plan and stop");
     command.example("loom-cluster graph.h5 --scene scene.xml -o clusters.h5 --k 16");
     command.example("loom-cluster pass-0.h5 pass-1.h5 --scene scene.xml -o %.clusters.h5");
     command.example(

@@ -388,26 +388,25 @@ void declare(app::Command& command, Options& options) {
                         "replicates of one method")
         .required();
     command.file("-r,--reference", options.reference,
-                 "image (EXR) or cube (.h5, also one with mean and var_mean of another program) to compare with; may "
-                 "be left out for two inputs: the second is it then");
+                 "reference image (EXR) or cube (.h5; of another program: with mean and var_mean); default for two "
+                 "inputs: the second");
     command.file("--reference-variance", options.reference_variance,
-                 "EXR with the variance of the reference's pixels as RGB (else its VarMean layer)");
-    command.option("--scene", options.scene, "what the tables call the picture");
-    command.option("--exposure", options.exposure_ev, "of what psnr and ssim look at",
+                 "EXR with the variance of the reference's pixels as RGB (default: its VarMean layer)");
+    command.option("--scene", options.scene, "name of the scene in the tables");
+    command.option("--exposure", options.exposure_ev, "exposure of the images before psnr and ssim",
                    app::Range<double>{-40, 40, "EV"});
-    command.option("--pool-error", options.pool_error,
-                   "of cubes: bins are pooled until the relative standard error of a pool is this",
+    command.option("--pool-error", options.pool_error, "relative standard error up to which bins of cubes are pooled",
                    app::Range<double>{1e-6, 1e6});
     command.flag("--cost", options.cost,
-                 "add up what the inputs cost with all their parents; without --reference: by stage, and nothing else");
+                 "add the cost of each input along its chain of parents; without --reference: costs by stage only");
     command.flag("--json", options.json, "print JSON instead of text");
-    command.flag("--tsv", options.tsv, "print a table for loom-chart, a row per input");
+    command.flag("--tsv", options.tsv, "print a TSV table for loom-chart, a row per input");
     command.output("--difference", options.difference,
                    "write the difference of a single method as EXR, and as PNG beside it");
-    command.option("--reach", options.reach, "of the false colours in the PNG; 0: the 99th percentile",
+    command.option("--reach", options.reach, "largest value of the false colours in the PNG; 0: the 99th percentile",
                    app::Range<double>{0, 1e30});
-    command.option("--fail-above", options.fail_above, "METRIC=VALUE: exit 1 when any method is above");
-    command.option("--fail-below", options.fail_below, "METRIC=VALUE: exit 1 when any method is below");
+    command.option("--fail-above", options.fail_above, "METRIC=VALUE: exit with 1 when a method is above VALUE");
+    command.option("--fail-below", options.fail_below, "METRIC=VALUE: exit with 1 when a method is below VALUE");
     command.example("loom-compare pt=a.exr pt=b.exr graph=c.exr graph=d.exr --reference reference.exr --cost");
 }
 

@@ -122,16 +122,17 @@ Prepared prepare(const Image& image) {
 }
 
 void declare(app::Command& command, Options& options) {
-    command.file("image", options.image, "picture with layers (.exr)").required();
-    command.output("-o,--output", options.output, "the picture without noise (.exr)");
-    command.output("--png", options.png, "also write a preview");
-    command.option("--exposure", options.exposure_ev, "of the preview", app::Range<double>{-40, 40, "EV"});
-    command.choice("--method", options.method, "auto: Open Image Denoise where it is, else the built-in filter",
+    command.file("image", options.image, "image with layers (.exr)").required();
+    command.output("-o,--output", options.output, "denoised image (.exr)");
+    command.output("--png", options.png, "also write an sRGB preview (.png)");
+    command.option("--exposure", options.exposure_ev, "exposure of the preview", app::Range<double>{-40, 40, "EV"});
+    command.choice("--method", options.method, "auto: Open Image Denoise if it is found, else the built-in filter",
                    {{"auto", Method::automatic}, {"oidn", Method::oidn}, {"filter", Method::filter}});
-    command.option("--oidn", options.oidn,
-                   "libOpenImageDenoise.so.2 or its folder; else $LOOM_OIDN, `make oidn`, the system's");
+    command.option(
+        "--oidn", options.oidn,
+        "libOpenImageDenoise.so.2 or its folder (default: $LOOM_OIDN, else that of `make oidn`, else the system's)");
     command.threads(options.threads);
-    command.flag("--plan", options.plan, "print what would run, and stop");
+    command.flag("--plan", options.plan, "print the plan and stop");
     command.example("loom-denoise image.exr -o clean.exr --png clean.png");
 }
 

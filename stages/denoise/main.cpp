@@ -4,7 +4,7 @@
 int main(int argc, char** argv) {
     using namespace loom;
     denoise::Options options;
-    app::Command command{"denoise: take the noise out of an image"};
+    app::Command command{"denoise: remove the noise of an image"};
     denoise::declare(command, options);
     return command.execute(argc, argv, [&] { denoise::run(options, command.report); });
 }

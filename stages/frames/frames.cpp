@@ -108,21 +108,21 @@ void declare(app::Command& command, Options& options) {
         .output("-o,--output", options.output,
                 "strip of frames (.png); beside it streak-x, streak-y, peak (.png), curves (.svg .png .tsv .gp)")
         .required();
-    command.option("--exposure", options.exposure_ev, "of frames and strip, beyond that of --quantile",
+    command.option("--exposure", options.exposure_ev, "exposure of frames and strip, on top of --quantile",
                    app::Range<double>{-50, 50, "EV"});
-    command.option("--quantile", options.quantile, "share of the lit bins that is not brighter than white",
+    command.option("--quantile", options.quantile, "quantile of the lit bins that is drawn white",
                    app::Range<double>{0, 1});
-    command.option("--count", options.count, "frames of the strip", app::Range<std::uint32_t>{1, 1000});
-    command.option("--row", options.row, "of the streak over x and time (the middle)");
-    command.option("--column", options.column, "of the streak over y and time (the middle)");
-    command.option("--pixel", options.pixels, "X:Y of a curve; again for more (three of the middle column)");
+    command.option("--count", options.count, "number of frames in the strip", app::Range<std::uint32_t>{1, 1000});
+    command.option("--row", options.row, "row of the streak over x and time (default: the middle)");
+    command.option("--column", options.column, "column of the streak over y and time (default: the middle)");
+    command.option("--pixel", options.pixels, "X:Y of a curve; repeat for more (default: three of the middle column)");
     command.option("--radius", options.radius,
-                   "of the squares of pixels that a curve is the mean of; 0: the pixel alone",
+                   "radius of the square of pixels over which a curve is averaged; 0: one pixel",
                    app::Range<std::uint32_t>{0, 1000, "px"});
-    command.flag("--png", options.png, "also each bin as frames/frame-NNNN.png, all with one exposure");
-    command.flag("--exr", options.exr, "also each bin as frames/frame-NNNN.exr, with its variance");
-    command.output("--movie", options.movie, "also a movie (.mp4), where ffmpeg is installed");
-    command.option("--fps", options.fps, "bins per second of the movie", app::Range<double>{0.1, 1000});
+    command.flag("--png", options.png, "also write each bin as frames/frame-NNNN.png, all with one exposure");
+    command.flag("--exr", options.exr, "also write each bin as frames/frame-NNNN.exr, with its variance");
+    command.output("--movie", options.movie, "also write a movie (.mp4); needs ffmpeg");
+    command.option("--fps", options.fps, "bins shown per second of the movie", app::Range<double>{0.1, 1000});
     command.example("loom-frames cube.h5 -o strip.png --row 64 --pixel 40:80 --pixel 90:20 --movie movie.mp4");
 }
 

@@ -4,7 +4,7 @@
 int main(int argc, char** argv) {
     using namespace loom;
     frames::Options options;
-    app::Command command{"frames: pictures of a transient cube: streaks, times of the peak, frames, curves, a movie"};
+    app::Command command{"frames: draw a transient cube as frames, streaks, times of the peak, curves or a movie"};
     frames::declare(command, options);
     return command.execute(argc, argv, [&] { frames::run(options, command.report); });
 }

@@ -106,30 +106,32 @@ Image image_of(const PathGraph& graph, int threads, Value value) {
 
 void declare(app::Command& command, Options& options) {
     command.file("graph", options.graph, "path graph (.h5)");
-    command.file("radiance", options.radiance, "refined radiance of that graph (.h5); none: own paths only");
+    command.file("radiance", options.radiance,
+                 "refined radiance of that graph (.h5); without it: the paths' own samples only");
     command.file("clusters", options.clusters, "clusters of that graph (.h5), for subsets");
-    command.output("-o,--output", options.output, "image with layers (.exr)");
-    command.output("--png", options.png, "also write a preview");
-    command.option("--exposure", options.exposure_ev, "of the preview", app::Range<double>{-40, 40, "EV"});
+    command.output("-o,--output", options.output, "output image with layers (.exr)");
+    command.output("--png", options.png, "also write an sRGB preview (.png)");
+    command.option("--exposure", options.exposure_ev, "exposure of the preview", app::Range<double>{-40, 40, "EV"});
     command.choice("--direct", options.gather.direct,
-                   "direct light at first hits: of the whole cluster, the path's own samples, or both its own and "
-                   "those of some members",
+                   "direct light at first hits: samples of the whole cluster, the path's own, or its own and those of "
+                   "a random subset of members",
                    {{"cluster", Source::cluster}, {"own", Source::own}, {"subset", Source::subset}});
-    command.choice("--indirect", options.gather.indirect, "indirect light at first hits",
+    command.choice("--indirect", options.gather.indirect, "indirect light at first hits, with the same choices",
                    {{"cluster", Source::cluster}, {"own", Source::own}, {"subset", Source::subset}});
     command.option("--members", options.gather.members,
-                   "of a subset: random members of the cluster besides the vertex itself",
+                   "number of random members of a subset, besides the vertex itself",
                    app::Range<std::uint32_t>{1, max_lanes});
-    command.choice("--reuse", options.gather.reuse, "of a subset: what is taken over from a member's continuation",
+    command.choice("--reuse", options.gather.reuse,
+                   "what a subset reuses of a member's continuation: its direction or its end point",
                    {{"directions", Reuse::directions}, {"points", Reuse::points}});
     command.flag("--occlusion", options.gather.occlusion,
-                 "of a subset: reconnect continuations and test each by rays, which leaves no bias but that of the "
-                 "radiance; needs --scene");
-    command.file("--scene", options.scene, "scene file that the graph was traced in");
-    command.option("-D,--define", options.defines, "NAME=VALUE of a parameter of that scene");
-    command.option("--sensor", options.sensor, "sensor of that scene, as loom-trace had it");
+                 "reconnect a subset's continuations and test their visibility by rays, which leaves only the bias of "
+                 "the radiance; needs --scene");
+    command.file("--scene", options.scene, "scene file of the graph");
+    command.option("-D,--define", options.defines, "NAME=VALUE of a parameter $NAME of that scene");
+    command.option("--sensor", options.sensor, "sensor of that scene, as given to loom-trace");
     command.flag("--estimates", options.gather.estimates,
-                 "also write all estimates of direct and indirect light as layers, for loom-merge to blend");
+                 "also write all estimates of direct and indirect light as layers that loom-merge blends");
     command.threads(options.threads);
     command.example("loom-gather graph.h5 -o image.exr --png image.png");
 }

@@ -14,25 +14,26 @@
 namespace loom::inspect {
 
 void declare(app::Command& command, Options& options) {
-    command.files("file", options.files, "any HDF5 or EXR file; a path_graph for --path and --obj, an image for --png");
+    command.files("file", options.files, "HDF5 or EXR file; a path_graph for --path and --obj, an image for --png");
     command.flag("--json", options.json, "print JSON instead of a table");
     command.option("--path", options.path,
                    "print one path of a graph: PIXEL,SAMPLE, the pixel as x:y (0:0 is top left) or as the "
                    "index y width + x");
     command.output("--obj", options.obj, "write paths of a graph as lines of a Wavefront OBJ");
-    command.option("--max-paths", options.max_paths, "most paths in the OBJ", app::Range<std::uint64_t>{1, 10'000'000});
+    command.option("--max-paths", options.max_paths, "largest number of paths in the OBJ",
+                   app::Range<std::uint64_t>{1, 10'000'000});
     command.output("--png", options.png, "write an sRGB preview of an image");
     command.option("--exposure", options.exposure_ev, "exposure of the preview", app::Range<double>{-50, 50, "EV"});
-    command.file("--graph", options.graph, "the path graph of a clusters file, for radii and normal spread");
-    command.flag("--iterations", options.iterations, "print the steps of the refinement of a radiance file as TSV");
+    command.file("--graph", options.graph, "path graph of a clusters file, for radii and spread of normals");
+    command.flag("--iterations", options.iterations, "print the iterations of a radiance file as TSV");
     command.output("--stamp", options.stamp,
-                   "write the content hashes of the files, of any kind, for make to depend on; a stamp that has them "
-                   "already is left alone");
+                   "write the content hashes of the given files as a prerequisite for make; a stamp that is up to date "
+                   "is not rewritten");
     command.file("--scene", options.scene,
-                 "with --stamp: also those of a scene file (Mitsuba XML) and of all files that it names");
+                 "with --stamp: also hash a scene file (Mitsuba XML) and all files that it names");
     command.option("-D,--define", options.defines, "with --scene: NAME=VALUE of a scene parameter $NAME");
-    command.option("--sensor", options.sensor, "with --scene: its sensor, as loom-trace has it");
-    command.flag("--check", options.check, "with --stamp: compare only; exit code 1 when contents differ");
+    command.option("--sensor", options.sensor, "with --scene: sensor, as given to loom-trace");
+    command.flag("--check", options.check, "with --stamp: compare only; exit with 1 when contents differ");
     command.flag("--formats", options.formats, "print the documentation of all formats");
     command.example("loom-inspect graph.h5 --path 320:180,0");
 }

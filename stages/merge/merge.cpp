@@ -161,24 +161,26 @@ Image difference_of(const Image& after, const Image& before, const std::string& 
 
 void declare(app::Command& command, Options& options) {
     command
-        .files(
-            "parts", options.parts,
-            "images (EXR with `samples`) of one size, or transient cubes (.h5) of one window, in the order to sum them")
+        .files("parts", options.parts,
+               "images (EXR with attribute samples) of one size, or transient cubes (.h5) of one window, in the order "
+               "of the sum")
         .required();
     command.files("--minus", options.minus,
-                  "for each part the image of the scene before an edit, of the same random numbers: joins the "
-                  "differences, whose VarMean is the spread between them");
-    command.output("-o,--output", options.output, "the joined image or cube");
+                  "for each part, the image of the old scene with the same random numbers; merges the differences, "
+                  "VarMean from the spread between them");
+    command.output("-o,--output", options.output, "merged image or cube");
     command.flag("--zip", options.zip, "compress the output image");
-    command.file("--direct", options.direct,
-                 "emission and direct light of other samples (EXR, paths of at most two edges), for the blend");
-    command.flag("--no-blend", options.no_blend, "do not blend the estimates of path graphs with those of their paths");
-    command.option("--unbiased", options.unbiased,
-                   "two levels: all parts' own pictures, and what the paths of the first N parts say beyond them, "
-                   "which leaves no bias; 0: off",
-                   app::Range<std::uint64_t>{0, 1u << 20});
+    command.file(
+        "--direct", options.direct,
+        "image (.exr) of emission and direct light from further samples (loom-trace --max-depth 2), for the blend");
+    command.flag("--no-blend", options.no_blend,
+                 "do not blend the shared estimates of path graphs with those of their own paths");
+    command.option(
+        "--unbiased", options.unbiased,
+        "correct the mean of all parts by the own paths of the first N parts, which removes the bias; 0: off",
+        app::Range<std::uint64_t>{0, 1u << 20});
     command.flag("--plan-direct", options.plan_direct,
-                 "print how many samples of direct light per pixel are worth their cost in the blend, and stop");
+                 "print the number of direct-light samples per pixel that pays off in the blend, and stop");
     command.example("loom-merge pass-0.exr pass-1.exr -o image.exr");
 }
 

@@ -72,27 +72,30 @@ const char* name(Clamp clamp) {
 
 void declare(app::Command& command, Options& options) {
     command.file("graph", options.graph, "path graph (.h5)").required();
-    command.file("clusters", options.clusters, "clusters of that graph (.h5); --method west needs none");
+    command.file("clusters", options.clusters, "clusters of that graph (.h5); not for --method west");
     command.output("-o,--output", options.output, "radiance of all vertices (.h5)");
     command.choice("--method", options.method,
-                   "fixed point of sharing and propagation, or the single filter of West et al.",
+                   "fixed-point: sharing and propagation, iterated; west: the single filter of West et al.",
                    {{"fixed-point", Method::fixed_point}, {"west", Method::west}});
-    command.option("--iterations", options.iterations, "Jacobi steps", app::Range<int>{0, 10000});
-    command.choice("--reuse", options.reuse,
-                   "what neighbours take over from a continuation: its direction, or its end point",
+    command.option("--iterations", options.iterations, "number of Jacobi steps", app::Range<int>{0, 10000});
+    command.choice("--reuse", options.reuse, "what neighbours reuse of a continuation: its direction or its end point",
                    {{"directions", Reuse::directions}, {"points", Reuse::points}});
-    command.choice("--clamp", options.clamp, "what keeps the iteration from growing",
+    command.choice("--clamp", options.clamp,
+                   "clamp that keeps the iteration from diverging: per edge, once; per cluster and iteration; or none",
                    {{"column", Clamp::column}, {"cluster", Clamp::cluster}, {"none", Clamp::none}});
-    command.option("--epsilon", options.epsilon, "the clamp keeps 1 - epsilon", app::Range<float>{0, 0.5f});
-    command.choice("--start", options.start, "first iterate: the paths' own radiance, or darkness",
+    command.option("--epsilon", options.epsilon, "margin of the clamp: gains are limited to 1 - epsilon",
+                   app::Range<float>{0, 0.5f});
+    command.choice("--start", options.start, "first iterate: the paths' own radiance, or zero",
                    {{"auto", Start::automatic}, {"paths", Start::paths}, {"zero", Start::zero}});
     command.flag("--as-printed", options.as_printed,
-                 "the paper's equations to the letter: densities over successes only, biased");
-    command.option("--neighbours", options.neighbours, "of --method west", app::Range<std::uint32_t>{1, max_lanes});
+                 "use the paper's equations as printed: densities over successful samples only (biased)");
+    command.option("--neighbours", options.neighbours, "number of nearest neighbours of --method west",
+                   app::Range<std::uint32_t>{1, max_lanes});
     command.option("--private-roughness", options.private_roughness,
-                   "of --method west: narrower vertices share nothing", app::Range<float>{0, 1});
+                   "smallest microfacet alpha of a vertex that shares samples with --method west",
+                   app::Range<float>{0, 1});
     command.threads(options.threads);
-    command.flag("--plan", options.plan, "print what would be done, and stop");
+    command.flag("--plan", options.plan, "print the plan and stop");
     command.example("loom-refine graph.h5 clusters.h5 -o radiance.h5");
 }
 

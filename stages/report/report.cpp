@@ -500,19 +500,19 @@ std::string page_of(const Options& options) {
 }
 
 void declare(app::Command& command, Options& options) {
-    command.labelled_files("pictures", options.pictures, "images (EXR) with their .cost.json, one of each method")
-        .required();
-    command.file("-r,--reference", options.reference, "image (EXR) that they should be").required();
-    command.output("-o,--output", options.output, "page.html").required();
+    command.labelled_files("images", options.pictures, "images (EXR) with their .cost.json, one per method").required();
+    command.file("-r,--reference", options.reference, "reference image (EXR)").required();
+    command.output("-o,--output", options.output, "output page (.html)").required();
     command.file("--errors", options.errors, "table of loom-compare --reference R --cost --tsv");
-    command.file("--equal-cost", options.equal_cost, "table of loom-chart, its first line of names alone included");
-    command.file("--equal-error", options.equal_error, "the same at equal errors");
-    command.files("--chart", options.charts, "charts (SVG) of loom-chart, in the order of the page");
+    command.file("--equal-cost", options.equal_cost,
+                 "table of loom-chart at equal cost (.equal-cost.tsv), even one with a header line only");
+    command.file("--equal-error", options.equal_error, "table of loom-chart at equal error (.equal-error.tsv)");
+    command.files("--chart", options.charts, "charts (SVG) of loom-chart, in their order on the page");
     command.file("--peers", options.peers, "table of make peers");
-    command.option("--title", options.title, "above the page: the scene");
-    command.option("--made-by", options.made_by, "command that makes the page again, shown at its end");
-    command.option("--longest-side", options.longest_side, "of the pictures in the page; larger ones are reduced",
-                   app::Range<int>{16, 4096, "px"});
+    command.option("--title", options.title, "title of the page, for example the scene");
+    command.option("--made-by", options.made_by, "command that makes the page, shown at its end");
+    command.option("--longest-side", options.longest_side,
+                   "longest side of an image on the page; larger ones are reduced", app::Range<int>{16, 4096, "px"});
     command.example(
         "loom-report pt=a.exr pathgraph=b.exr -r r.exr --errors errors.tsv --chart error-cost.svg -o "
         "report.html");

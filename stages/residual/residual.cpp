@@ -192,54 +192,54 @@ Image render_by_dynamic_paths(const ScenePair& scenes, const Edit& edit, const O
 
 void declare(app::Command& command, Options& options) {
     command.file("old", options.old_scene, "scene before the edit (Mitsuba XML, dialects 0.5 to 3)").required();
-    command.file("new", options.new_scene, "scene after the edit; none: the same file, with --new-define");
+    command.file("new", options.new_scene, "scene after the edit (default: the same file, with --new-define)");
     command.option("-D,--define", options.defines, "NAME=VALUE of a scene parameter $NAME, in both scenes");
-    command.option("--old-define", options.old_defines, "the same in the old scene only, after -D");
-    command.option("--new-define", options.new_defines, "the same in the new scene only, after -D");
+    command.option("--old-define", options.old_defines, "NAME=VALUE in the old scene only, after -D");
+    command.option("--new-define", options.new_defines, "NAME=VALUE in the new scene only, after -D");
     command.option("--sensor", options.sensor,
                    "sensor of both scenes, by id or by number from 0 in the order of the file (default: the first)");
     command.file("--old", options.old_picture,
-                 "picture of the old scene (EXR with VarMean), also the --new of an edit before");
+                 "image of the old scene (EXR with VarMean), or the --new of an edit before");
     command.files("--old-graph", options.old_graph,
-                  "paths that loom-trace has traced in the old scene (.h5; its passes, one after the other): only "
-                  "those that the edit touches are "
-                  "traced again. Samples, seed, sampler and roulette are theirs, not --spp, --first-sample, --seed");
+                  "path graphs of the old scene by loom-trace (.h5; passes in order); only paths that the edit touches "
+                  "are traced again. Samples, seed, sampler and roulette come from the graphs; --spp, --first-sample "
+                  "and --seed are not used");
     command.file("--residual", options.residual,
-                 "a residual made before, of passes or path graphs (loom-merge), to be added to --old: nothing is "
-                 "traced; method and seed are its own");
+                 "existing residual to add to --old (also of loom-merge or loom-denoise); nothing is traced");
     command.output("-o,--output", options.output,
-                   "the residual, new minus old: signed R, G, B with VarMean, and Albedo, N, Depth of the new scene");
-    command.output("--new", options.new_picture, "picture of the new scene: --old plus the residual");
-    command.output("--png", options.png, "preview of --new");
+                   "residual, new minus old: signed R, G, B with VarMean, and Albedo, N, Depth of the new scene");
+    command.output("--new", options.new_picture, "image of the new scene: --old plus the residual");
+    command.output("--png", options.png, "sRGB preview of --new (.png)");
     command.output("--residual-png", options.residual_png,
-                   "the residual in false colours: blue is darker now, red is brighter");
+                   "residual in false colours (.png): blue is darker in the new scene, red is brighter");
     command.choice("--method", options.method,
-                   "pairs of paths with the same random numbers, with different ones, or those that meet the edit; "
-                   "auto: by a pilot",
+                   "correlated: pairs of paths with the same random numbers; independent: with different ones; "
+                   "dynamic: paths that hit the edit; auto: chosen by a pilot",
                    {{"auto", Method::automatic},
                     {"correlated", Method::correlated},
                     {"independent", Method::independent},
                     {"dynamic", Method::dynamic}});
     command.flag("--no-mapping", options.no_mapping,
                  "auto, dynamic: pair paths of the two scenes by their random numbers alone");
-    command.option(
-        "--technique", options.technique,
-        "dynamic: only the paths that this technique finds, as a picture to look at; list: those of this edit");
+    command.option("--technique", options.technique,
+                   "dynamic: write only the paths that this technique finds; list: print the techniques of this edit");
     command.flag("--as-printed", options.as_printed,
-                 "dynamic: weights and limits of mappings by the letter of the paper, to see their bias");
-    command.flag("--raw", options.raw, "with --technique: not weighted against the other techniques");
-    command.flag("--no-map", options.no_map, "auto: as many camera paths in every pixel");
-    command.flag("--no-control", options.no_control, "auto: --new is --old plus the residual, without weights");
-    command.option("--spp", options.spp, "pairs of paths per pixel; auto spends what they would cost",
+                 "dynamic: use the weights and limits of mappings as printed in the paper, to measure their bias");
+    command.flag("--raw", options.raw, "with --technique: do not weight the paths against the other techniques");
+    command.flag("--no-map", options.no_map,
+                 "auto: spread camera paths evenly over the pixels, not by the pilot's variance");
+    command.flag("--no-control", options.no_control,
+                 "auto: make --new the plain sum of --old and the residual, without weights");
+    command.option("--spp", options.spp, "pairs of paths per pixel; auto: their cost is its budget",
                    app::Range<std::uint64_t>{1, 1u << 30});
-    command.option("--first-sample", options.first_sample, "number of the first sample of each pixel");
-    command.option("--seed", options.seed,
-                   "seed of all random numbers; with the same seed those of loom-trace are others, and those of each "
-                   "edit after an edit");
+    command.option("--first-sample", options.first_sample, "index of the first sample of each pixel");
+    command.option(
+        "--seed", options.seed,
+        "seed of all random numbers, which differ from those of loom-trace and of earlier edits with the same seed");
     command.option("--max-depth", options.max_depth, "longest path in edges, in both scenes; -1: no limit",
                    app::Range<int>{-1, 1 << 20});
     command.threads(options.threads);
-    command.flag("--plan", options.plan, "print the edit and what it calls for, and stop");
+    command.flag("--plan", options.plan, "print the edit and the plan, and stop");
     command.example("loom-residual old.xml new.xml --old old.exr --spp 8 -o residual.exr --new new.exr");
 }
 

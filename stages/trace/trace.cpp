@@ -139,33 +139,32 @@ PathGraphInPieces render_graph(const Scene& scene, const PathOptions& path, cons
 void declare(app::Command& command, Options& options) {
     command.file("scene", options.scene, "scene file (Mitsuba XML, dialects 0.5 to 3)");
     command.output("-o,--output", options.output,
-                   "path graph (.h5) or path-traced image (.exr); % stands for the number of the pass");
+                   "path graph (.h5) or path-traced image (.exr); % stands for the pass number");
     command.option("-D,--define", options.defines, "NAME=VALUE of a scene parameter $NAME");
     command.option("--sensor", options.sensor,
                    "sensor to render, by id or by number from 0 in the order of the file (default: the first)");
     command.option("--spp", options.spp, "samples per pixel", app::Range<std::uint64_t>{1, 1u << 30});
-    command.option("--first-sample", options.first_sample, "number of the first sample of each pixel");
-    command.option("--passes", options.passes, "files to make, one after the other, of --spp samples each",
+    command.option("--first-sample", options.first_sample, "index of the first sample of each pixel");
+    command.option("--passes", options.passes, "number of files to write, with --spp samples per pixel each",
                    app::Range<std::uint64_t>{1, 1u << 20});
     command.option("--seed", options.seed, "seed of all random numbers");
-    command.choice("--sampler", options.sampler, "random numbers",
+    command.choice("--sampler", options.sampler, "sampler of the random numbers",
                    {{"sobol", SamplerKind::sobol}, {"independent", SamplerKind::independent}});
     command.choice("--roulette", options.roulette,
-                   "survival probability: the vertex's albedo, or the path's throughput",
+                   "survival probability of roulette: the vertex's albedo, or the path's throughput",
                    {{"albedo", Roulette::albedo}, {"throughput", Roulette::throughput}, {"off", Roulette::off}});
     command.option("--rr-depth", options.rr_depth, "first vertex at which roulette may end a path",
                    app::Range<int>{1, 1 << 20});
     command.option("--max-depth", options.max_depth, "longest path in edges; -1: no limit",
                    app::Range<int>{-1, 1 << 20});
     command.choice("--laser-spot", options.laser_spot,
-                   "spot of the laser in a capture around a corner, when it is sampled: of unit area, as mitransient "
-                   "has it, or that of its beam",
+                   "area of a sampled laser spot in an NLOS capture: 1 m² (as in mitransient), or the true area of the "
+                   "beam's section",
                    {{"unit", LaserSpot::unit_area}, {"true", LaserSpot::true_area}});
     command.flag("--misses", options.misses,
-                 "graph: also keep what found no light, a tenth more bytes, with which loom-residual --old-graph finds "
-                 "what an edit touches several times faster");
+                 "also store failed light samples (+10 % bytes); makes loom-residual --old-graph several times faster");
     command.threads(options.threads);
-    command.flag("--plan", options.plan, "print what the scene calls for, and stop");
+    command.flag("--plan", options.plan, "print the plan and stop");
     command.option("--replay", options.replay, "X,Y,SAMPLE: trace that path alone and print it");
     command.example("loom-trace scenes/cornell-box.xml --spp 4 -o graph.h5");
 }

@@ -134,27 +134,30 @@ void check_graphs(const std::vector<std::string>& names, const std::vector<PathG
 }  // namespace
 
 void declare(app::Command& command, Options& options) {
-    command.files("graphs", options.graphs, "path graphs of one scene with different samples (.h5)").required();
+    command.files("graphs", options.graphs, "path graphs (.h5) of one scene with different samples").required();
     command.files("--clusters", options.clusters,
-                  "clusters of these graphs, in their order (.h5): first hits share the light of their cluster");
+                  "clusters (.h5) of these graphs, in their order; first hits share the light of their cluster");
     command.output("-o,--output", options.output, "transient cube (.h5)");
-    command.output("--tal", options.tal, "also write a capture around a corner as the TAL tools read it (.h5)");
-    command.choice(
-        "--unit", options.unit,
-        "of all lengths here, and of the cube's labels: optical path length in units of the scene, or nanoseconds",
-        {{"opl", Unit::opl}, {"ns", Unit::ns}});
-    command.option("--metres-per-unit", options.metres_per_unit, "length of a unit of the scene",
+    command.output("--tal", options.tal, "also write an NLOS capture in the format of the TAL tools (.h5)");
+    command.choice("--unit", options.unit,
+                   "unit of all lengths of these options and of the cube's labels: optical path length in units of the "
+                   "scene, or nanoseconds",
+                   {{"opl", Unit::opl}, {"ns", Unit::ns}});
+    command.option("--metres-per-unit", options.metres_per_unit, "length of one unit of the scene",
                    app::Range<double>{1e-12, 1e12, "m"});
-    command.option("--bins", options.bins, "number of bins (the film's, else 300)",
+    command.option("--bins", options.bins, "number of bins (default: the film's, else 300)",
                    app::Range<std::uint32_t>{1, 1u << 24});
-    command.option("--start", options.start, "where the first bin opens (the film's, else where light first arrives)");
-    command.option("--width", options.width, "from bin to bin (the film's, else so that 99.9 % of the light is within)",
+    command.option("--start", options.start,
+                   "start of the first bin (default: the film's, else the first arrival of light)");
+    command.option("--width", options.width,
+                   "distance between bins (default: the film's, else 99.9 % of the light is in the window)",
                    app::Range<double>{1e-12, 1e12});
-    command.option("--gate", options.gate, "how long a bin is open (as --width: bins tile the time)",
+    command.option("--gate", options.gate,
+                   "length of time that a bin is open (default: --width, so that bins tile the time)",
                    app::Range<double>{1e-12, 1e12});
     command.choice("--pulse", options.pulse,
-                   "the light in time: the film's, all at once, for a while, Gaussian, Gaussian with an exponential "
-                   "tail, from a file; or modulated, --bins phases of one period",
+                   "shape of the light in time: the film's, a delta, box or Gaussian pulse, a Gaussian with an "
+                   "exponential tail, a table, or a modulation with --bins phases of one period",
                    {{"film", Shape::film},
                     {"delta", Shape::delta},
                     {"box", Shape::box},
@@ -163,15 +166,15 @@ void declare(app::Command& command, Options& options) {
                     {"table", Shape::table},
                     {"sine", Shape::sine},
                     {"square", Shape::square}});
-    command.option("--pulse-length", options.pulse_length,
-                   "of box: how long; of gaussian and expgauss: standard deviation", app::Range<double>{0, 1e12});
-    command.option("--pulse-tail", options.pulse_tail, "of expgauss: mean delay", app::Range<double>{0, 1e12});
-    command.file("--pulse-table", options.pulse_table, "of table: a text file, when and power in each line");
-    command.option("--period", options.period, "of sine and square", app::Range<double>{0, 1e12});
+    command.option("--pulse-length", options.pulse_length, "box: length; gaussian, expgauss: standard deviation",
+                   app::Range<double>{0, 1e12});
+    command.option("--pulse-tail", options.pulse_tail, "expgauss: mean delay of the exponential tail",
+                   app::Range<double>{0, 1e12});
+    command.file("--pulse-table", options.pulse_table, "table: text file with time and power in each line");
+    command.option("--period", options.period, "sine, square: period of the modulation", app::Range<double>{0, 1e12});
     command.flag("--unwarp", options.unwarp, "count lengths from the first hit, not from the camera");
-    command.option("--group-index", options.group_index,
-                   "PHASE=GROUP: light whose phase index is the first travels by the second");
-    command.option("--memory", options.memory_MiB, "for rows that are worked on at a time",
+    command.option("--group-index", options.group_index, "PHASE=GROUP: group index of media with this phase index");
+    command.option("--memory", options.memory_MiB, "memory for the block of rows in work",
                    app::Range<std::uint64_t>{1, 1u << 20, "MiB"});
     command.threads(options.threads);
     command.example(

@@ -61,11 +61,11 @@ std::string shell_word(std::string_view word) {
 Command::Command(const std::string& about)
     : report(program_of(about)), app_(std::make_unique<CLI::App>(about, program_of(about))) {
     app_->set_version_flag("--version", fmt::format("{} {} (commit {})", report.name(), LOOM_RELEASE, LOOM_COMMIT),
-                           "print release and commit");
-    app_->set_help_flag("-h,--help", "print this help");
+                           "print release and commit, and stop");
+    app_->set_help_flag("-h,--help", "print this help and stop");
     app_->get_formatter()->column_width(34);
     app_->add_flag_callback(
-        "--quiet", [this] { report.set_quiet(true); }, "only warnings and errors on stderr");
+        "--quiet", [this] { report.set_quiet(true); }, "print only warnings and errors on stderr");
 }
 
 Command::~Command() = default;
@@ -167,7 +167,8 @@ Command::Option Command::threads(int& field) {
 }
 
 void Command::example(const std::string& line) {
-    app_->footer("Example: " + line);
+    const std::string before = app_->get_footer();
+    app_->footer((before.empty() ? "Example: " : before + "\n         ") + line);
 }
 
 std::string Command::text(bool for_output) const {
