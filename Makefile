@@ -1,8 +1,11 @@
 # Pathloom's front door. `make` = tools, build, demo; `make test` = every test; `make help` = the rest.
+# `## text` behind a target and `##@ group` are what make help prints.
 
 .DEFAULT_GOAL := demo
 .DELETE_ON_ERROR:
-.PHONY: format demo image edit edit-techniques transient chart chart-transient chart-edit-graph chart-edit-cost chart-all report table table-edit edit-pictures choices test test-full stability asan bench peers peers-transient oidn tools build stages clean help
+pipelines := image edit edit-techniques edit-images transient chart chart-all chart-transient chart-edit-graph chart-edit-cost report \
+	table table-edit choices peers peers-transient
+.PHONY: $(pipelines) edit-pictures demo oidn format tools build stages test test-full stability asan bench clean help
 SHELL := /bin/sh
 include pipelines/variables.mk
 
@@ -31,90 +34,76 @@ compile = unset MAKEFLAGS MFLAGS; \
 			$$(command -v ccache >/dev/null && echo '-DCMAKE_CXX_COMPILER_LAUNCHER=$(launcher)') >&2; \
 	fi && cmake --build $(1) --parallel $(JOBS) $(if $(3),--target $(3)) >&2 || { [ -n "$$told" ] || $(call packages,missing,build); exit 1; }
 
-demo: stages ## (default) install, build, trace a small scene, show where the results lie; takes SCENE= too
+##@ Images
+
+demo: stages ## (default) install, build, and render two small scenes
 	@$(MAKE) --no-print-directory -f pipelines/still.mk demo
 	@$(MAKE) --no-print-directory -f pipelines/transient.mk demo SCENE=scenes/flash.xml DEFINES= TRACE= SPP=8 PASSES=4 \
 		$(if $(OUT),OUT=$(OUT)/flash)
 
-image: stages ## render SCENE; with -s the only line on stdout is the path of the EXR
+image: stages ## image of SCENE, OUT/image.exr
 	@$(MAKE) --no-print-directory -f pipelines/still.mk image
 
-transient: stages ## light in flight of SCENE, binned over time; with -s the only line on stdout is the path of the cube
-	@$(MAKE) --no-print-directory -f pipelines/transient.mk transient
+##@ Edits
 
-edit: stages ## image of NEW from that of OLD and the difference that the edit makes; with -s prints only its path
+edit: stages ## image of NEW from the image of OLD and the residual, OUT/new.exr
 	@$(MAKE) --no-print-directory -f pipelines/edit.mk edit
 
-edit-techniques: stages ## what each technique of dynamic paths finds of the edit of OLD to NEW, weighted and raw, as PNG
+edit-techniques: stages ## paths that each technique of METHOD=dynamic finds, as PNG
 	@$(MAKE) --no-print-directory -f pipelines/edit.mk edit-techniques
 
-table-edit: stages ## residuals beside correlated path tracing at equal time, a row per edit ([RP] Tables 2 and 3); takes ROWS= METHODS= OUT= DOCS=
-	@$(MAKE) --no-print-directory -f pipelines/table-edit.mk table-edit
+edit-images: stages ## old, new and residual images of the edits of table-edit, as PNG
+	@$(MAKE) --no-print-directory -f pipelines/table-edit.mk edit-images
 
-edit-pictures: stages ## old, new and residual of the edits of table-edit, as PNG; takes ROWS=
-	@$(MAKE) --no-print-directory -f pipelines/table-edit.mk edit-pictures
+edit-pictures: edit-images
 
-chart: stages ## error against cost of METHODS on SCENE; the last lines are the paths of the charts
+##@ Transients
+
+transient: stages ## cube of SCENE over time, OUT/cube.h5, with frames, streaks and curves
+	@$(MAKE) --no-print-directory -f pipelines/transient.mk transient
+
+##@ Charts and tables
+
+chart: stages ## error against cost of METHODS on SCENE
 	@$(MAKE) --no-print-directory -f pipelines/chart.mk chart
 
-chart-transient: stages ## error of the cubes of SCENE against paths and cost; the last lines are the paths of the charts
-	@$(MAKE) --no-print-directory -f pipelines/chart-transient.mk chart-transient
-
-chart-edit-graph: stages ## error, bias and variance of the residual of OLD to NEW by path graphs and by paths; the last lines are the paths of the charts
-	@$(MAKE) --no-print-directory -f pipelines/chart-edit-graph.mk chart-edit-graph
-
-chart-edit-cost: stages ## CPU time of residuals from a graph of the old scene against how many paths the edit touches; takes ROWS= OUT= DOCS=
-	@$(MAKE) --no-print-directory -f pipelines/chart-edit-cost.mk chart-edit-cost
-
-chart-all: stages ## charts of pt, west and pathgraph on many scenes at small size, OUT=out/chart-all; DOCS= copies them
+chart-all: stages ## error against cost of pt, west and pathgraph on many small scenes
 	@$(MAKE) --no-print-directory -f pipelines/chart-all.mk chart-all
 
-report: stages ## one page of METHODS on SCENE, OUT/report.html: images, errors, charts, tables, lineage
+chart-transient: stages ## error of the cubes of SCENE against samples and cost
+	@$(MAKE) --no-print-directory -f pipelines/chart-transient.mk chart-transient
+
+chart-edit-graph: stages ## error, bias and variance of residuals by path graphs
+	@$(MAKE) --no-print-directory -f pipelines/chart-edit-graph.mk chart-edit-graph
+
+chart-edit-cost: stages ## CPU time of residuals against the share of touched paths
+	@$(MAKE) --no-print-directory -f pipelines/chart-edit-cost.mk chart-edit-cost
+
+report: stages ## one HTML page of METHODS on SCENE: images, errors, charts, lineage
 	@$(MAKE) --no-print-directory -f pipelines/report.mk report
 
-table: stages ## cost and error of path graphs beside path tracing, a row per scene; takes SCENES= OUT=
+table: stages ## cost and error of path graphs and path tracing, a row per scene
 	@$(MAKE) --no-print-directory -f pipelines/table.mk table
 
-choices: stages ## what gathers, pools or directs (CHOICES=) bring at equal time; takes SCENES= OUT=
+table-edit: stages ## residuals and correlated paths at equal time, a row per edit
+	@$(MAKE) --no-print-directory -f pipelines/table-edit.mk table-edit
+
+choices: stages ## gathers, pools or directs (CHOICES=) compared at equal time
 	@$(MAKE) --no-print-directory -f pipelines/choices.mk choices
 
-test: build ## install, build and run all tests
-	cd $(BUILD) && ctest --output-on-failure --no-tests=error
-
-test-full: build ## the tests with the longer statistical runs, and the report in a browser
-	@$(call packages,install,browser) || echo "without a browser the test of reports in one is left out" >&2
-	cd $(BUILD) && LOOM_TEST_FULL=1 ctest --output-on-failure --no-tests=error
-
-stability: build ## scenes that are hard on path graphs, edits that are hard on residuals, and fifty edits in a row, at full length
-	LOOM_TEST_FULL=1 $(BUILD)/test_statistical --gtest_filter='Stability*:Blend*'
-
-asan: ## unit and formats tests under AddressSanitizer and UndefinedBehaviorSanitizer
-	@$(call compile,$(BUILD)-asan,-DCMAKE_BUILD_TYPE=Debug -DLOOM_SANITIZE=ON,test_unit test_formats)
-	cd $(BUILD)-asan && ctest --output-on-failure --no-tests=error -R '^(unit|formats)$$'
-
-bench: build ## measure throughput against a bare Embree loop
-	$(BUILD)/bin/loom-bench
-
-peers: stages ## (optional) Mitsuba 3 on SCENE, fetched from PyPI into a virtual environment; charts and reports then show it
+peers: stages ## Mitsuba 3 on SCENE, for later charts and reports (from PyPI)
 	@[ -n $(python) ] || [ -e $(BUILD)/peers/ready ] || { $(call packages,install,peers mitsuba); python3 -m venv $(BUILD)/peers && \
 		$(BUILD)/peers/bin/pip install -q mitsuba==3.8.0 >&2 && touch $(BUILD)/peers/ready; }
 	@$(MAKE) --no-print-directory -f pipelines/peers.mk peers PYTHON=$(if $(PEERS_PYTHON),$(python),$(BUILD)/peers/bin/python)
 
-peers-transient: stages ## (optional) mitransient on SCENE, fetched from PyPI: paths per second of both, and whether their cubes agree
+peers-transient: stages ## mitransient on SCENE, compared with our cube (from PyPI)
 	@[ -n $(python) ] || [ -e $(BUILD)/peers/ready-transient ] || { $(call packages,install,peers mitsuba); python3 -m venv $(BUILD)/peers && \
 		$(BUILD)/peers/bin/pip install -q mitsuba==3.8.0 mitransient==1.3.1 h5py >&2 && touch $(BUILD)/peers/ready-transient; }
 	@$(MAKE) --no-print-directory -f pipelines/peers-transient.mk peers-transient PYTHON=$(if $(PEERS_PYTHON),$(python),$(BUILD)/peers/bin/python)
 
-oidn: ## (optional) Open Image Denoise for loom-denoise, fetched from PyPI into a folder beside the build's bin/
-	@[ -e $(BUILD)/oidn/libOpenImageDenoise.so.2 ] || { $(call packages,install,peers); python3 -m venv $(BUILD)/oidn && \
-		$(BUILD)/oidn/bin/pip install -q --no-deps pyoidn==2.5.1.0 >&2 && cd $(BUILD)/oidn && \
-		ln -s lib/python3*/site-packages/pyoidn/oidn/lib/libOpenImageDenoise.so.2 .; }
-	@echo $(BUILD)/oidn/libOpenImageDenoise.so.2
+##@ Build and test
 
-format: ## give all sources the shape that .clang-format says (clang-format 14)
-	@sh tests/format.sh --fix
-
-tools: ## install the Debian packages that are missing
+tools: ## install the missing Debian packages
 	@$(call packages,install,build convenience)
 
 build: ## compile everything, tests included
@@ -123,32 +112,44 @@ build: ## compile everything, tests included
 stages: # what an image needs, without the tests
 	@$(call compile,$(BUILD),-DCMAKE_BUILD_TYPE=Release,$(STAGES))
 
+oidn: ## fetch Open Image Denoise for loom-denoise (from PyPI)
+	@[ -e $(BUILD)/oidn/libOpenImageDenoise.so.2 ] || { $(call packages,install,peers); python3 -m venv $(BUILD)/oidn && \
+		$(BUILD)/oidn/bin/pip install -q --no-deps pyoidn==2.5.1.0 >&2 && cd $(BUILD)/oidn && \
+		ln -s lib/python3*/site-packages/pyoidn/oidn/lib/libOpenImageDenoise.so.2 .; }
+	@echo $(BUILD)/oidn/libOpenImageDenoise.so.2
+
+test: build ## install, build and run all tests
+	cd $(BUILD) && ctest --output-on-failure --no-tests=error
+
+test-full: build ## all tests with longer statistical runs, and reports in a browser
+	@$(call packages,install,browser) || echo "without a browser the test of reports in one is left out" >&2
+	cd $(BUILD) && LOOM_TEST_FULL=1 ctest --output-on-failure --no-tests=error
+
+stability: build ## hard scenes, hard edits and fifty edits in a row, at full length
+	LOOM_TEST_FULL=1 $(BUILD)/test_statistical --gtest_filter='Stability*:Blend*'
+
+asan: ## unit and formats tests under AddressSanitizer and UBSan
+	@$(call compile,$(BUILD)-asan,-DCMAKE_BUILD_TYPE=Debug -DLOOM_SANITIZE=ON,test_unit test_formats)
+	cd $(BUILD)-asan && ctest --output-on-failure --no-tests=error -R '^(unit|formats)$$'
+
+bench: build ## throughput compared with a bare Embree loop
+	$(BUILD)/bin/loom-bench
+
+format: ## format all sources with clang-format 14
+	@sh tests/format.sh --fix
+
 clean: ## remove build folders and out/
 	rm -rf $(BUILD) $(BUILD)-asan out
 
-help: ## list targets and variables
-	@echo 'Targets:'
-	@sed -n 's/^\([a-z-]*\):[^#]*## \(.*\)/\1\t\2/p' Makefile | sort | awk -F'\t' '{printf "  %-15s %s\n", $$1, $$2}'
-	@echo 'Variables of demo and image:'
-	@sed -n 's/^\([A-Z]*\) ?= *\(.*[^ ]\)  *## \(.*\)/\1=\2\t\3/p; s/^# *\([A-Z]*\)=  *## \(.*\)/\1=\t\2/p' \
-		pipelines/still.mk | awk -F'\t' '{printf "  %-28s %s\n", $$1, $$2}'
-	@echo 'Variables of transient:'
-	@sed -n 's/^\([A-Z]*\) ?= *\(.*[^ ]\)  *## \(.*\)/\1=\2\t\3/p; s/^# *\([A-Z]*\)=  *## \(.*\)/\1=\t\2/p' \
-		pipelines/transient.mk | awk -F'\t' '{printf "  %-28s %s\n", $$1, $$2}'
-	@echo 'Variables of chart, report and peers, beside SCENE, DEFINES, SEED, THREADS, TRACE, LAUNCH and OUT (out/NAME/chart):'
-	@sed -n 's/^# *\([A-Z_]*\)=  *## \(.*\)/\1=\t\2/p' pipelines/chart.mk pipelines/report.mk | awk -F'\t' '{printf "  %-28s %s\n", $$1, $$2}'
-	@echo 'Variables of chart-transient, beside SCENE, DEFINES, SEED, THREADS, TRACE, LAUNCH, those of the cube and OUT (out/NAME/chart-transient):'
-	@sed -n 's/^# *\([A-Z_]*\)=  *## \(.*\)/\1=\t\2/p' pipelines/chart-transient.mk | awk -F'\t' '{printf "  %-28s %s\n", $$1, $$2}'
-	@echo 'Variables of chart-all, beside METHODS, SPPS, REPLICATES, COST, ERROR and OUT (out/chart-all):'
-	@sed -n 's/^# *\([A-Z_]*\)=  *## \(.*\)/\1=\t\2/p' pipelines/chart-all.mk | awk -F'\t' '{printf "  %-28s %s\n", $$1, $$2}'
-	@echo 'Variables of edit and edit-techniques:'
-	@sed -n 's/^\([A-Z_]*\) ?= *\(.*[^ ]\)  *## \(.*\)/\1=\2\t\3/p; s/^# *\([A-Z_]*\)=  *## \(.*\)/\1=\t\2/p' \
-		pipelines/edit.mk | awk -F'\t' '{printf "  %-28s %s\n", $$1, $$2}'
-	@echo 'Variables of table-edit and edit-pictures, beside SEED and OUT (out/table-edit):'
-	@sed -n 's/^# *\([A-Z_]*\)=  *## \(.*\)/\1=\t\2/p' pipelines/table-edit.mk | awk -F'\t' '{printf "  %-28s %s\n", $$1, $$2}'
-	@echo 'Variables of chart-edit-cost, beside OUT (out/chart-edit-cost):'
-	@sed -n 's/^# *\([A-Z_]*\)=  *## \(.*\)/\1=\t\2/p' pipelines/chart-edit-cost.mk | awk -F'\t' '{printf "  %-28s %s\n", $$1, $$2}'
-	@echo 'Variables of the build:'
-	@printf '  %-28s %s\n' 'BUILD=$(BUILD)' 'build folder' 'JOBS=$(JOBS)' 'compilations at a time' \
-		PEERS_PYTHON=$(python) 'an interpreter that has mitsuba, for peers'
+help: ## this list
+	@awk -F':[^#]*## ' '/^##@ / { print substr($$0, 5) } /^[a-z-]+:[^#]*## / { printf "  %-17s %s\n", $$1, $$2 }' Makefile
+	@echo
+	@echo 'make -s TARGET prints only the paths of its results. Variables of a target: make help-image, help-edit, ...'
+	@echo 'Variables of the build: BUILD=$(BUILD) (its folder), JOBS=$(JOBS) (compilations at a time)'
 	@echo 'Example: make image SCENE=scenes/cornell-box.xml METHOD=pt SPP=64 DEFINES="resx=320 resy=320"'
+
+# Only names of pipelines reach a shell.
+$(pipelines:%=help-%): help-%:
+	@awk -v target=$* -f pipelines/help.awk Makefile
+help-%:
+	$(error $@: no such page; there are $(pipelines:%=help-%))

@@ -6,6 +6,8 @@
 #
 #   make chart-all                 everything
 #   make chart-all DOCS=docs       and copies of the charts into docs/charts, for docs/charts.md
+## make chart-all OUT=out/chart-all DOCS=docs
+## Also METHODS, SPPS, REPLICATES, COST, ERROR as for make chart, and OUT (out/chart-all)
 
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
@@ -13,10 +15,10 @@
 .DEFAULT_GOAL := chart-all
 include pipelines/variables.mk
 
-# SCENES=  ## scene files (the shared ones where they are, else some of the project's own)
+# SCENES=  ## scene files (the shared ones if present, else some of scenes/)
 # REFERENCES=  ## folder of NAME_ref.exr and NAME_var.exr
 # SIZE=  ## longer side of an image without such a reference, px (128)
-# DOCS=  ## folder whose charts/ takes copies of the charts
+# DOCS=  ## folder whose charts/ receives copies of the charts (none)
 # METHODS SPPS REPLICATES COST ERROR: as of chart (pt west pathgraph; 1 4 16; 3; render_s; relmse)
 BUILD ?= build
 shared := $(sort $(wildcard $(foreach s,scene_v3 scene_glossy_v3 scene_area_v3,../shared/scenes/*/$(s).xml)))

@@ -1,5 +1,5 @@
-# What a residual costs whose paths are taken from a graph of the old scene (loom-residual --old-graph), against how many of
-# them the edit touches: OUT/runs.tsv, two rows per edit, OUT/cost.md and OUT/cost.svg, PNG beside it.
+# Cost of a residual from a graph of the old scene (loom-residual --old-graph) against the share of paths that the edit
+# touches: OUT/runs.tsv, two rows per edit, OUT/cost.md and OUT/cost.svg, PNG beside it.
 #
 #   for each edit the graph's residual and the full correlated one, in turn (A B A B ...), REPLICATES times; of each the least
 #   CPU seconds, reading the scenes not counted, but reading the graph is
@@ -7,6 +7,8 @@
 #
 # The edits go from specks to half of a room: scenes/edits.xml, and where ../shared is, living-room-2; what changes there is
 # written into OUT/scenes.
+## make chart-edit-cost ROWS="movers-1 movers-16"
+## Also OUT (out/chart-edit-cost)
 
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
@@ -15,10 +17,10 @@
 include pipelines/variables.mk
 
 # SPP=  ## samples per pixel of the graphs (16)
-# SIZE=  ## longer side of the images (256)
+# SIZE=  ## longer side of the images, px (256)
 # REPLICATES=  ## runs of each, of which the fastest counts (3)
-# ROWS=  ## edits to do (all)
-# DOCS=  ## folder into whose edits.md the table goes
+# ROWS=  ## edits to run (all)
+# DOCS=  ## folder whose edits.md receives the table (none)
 BUILD ?= build
 SPP ?= 16
 SIZE ?= 256

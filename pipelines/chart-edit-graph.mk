@@ -1,4 +1,4 @@
-# Error of the residual of one edit against cost: path graphs beside correlated and independent paths, bias beside variance.
+# Error of the residual of one edit against cost: path graphs, correlated and independent paths, with bias and variance.
 #
 #   a reference, correlated paths of REFERENCE_SPP pairs;  REPLICATES residuals of each method at each number of samples, each
 #   with its own seed, in turn;  OUT/parts.tsv: their mean square error in the parts
@@ -6,6 +6,8 @@
 #   and OUT/error.svg (mse) and OUT/bias-variance.svg (bias2, variance) against CPU time, PNG beside them
 #
 # Graphs make four passes of a quarter of the samples: blend; plain: without it; unbiased: two levels.
+## make chart-edit-graph OLD=scenes/edits.xml NEW_DEFINES="across=40"
+## Also OLD, DEFINES, SEED and the like of make edit, and OUT (out/NAME/chart-edit-graph)
 
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
@@ -14,7 +16,11 @@
 include pipelines/variables.mk
 
 OLD ?= scenes/cornell-box.xml
-# NEW=  ## scene after the edit, or NEW_DEFINES
+# NEW=  ## scene after the edit, or give NEW_DEFINES
+# METHODS=  ## methods to compare (correlated independent graph graph-plain graph-unbiased)
+# SPPS=  ## pairs of paths per pixel of the points of a curve (4 16 64)
+# REPLICATES=  ## residuals of each point, with their own seeds (6)
+# REFERENCE_SPP=  ## pairs of paths per pixel of the reference (16384)
 DEFINES ?= resx=96 resy=96
 METHODS ?= correlated independent graph graph-plain graph-unbiased
 SPPS ?= 4 16 64

@@ -9,6 +9,8 @@
 #
 # The error is the RMSE over all bins; of independent samples it falls as the root of their number, slope -0.5. What is
 # made stays: more SAMPLERS, SPPS or REPLICATES add to it.
+## make chart-transient SCENE=scenes/flash.xml SAMPLERS="independent sobol"
+## Also the variables of make transient, and OUT (out/NAME/chart-transient)
 
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
@@ -22,7 +24,7 @@ DEFINES ?= resx=32 resy=32
 # SPPS=  ## samples per pixel of the points of a curve (4 16 64 256)
 # REPLICATES=  ## cubes of each point, with their own seeds (3)
 # REFERENCE_SPP=  ## samples per pixel of the reference, a multiple of 1024 (16384)
-# ERROR=  ## column of loom-compare that is the error: rmse, mse, relmse (rmse)
+# ERROR=  ## column of the error: rmse, mse, relmse (rmse)
 BUILD ?= build
 SAMPLERS ?= independent sobol
 SPPS ?= 4 16 64 256

@@ -7,9 +7,11 @@
 #   REPLICATES images of each method at each number of samples, by still.mk, each with its own seed
 #   loom-compare: errors.tsv, costs.tsv;   loom-chart: the charts, tables beside them
 #
-# Runs are timed one at a time, methods in turn (A B A B ...), so that a slow spell of the machine meets all of
+# Runs are timed one at a time, methods in turn (A B A B ...), so that a slow spell of the machine affects all of
 # them; the first run of a session is preceded by one of each method that does not count. What is made stays:
 # a killed session goes on, more METHODS, SPPS or REPLICATES add images to those there are.
+## make chart SCENE=scenes/cornell-box.xml METHODS="pt west pathgraph" SPPS="1 4 16" REPLICATES=3
+## Also SCENE, DEFINES, SEED, THREADS, TRACE, LAUNCH as for make image, and OUT (out/NAME/chart)
 
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
@@ -18,16 +20,16 @@
 include pipelines/variables.mk
 
 SCENE ?= scenes/cornell-box.xml
-# METHODS=  ## what to compare (pt graph), the first with all others; each a METHOD of make image, with settings: pathgraph+K8+ITERATIONS2
+# METHODS=  ## methods to compare, the first with all others (pt graph); each a METHOD of make image, with settings: pathgraph+K8+ITERATIONS2
 # SPPS=  ## samples per pixel of the points of a curve (1 4 16)
 # REPLICATES=  ## images of each point, with their own seeds (3)
-# PASS=  ## most samples per pixel of a pass of methods with a graph (4)
-# NAME=  ## what tables and charts call the scene (after its file)
-# REFERENCE=  ## image to compare with, else one is path traced
-# REFERENCE_SPP=  ## samples per pixel of that, a multiple of 64 (1024)
-# REFERENCE_VARIANCE=  ## variance of its pixels, where it does not say so itself
-# COST=  ## column that is the cost: cpu_s, wall_s, rays, or render_s: cpu_s but for reading the scene, which small images drown in (cpu_s)
-# ERROR=  ## column that is the error: relmse, relmse_trimmed, relmse_net, mse, mape (relmse)
+# PASS=  ## largest number of samples per pixel in a pass of methods with a graph (4)
+# NAME=  ## name of the scene in tables and charts (that of its file)
+# REFERENCE=  ## reference image (path traced)
+# REFERENCE_SPP=  ## samples per pixel of a path-traced reference, a multiple of 64 (1024)
+# REFERENCE_VARIANCE=  ## image of the reference's variance (its VarMean layer)
+# COST=  ## column of the cost: cpu_s, wall_s, rays, or render_s: cpu_s without reading the scene, for small images of large scenes (cpu_s)
+# ERROR=  ## column of the error: relmse, relmse_trimmed, relmse_net, mse, mape (relmse)
 BUILD ?= build
 METHODS ?= pt graph
 SPPS ?= 1 4 16
@@ -64,7 +66,7 @@ part = $(word $(1),$(subst -, ,$(2)))
 # $(call seed,NAME): own and lasting, whatever else is made beside it.
 seed = $(shell printf '%s' '$(1) $(SEED)' | cksum | cut -d' ' -f1)
 
-# pathgraph+K8+PASS1 -> method pathgraph, settings K=8; PASS is a matter of this file.
+# pathgraph+K8+PASS1 -> method pathgraph, settings K=8; PASS is handled here.
 method = $(firstword $(subst +, ,$(1)))
 settings = $(shell echo '$(wordlist 2,99,$(subst +, ,$(1)))' | sed -E 's/([A-Z]+)([0-9]+)/\1=\2/g')
 pass = $(or $(patsubst PASS=%,%,$(filter PASS=%,$(call settings,$(1)))),$(PASS))
@@ -143,6 +145,6 @@ $(OUT)/iterations.tsv: $(refined:%=$(OUT)/%/image.exr) $(OUT)/compare.parameters
 
 $(OUT)/convergence.svg: $(OUT)/iterations.tsv $(chart)
 	@if [ $$(wc -l <$<) -gt 1 ]; then $(chart) $< -o $@ --x iteration --y residual --linear-x >$(OUT)/convergence.txt; \
-	else echo 'no light is refined here: paths end after their first vertex' >&2; \
-		printf '%s\n' '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 800 60"><text x="20" y="36">No light is refined here: paths end after their first vertex.</text></svg>' >$@; \
+	else echo 'no light is refined: paths end after their first vertex' >&2; \
+		printf '%s\n' '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 800 60"><text x="20" y="36">No light is refined: paths end after their first vertex.</text></svg>' >$@; \
 	fi

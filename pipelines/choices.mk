@@ -1,4 +1,4 @@
-# What a choice among path graphs' settings brings at equal time: OUT/SCENE/table.tsv, all scenes in OUT/table.tsv, printed.
+# Gain of each choice among path graphs' settings at equal time: OUT/SCENE/table.tsv, all scenes in OUT/table.tsv, printed.
 #
 #   make choices CHOICES=gathers   the gathers of loom-gather, of the same passes; not blended, but for the last rows
 #   make choices CHOICES=pools     samples of a pass, and vertices of a cluster, at the same number of samples
@@ -6,9 +6,11 @@
 #
 #   gain     relMSE of path tracing (0.1 % worst pixels left out) given as much CPU time, over that of the choice; between
 #            two numbers of samples path tracing is taken to follow a power of its cost
-#   corr     correlation of the errors of pixels side by side
+#   corr     correlation of the errors of neighbouring pixels
 #
 # Costs are those of whole chains, of which reading the scene is taken off. Scenes, references as in table.mk.
+## make choices CHOICES=pools SCENES=scenes/cornell-box.xml
+## Also REFERENCE_SPP as for make table, and OUT (out/CHOICES)
 
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
@@ -16,9 +18,9 @@
 .DEFAULT_GOAL := choices
 include pipelines/variables.mk
 
-# CHOICES=  ## gathers, pools or directs (gathers)
-# SCENES=  ## scene files (five of the shared ones where they are, else two of the project's own)
-# REFERENCES=  ## folder of NAME_ref.exr and NAME_var.exr
+# CHOICES=  ## which choice to compare: gathers, pools or directs (gathers)
+# SCENES=  ## scene files (five of the shared ones if present, else two of scenes/)
+# REFERENCES=  ## folder of NAME_ref.exr and NAME_var.exr (../shared/oracles/scenes)
 BUILD ?= build
 CHOICES ?= gathers
 shared := $(wildcard $(foreach s,cornell-box dining-room staircase classroom sponza,../shared/scenes/$(s)/scene_v3.xml))
@@ -72,7 +74,7 @@ $(shell mkdir -p $(OUT))
 $(file >$(OUT)/choices.txt,$($(CHOICES)))
 
 # still.mk with what it does not find in this make's variables.
-picture = $(MAKE) --no-print-directory -s -f pipelines/still.mk BUILD=$(BUILD) SCENE=$(scene) OUT=$(@D)/$(1) $(2) image >/dev/null 2>&1
+image = $(MAKE) --no-print-directory -s -f pipelines/still.mk BUILD=$(BUILD) SCENE=$(scene) OUT=$(@D)/$(1) $(2) image >/dev/null 2>&1
 
 define table
 $(call scene_row,$(OUT)/$(call row_name,$(1))/table.tsv,$(1))
@@ -85,15 +87,15 @@ $(OUT)/$(call row_name,$(1))/table.tsv: pipelines/choices.mk pipelines/still.mk 
 			sed -E 's/.*"dataWindow":"x0to([0-9]+),y0to([0-9]+)".*/\1 \2/' | awk '{ print "resx=" $$$$1 + 1, "resy=" $$$$2 + 1 }'); \
 	else \
 		ref=$$(@D)/reference/image.exr; var=; \
-		$$(call picture,reference,METHOD=pt SPP=64 PASSES=$$$$(($(REFERENCE_SPP) / 64)) SEED=77 DEFINES="$$$$size"); \
+		$$(call image,reference,METHOD=pt SPP=64 PASSES=$$$$(($(REFERENCE_SPP) / 64)) SEED=77 DEFINES="$$$$size"); \
 	fi; \
 	given="--reference $$$$ref"; [ ! -f "$$$$var" ] || given="$$$$given --reference-variance $$$$var"; \
-	$$(call picture,load,METHOD=pt SPP=1 DEFINES="resx=16 resy=16"); \
-	for n in 16 64 256; do $$(call picture,pt-$$$$n,METHOD=pt SPP=$$$$n DEFINES="$$$$size"); done; \
+	$$(call image,load,METHOD=pt SPP=1 DEFINES="resx=16 resy=16"); \
+	for n in 16 64 256; do $$(call image,pt-$$$$n,METHOD=pt SPP=$$$$n DEFINES="$$$$size"); done; \
 	load=$$$$($(compare) --quiet --tsv --cost $$(@D)/load/image.exr | awk -F'\t' '$$$$6 == "loom-trace" { print $$$$9 }'); \
 	$(compare) --quiet --tsv --cost $$$$given $$(foreach n,16 64 256,pt-$$n=$$(@D)/pt-$$n/image.exr) >$$(@D)/errors.tsv; \
 	while IFS='|' read -r way variables; do \
-		eval "$$(call picture,passes,METHOD=pathgraph KEEP=1 DIRECT=0 DEFINES=\"$$$$size\" $$$$variables)"; \
+		eval "$$(call image,passes,METHOD=pathgraph KEEP=1 DIRECT=0 DEFINES=\"$$$$size\" $$$$variables)"; \
 		$(compare) --quiet --tsv --cost $$$$given "$$$$way=$$(@D)/passes/image.exr" | tail -n +2 >>$$(@D)/errors.tsv; \
 		cp $$(@D)/passes/image.png "$$(@D)/$$$$way.png"; \
 	done <$(OUT)/choices.txt; \

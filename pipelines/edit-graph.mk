@@ -2,7 +2,7 @@
 #
 # Per pass: trace both scenes with the same random numbers, put the vertices of both graphs into the same clusters, let each
 # graph share its light (refine) and gather its image; then merge the differences of the images. What the graphs have in
-# common has the same noise and the same blur in both. The spread between passes is the variance: no pass knows its own.
+# common has the same noise and the same blur in both. The spread between passes is the variance, because no pass has its own.
 #
 # in:   what edit.mk has
 # out:  found, a residual
@@ -14,7 +14,7 @@ UNBIASED ?= 0
 K ?= $(default_k)
 K := $(K)
 ifeq ($(PASSES),1)
-$(error PASSES=1: the variance of a difference of path graphs is the spread between passes; at least 2)
+$(error PASSES=1: the variance of a difference of path graphs is the spread between passes; give at least 2)
 endif
 # A quarter of the passes correct the others, at least two, and those that are left are none or at least two.
 corrected := $(shell n=$(PASSES); m=$$((n / 4)); [ $$m -ge 2 ] || m=2; [ $$((n - m)) != 1 ] || m=$$n; echo $$m)
@@ -27,7 +27,7 @@ numbers := $(shell seq 0 $$(($(PASSES) - 1)))
 sides := old new
 in_pass = $(foreach s,$(sides),$(numbers:%=$(graph_work)/$(s)-%.$(1)))
 graphs := $(call in_pass,h5)
-pictures := $(call in_pass,exr)
+images := $(call in_pass,exr)
 
 # Not the seed of OLD's image, whose noise would be in the residual too.
 graph_seed := $(shell echo $$(($(or $(SEED),0) + 2000003)))
@@ -59,11 +59,11 @@ $(call in_pass,radiance.h5): $(graph_work)/%.radiance.h5: $(graph_work)/%.h5 $(g
 
 gather_parameters = --estimates$(if $(GATHER), $(GATHER))
 $(eval $(call parameter,$(graph_work)/gather.parameters,$(gather_parameters)))
-$(pictures): $(graph_work)/%.exr: $(graph_work)/%.h5 $(graph_work)/%.radiance.h5 $(if $(filter subset,$(GATHER)),$(graph_work)/%.clusters.h5) $(graph_work)/gather.parameters $(gather)
+$(images): $(graph_work)/%.exr: $(graph_work)/%.h5 $(graph_work)/%.radiance.h5 $(if $(filter subset,$(GATHER)),$(graph_work)/%.clusters.h5) $(graph_work)/gather.parameters $(gather)
 	$(LAUNCH) $(gather) $(filter %.h5,$^) $(gather_parameters) -o $@$(threads)
 
 merge_parameters = $(if $(filter 1,$(UNBIASED)),--unbiased $(corrected),$(MERGE))
 $(eval $(call parameter,$(graph_work)/merge.parameters,$(PASSES) $(merge_parameters)))
-$(found): $(pictures) $(graph_work)/merge.parameters $(OUT)/edit.parameters $(merge)
+$(found): $(images) $(graph_work)/merge.parameters $(OUT)/edit.parameters $(merge)
 	$(LAUNCH) $(merge) $(numbers:%=$(graph_work)/new-%.exr) $(numbers:%=--minus $(graph_work)/old-%.exr) $(merge_parameters) -o $@
 	$(if $(filter-out 0,$(KEEP)),,rm -f $(graphs) $(call in_pass,clusters.h5) $(call in_pass,radiance.h5))

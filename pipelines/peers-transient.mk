@@ -1,14 +1,16 @@
-# mitransient beside ours on one time-resolved scene: OUT/rates.tsv, paths per second of both, OUT/mitransient.h5, its cube, and
-# what loom-compare says of our cube (of PASSES graphs of independent samples) beside it; fails when they differ by more than
-# noise.
+# mitransient compared with ours on one time-resolved scene: OUT/rates.tsv, paths per second of both, OUT/mitransient.h5, its cube, and
+# the comparison with our cube (PASSES graphs of independent samples) by loom-compare; fails when they differ by more than noise.
 #
-# PYTHON=  an interpreter that has mitransient and h5py; make peers-transient puts one into the build folder.
+# PYTHON is PEERS_PYTHON of the Makefile, else the interpreter that it puts into the build folder.
+## make peers-transient SCENE=scenes/flash.xml DEFINES="resx=64 resy=64"
+## Also SPP, THREADS, and OUT (out/NAME/peers-transient)
 
 .DELETE_ON_ERROR:
 .PHONY: peers-transient
 .DEFAULT_GOAL := peers-transient
 include pipelines/variables.mk
 
+# PEERS_PYTHON=  ## interpreter with mitransient and h5py (one in the build folder)
 SCENE ?= scenes/flash.xml
 DEFINES ?= resx=64 resy=64
 BUILD ?= build

@@ -1,12 +1,15 @@
-# Mitsuba 3 beside ours on one scene, for OUT of chart.mk: charts and reports made afterwards have it among them.
+# Mitsuba 3 compared with ours on one scene, in OUT of chart.mk: later charts and reports include it.
 #
 #   OUT/peers.tsv             paths per second of loom-trace and of Mitsuba
 #   OUT/peers/*/image.exr     images by Mitsuba at SPPS samples, REPLICATES of each, timed in turn
 #
-# PYTHON=  an interpreter that has mitsuba; make peers puts one into the build folder.
+# PYTHON is PEERS_PYTHON of the Makefile, else the interpreter that it puts into the build folder.
+## make peers SCENE=scenes/cornell-box.xml SPPS="1 4 16"
 
 include pipelines/variables.mk
 include pipelines/chart.mk
+
+# PEERS_PYTHON=  ## interpreter with mitsuba (one in the build folder)
 .DEFAULT_GOAL := peers
 .PHONY: peers
 
@@ -15,6 +18,6 @@ export DRJIT_LIBLLVM_PATH ?= $(wildcard /usr/lib/x86_64-linux-gnu/libLLVM-16.so.
 
 peers:
 	$(call quote,$(PYTHON)) tests/peers/throughput.py $(call quote,$(SCENE)) --trace $(BUILD)/bin/loom-trace --out $(OUT) \
-		$(if $(SPP),--spp $(SPP)) $(if $(THREADS),--threads $(THREADS)) --pictures '$(SPPS)' \
+		$(if $(SPP),--spp $(SPP)) $(if $(THREADS),--threads $(THREADS)) --images '$(SPPS)' \
 		--replicates $(REPLICATES) $(call defines,-D,$(DEFINES))
 	@echo $(OUT)/peers.tsv

@@ -1,12 +1,13 @@
 # One page on methods and one scene: OUT/report.html, which needs no network and opens from disk.
 #
 #   all that chart.mk makes; then loom-report puts the images of the most samples, the charts and the tables
-#   into a page, and what `make peers` has left in OUT where it has.
+#   into a page, with the results of `make peers` in OUT, if there are any.
+## make report SCENE=scenes/cornell-box.xml METHODS="pt west pathgraph"
 
 .PHONY: report
 include pipelines/variables.mk
 
-# LONGEST_SIDE=  ## of the images in the page, px; larger ones are reduced (512)
+# LONGEST_SIDE=  ## longest side of the images in the page, px; larger ones are reduced (512)
 METHODS ?= pt west pathgraph
 export METHODS
 

@@ -1,21 +1,21 @@
 # Tables of edits. in: edits, a row per word, its fields between |, the second of which names it, - for an empty one; ROWS,
-# the names asked for (all); $(call here,NAME), empty where what it needs is missing; needs, what that is
-# out: ROWS, those that can be done, in the order asked for; $(call field,N,NAME)
+# the requested names (all); $(call here,NAME), empty where what it needs is missing; needs, what that is
+# out: ROWS, those that can be done, in that order; $(call field,N,NAME)
 field = $(filter-out -,$(word $(1),$(subst |, ,$(line.$(2)))))
 $(foreach e,$(edits),$(eval line.$(word 2,$(subst |, ,$(e))) := $(e)))
 names := $(foreach e,$(edits),$(word 2,$(subst |, ,$(e))))
 unknown := $(filter-out $(names),$(ROWS))
 ifneq ($(unknown),)
-$(error ROWS: $(unknown): not among $(names))
+$(error ROWS: $(unknown): unknown; the rows are $(names))
 endif
-asked := $(or $(strip $(ROWS)),$(names))
-ROWS := $(foreach w,$(asked),$(if $(call here,$(w)),$(w)))
-missing := $(filter-out $(ROWS),$(asked))
+wanted := $(or $(strip $(ROWS)),$(names))
+ROWS := $(foreach w,$(wanted),$(if $(call here,$(w)),$(w)))
+missing := $(filter-out $(ROWS),$(wanted))
 ifneq ($(missing),)
-$(info left out, for there is no $(needs): $(missing))
+$(info left out, because there is no $(needs): $(missing))
 endif
 ifeq ($(ROWS),)
-$(error nothing to do)
+$(error ROWS: no row is left to run)
 endif
 
 # $(call move,SHAPE,BY): sed that moves the shapes whose text matches.

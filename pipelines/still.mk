@@ -1,41 +1,42 @@
 # One image of one scene: OUT/image.exr, and a PNG beside it.
 #
 #   METHOD=pathgraph   per pass: trace a path graph, cluster its vertices, let them share their light (refine),
-#                      gather an image;  then merge the passes, blended with what their paths say alone
+#                      gather an image;  then merge the passes, blended with the paths' own samples
 #   METHOD=west        the same with the single filter of West et al. instead of clusters and iteration
-#   METHOD=graph       per pass: trace a path graph, gather what its own paths say;  then merge the passes
+#   METHOD=graph       per pass: trace a path graph, gather its own paths' samples;  then merge the passes
 #   METHOD=pt          per pass: trace an image;                                     then merge the passes
 #
 # Pass i takes samples [i SPP, (i+1) SPP) of every pixel, so passes can be added later, made on other
 # machines or made again alone. Parameters are prerequisites: a change of one remakes what depends on it.
+## make image SCENE=scenes/cornell-box.xml METHOD=pt SPP=64 DEFINES="resx=320 resy=320"
 
 .DELETE_ON_ERROR:
 .PHONY: image demo
 .DEFAULT_GOAL := image
 include pipelines/variables.mk
 
-SCENE ?= scenes/cornell-box.xml  ## scene file, Mitsuba XML
+SCENE ?= scenes/cornell-box.xml  ## scene file (Mitsuba XML)
 METHOD ?= pathgraph  ## pathgraph, west, graph, or pt: path tracing without a graph
-# PASSES=  ## passes to merge (pathgraph, west: 4, with fewer no blend; else 1)
+# PASSES=  ## number of passes to merge (pathgraph, west: 4, with fewer no blend; else 1)
 # SPP=  ## samples per pixel of each pass (4; pt: 16)
-BATCH ?= 4  ## passes that a process traces; with a graph, so many lie on disk at a time
-# K=  ## vertices of a cluster, neighbours of west (16 at SPP=1, growing as its root: 32 at SPP=4; at most 128)
+BATCH ?= 4  ## passes traced by one process; with a graph, that many lie on disk at a time
+# K=  ## vertices of a cluster, or neighbours of west (16 sqrt(SPP), at most 128)
 ITERATIONS ?= 6  ## steps of the refinement
 # CLUSTER=  ## further options of loom-cluster: CLUSTER="--method centres"
 # REFINE=  ## further options of loom-refine: REFINE="--reuse points"
 # GATHER=  ## further options of loom-gather: GATHER="--direct own --indirect subset --members 8 --occlusion"
-# DIRECT=  ## samples of direct light alone, for the blend of pathgraph: sharp shadows at little cost (as many as pay; 0: none)
+# DIRECT=  ## further samples of direct light for the blend of pathgraph, 0: none (as many as pay off)
 # MERGE=  ## further options of loom-merge: MERGE=--no-blend
 # DENOISE=  ## 1: also denoise the image, into OUT/clean.exr
-# SEED=  ## seed of the random numbers
-# THREADS=  ## threads of a stage (all); no result depends on it
+# SEED=  ## seed of all random numbers (0)
+# THREADS=  ## threads of each stage; no result depends on it (all)
 # DEFINES=  ## values of the scene's parameters: DEFINES="resx=320 resy=180"
 # SENSOR=  ## sensor of the scene, by id or by number from 0 (the first)
 # TRACE=  ## further options of loom-trace: TRACE="--roulette throughput"
-# EXPOSURE=  ## of the PNG, in stops
-# OUT=  ## folder of the results (out/NAME, after the scene)
-# KEEP=  ## 1: keep the graphs of all passes, not only of the last
-# LAUNCH=  ## put before each stage: LAUNCH="srun -c8"
+# EXPOSURE=  ## exposure of the PNG, in stops (0)
+# OUT=  ## folder of the results (out/NAME, NAME from the scene)
+# KEEP=  ## 1: keep the graphs of all passes (only the last)
+# LAUNCH=  ## command to put before each stage: LAUNCH="srun -c8"
 BUILD ?= build
 SCENE := $(strip $(SCENE))
 METHOD := $(strip $(METHOD))
@@ -72,13 +73,13 @@ image: $(OUT)/image.exr $(OUT)/image.png $(clean)
 demo: $(OUT)/image.exr $(OUT)/image.png $(clean)
 	@echo
 	@echo 'image    $(OUT)/image.exr'
-	@echo 'picture  $(OUT)/image.png'
+	@echo 'preview  $(OUT)/image.png'
 	@$(if $(clean),echo 'denoised $(OUT)/clean.exr')
 	@$(if $(filter-out pt,$(METHOD)),echo 'graph    $(work)/pass-$(last).h5')
 	@echo 'look     $(inspect) $(lastword $(traced))'
 
 # A graph is as large as its image is small: once gathered it goes, but for the last, which stays to be
-# looked at. Secondary: that it is gone does not make it be traced again.
+# inspected. Secondary: a missing graph is not traced again.
 .SECONDARY: $(graphs) $(clusters) $(radiances)
 
 $(if $(clusters),$(eval $(cluster_passes)))
@@ -98,8 +99,8 @@ $(passes): $(work)/pass-%.exr: $(work)/pass-%.h5 $(if $(refined),$(work)/pass-%.
 	$(if $(filter $(last),$*)$(filter-out 0,$(KEEP)),,rm -f $(filter %.h5,$^) $(if $(clusters),$(work)/pass-$*.clusters.h5))
 endif
 
-# Direct light by itself, of samples that no pass has: another seed. A blend takes four passes. How many samples is
-# said by the passes, if not by DIRECT; where none pay the file is empty.
+# Direct light by itself, of samples that no pass has: another seed. A blend takes four passes. The passes determine the
+# number of samples, if DIRECT does not; where none pay off the file is empty.
 DIRECT ?= auto
 ifeq ($(filter auto 0,$(DIRECT))$(call is_whole,$(DIRECT)),)
 $(error DIRECT=$(DIRECT): must be auto or a whole number from 0)

@@ -1,9 +1,9 @@
-# What residuals cost and bring beside correlated path tracing, a row per edit: OUT/table.tsv and .md.
+# Cost and error of residuals compared with correlated path tracing, a row per edit: OUT/table.tsv and .md.
 #
 #   Table 3a  1, 2, 4, 8, 16 movers                     scenes/movers.xml                                   [RP] Table 3
 #   Table 3b  one mover, 40, 100, 160, 220 far          scenes/edits.xml
-#   Table 2   white to blue, roughness, matte to metal  scenes/edits.xml, glossy                            [RP] Table 2
-#   stress    mover fills 60 % of the view; mover of a hundredth of the room; mover unseen, its shadow seen
+#   Table 2   white to blue, roughness, diffuse to metalscenes/edits.xml, glossy                            [RP] Table 2
+#   stress    mover fills 60 % of the view; mover of a hundredth of the room; mover out of view, its shadow in view
 #   scenes    an edit each of the shared scenes, where ../shared is; only what the edit changes is written, into
 #             OUT/scenes; meshes and textures stay where they are
 #
@@ -23,26 +23,28 @@
 #   make table-edit                                                   all rows
 #   make table-edit ROWS="movers-1 blue" METHODS="dynamic graph+SPP4"
 #   make table-edit DOCS=docs                                         and the tables into docs/edits.md
-#   make edit-pictures                                                old, new and residual of each row, PNG
+#   make edit-images                                                old, new and residual of each row, PNG
+## make table-edit ROWS="movers-1 blue" METHODS="dynamic graph+SPP4"
+## Also SEED and OUT (out/table-edit)
 
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
-.PHONY: table-edit edit-pictures
+.PHONY: table-edit edit-images
 .DEFAULT_GOAL := table-edit
 include pipelines/variables.mk
 
-# ROWS=  ## edits, by name (all)
-# METHODS=  ## each a METHOD of make edit, with settings after +: graph+SPP4 (correlated auto)
-# SPP=  ## pairs per pixel of each, if not set after + (32)
-# SPPS=  ## pairs per pixel of correlated path tracing, between which its error at equal time lies (8 32 128)
+# ROWS=  ## edits to run, by name (all)
+# METHODS=  ## methods, each a METHOD of make edit, with settings after +: graph+SPP4 (correlated auto)
+# SPP=  ## pairs per pixel, if not set after + (32)
+# SPPS=  ## pairs per pixel of correlated path tracing, for its error at equal time (8 32 128)
 # REPLICATES=  ## residuals of each, with their own seeds (3)
 # SIZE=  ## longer side of an image, px (128)
 # BASE_SPP=  ## samples per pixel of the old image (256)
 # REFERENCE_SPP=  ## pairs per pixel of each half of a reference (512)
-# REFERENCE_METHOD=  ## how it is made (correlated)
-# PICTURE_SIZE=  ## of edit-pictures: longer side, px (320)
-# PICTURE_SPP=  ## of edit-pictures: samples of the old image and pairs of the residual, by correlated paths (64)
-# DOCS=  ## folder whose edits.md takes the tables
+# REFERENCE_METHOD=  ## method of the reference (correlated)
+# IMAGE_SIZE=  ## make edit-images: longer side, px (320)
+# IMAGE_SPP=  ## make edit-images: samples per pixel of the old image and pairs of the residual (64)
+# DOCS=  ## folder whose edits.md receives the tables (none)
 BUILD ?= build
 METHODS ?= correlated auto
 SPP ?= 32
@@ -52,8 +54,8 @@ SIZE ?= 128
 BASE_SPP ?= 256
 REFERENCE_SPP ?= 512
 REFERENCE_METHOD ?= correlated
-PICTURE_SIZE ?= 320
-PICTURE_SPP ?= 64
+IMAGE_SIZE ?= $(or $(PICTURE_SIZE),320)
+IMAGE_SPP ?= $(or $(PICTURE_SPP),64)
 OUT ?= out/table-edit
 shared := ../shared/scenes
 
@@ -166,8 +168,8 @@ endif
 # edit.mk knows whether there is something to do; an image that it leaves alone keeps its time stamp. The first run of
 # a session is preceded by one of each method that does not count.
 session := $(shell echo $$PPID)
-pictures := $(runs:%=$(OUT)/%/new.exr)
-$(pictures): $(OUT)/%/new.exr: $(written) FORCE
+sums := $(runs:%=$(OUT)/%/new.exr)
+$(sums): $(OUT)/%/new.exr: $(written) FORCE
 	@$(call run,$*,$(@D)) -q $@ || { \
 		$(MAKE) -s --no-print-directory -f pipelines/table-edit.mk OUT=$(OUT) ROWS='$(ROWS)' $(OUT)/.warm-up-$(session) && \
 		echo '$*' >&2 && $(call run,$*,$(@D)) $@ >/dev/null; }
@@ -208,19 +210,19 @@ $(OUT)/table.md: $(OUT)/table.tsv pipelines/table-edit-page.awk
 		-f pipelines/table-edit-page.awk $< >$@
 
 # Images to look at, by correlated paths.
-pictured := $(foreach w,$(ROWS),$(foreach p,old new residual,$(OUT)/pictures/$(w)-$(p).png))
-edit-pictures: $(pictured)
-	@for p in $(pictured); do echo $$p; done
-picture = $(call edit,$(1),$(PICTURE_SIZE),correlated,$(PICTURE_SPP),1,$(OUT)/pictures/$(1),$(PICTURE_SPP),)
-picture_base = $(call base,$(1),$(PICTURE_SIZE) $(PICTURE_SPP))
-$(ROWS:%=$(OUT)/pictures/%/new.exr): $(OUT)/pictures/%/new.exr: $(written) FORCE
-	@$(call picture,$*) $@ >/dev/null
+shown_images := $(foreach w,$(ROWS),$(foreach p,old new residual,$(OUT)/images/$(w)-$(p).png))
+edit-images: $(shown_images)
+	@for p in $(shown_images); do echo $$p; done
+image = $(call edit,$(1),$(IMAGE_SIZE),correlated,$(IMAGE_SPP),1,$(OUT)/images/$(1),$(IMAGE_SPP),)
+image_base = $(call base,$(1),$(IMAGE_SIZE) $(IMAGE_SPP))
+$(ROWS:%=$(OUT)/images/%/new.exr): $(OUT)/images/%/new.exr: $(written) FORCE
+	@$(call image,$*) $@ >/dev/null
 define shown
-$(OUT)/pictures/$(1)-old.png: $(OUT)/pictures/$(1)/new.exr $(inspect)
-	@$(inspect) --quiet $(call picture_base,$(1))/old.exr --png $$@
-$(OUT)/pictures/$(1)-new.png: $(OUT)/pictures/$(1)/new.exr $(inspect)
+$(OUT)/images/$(1)-old.png: $(OUT)/images/$(1)/new.exr $(inspect)
+	@$(inspect) --quiet $(call image_base,$(1))/old.exr --png $$@
+$(OUT)/images/$(1)-new.png: $(OUT)/images/$(1)/new.exr $(inspect)
 	@$(inspect) --quiet $$< --png $$@
-$(OUT)/pictures/$(1)-residual.png: $(OUT)/pictures/$(1)/new.exr
+$(OUT)/images/$(1)-residual.png: $(OUT)/images/$(1)/new.exr
 	@cp $$(<D)/residual.png $$@
 endef
 $(foreach w,$(ROWS),$(eval $(call shown,$(w))))

@@ -1,4 +1,4 @@
-# What path graphs cost and bring on many scenes, one row each: OUT/table.tsv, printed as a table.
+# Cost and error of path graphs on many scenes, one row each: OUT/table.tsv, printed as a table.
 #
 #   cost    CPU seconds per sample of every pixel and stage, at the scene's own size, reading the scene not counted, of
 #           four passes of four samples as make image takes them (a process reuses the memory of its passes);
@@ -11,6 +11,8 @@
 #           a few bright pixels decide the error of one image
 #
 # Rows are made one at a time, so that their costs do not disturb each other; what is made stays.
+## make table SCENES="scenes/cornell-box.xml scenes/glossy-box.xml"
+## Also OUT (out/table)
 
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
@@ -18,10 +20,10 @@
 .DEFAULT_GOAL := table
 include pipelines/variables.mk
 
-# SCENES=  ## scene files (the shared ones where they are, else a few of the project's own)
-# REFERENCES=  ## folder of NAME_ref.exr and NAME_var.exr
+# SCENES=  ## scene files (the shared ones if present, else some of scenes/)
+# REFERENCES=  ## folder of NAME_ref.exr and NAME_var.exr (../shared/oracles/scenes)
 # REPLICATES=  ## images over which errors are averaged (1)
-# REFERENCE_SPP=  ## samples per pixel of a reference that is path traced (4096)
+# REFERENCE_SPP=  ## samples per pixel of a path-traced reference (4096)
 BUILD ?= build
 shared := $(wildcard ../shared/scenes/*/scene_v3.xml ../shared/scenes/*/scene_glossy_v3.xml ../shared/scenes/*/scene_area_v3.xml)
 SCENES ?= $(or $(shared),scenes/cornell-box.xml scenes/glossy-box.xml)
@@ -36,7 +38,7 @@ compare := $(BUILD)/bin/loom-compare
 rows := $(foreach s,$(SCENES),$(OUT)/$(call row_name,$(s))/row.tsv)
 
 # $(call image,FOLDER,VARIABLES)
-picture = $(MAKE) --no-print-directory -s -f pipelines/still.mk BUILD=$(BUILD) SCENE=$(scene) OUT=$(@D)/$(1) $(2) image >/dev/null
+image = $(MAKE) --no-print-directory -s -f pipelines/still.mk BUILD=$(BUILD) SCENE=$(scene) OUT=$(@D)/$(1) $(2) image >/dev/null
 # $(call seconds,FOLDER,STAGE): CPU seconds per sample
 seconds = $$($(compare) --quiet --tsv --cost $(@D)/$(1)/image.exr | awk -F'\t' '$$6 ~ /^$(2)$$/ { s += $$9 } END { print s + 0 }')
 
@@ -45,10 +47,10 @@ $(call scene_row,$(OUT)/$(call row_name,$(1))/row.tsv,$(1))
 $(OUT)/$(call row_name,$(1))/row.tsv: pipelines/table.mk pipelines/still.mk $(wildcard $(BUILD)/bin/loom-*)
 	@mkdir -p $$(@D)
 	@echo '$(call row_name,$(1))' >&2
-	@$$(call picture,load,METHOD=pt SPP=1 DEFINES="resx=16 resy=16")
-	@$$(call picture,cost-pt,METHOD=pt SPP=4)
-	@$$(call picture,cost-pathgraph,METHOD=pathgraph SPP=4 PASSES=4 DIRECT=0)
-	@$$(call picture,cost-direct,METHOD=pt SPP=16 TRACE="--max-depth 2")
+	@$$(call image,load,METHOD=pt SPP=1 DEFINES="resx=16 resy=16")
+	@$$(call image,cost-pt,METHOD=pt SPP=4)
+	@$$(call image,cost-pathgraph,METHOD=pathgraph SPP=4 PASSES=4 DIRECT=0)
+	@$$(call image,cost-direct,METHOD=pt SPP=16 TRACE="--max-depth 2")
 	@set -e; ref='$(REFERENCES)/$(call row_name,$(1))_ref.exr'; var='$(REFERENCES)/$(call row_name,$(1))_var.exr'; \
 	load=$$(call seconds,load,loom-trace); \
 	plain=$$(call seconds,cost-pt,loom-trace); trace=$$(call seconds,cost-pathgraph,loom-trace); \
@@ -59,18 +61,18 @@ $(OUT)/$(call row_name,$(1))/row.tsv: pipelines/table.mk pipelines/still.mk $(wi
 			sed -E 's/.*"dataWindow":"x0to([0-9]+),y0to([0-9]+)".*/\1 \2/' | awk '{ print "resx=" $$$$1 + 1, "resy=" $$$$2 + 1 }'); \
 	else \
 		size='resx=256 resy=256'; ref=$$(@D)/reference/image.exr; var=; \
-		$$(call picture,reference,METHOD=pt SPP=64 PASSES=$$$$(($(REFERENCE_SPP) / 64)) SEED=77 DEFINES="$$$$size"); \
+		$$(call image,reference,METHOD=pt SPP=64 PASSES=$$$$(($(REFERENCE_SPP) / 64)) SEED=77 DEFINES="$$$$size"); \
 	fi; \
 	for s in $(seeds); do \
-		$$(call picture,pt-1-$$$$s,METHOD=pt SPP=1 SEED=$$$$s DEFINES="$$$$size"); \
-		$$(call picture,pathgraph-1-$$$$s,METHOD=pathgraph SPP=1 PASSES=1 SEED=$$$$s DEFINES="$$$$size"); \
-		$$(call picture,pt-16-$$$$s,METHOD=pt SPP=16 SEED=$$$$s DEFINES="$$$$size"); \
-		$$(call picture,pathgraph-16-$$$$s,METHOD=pathgraph SPP=4 PASSES=4 SEED=$$$$s DEFINES="$$$$size"); \
+		$$(call image,pt-1-$$$$s,METHOD=pt SPP=1 SEED=$$$$s DEFINES="$$$$size"); \
+		$$(call image,pathgraph-1-$$$$s,METHOD=pathgraph SPP=1 PASSES=1 SEED=$$$$s DEFINES="$$$$size"); \
+		$$(call image,pt-16-$$$$s,METHOD=pt SPP=16 SEED=$$$$s DEFINES="$$$$size"); \
+		$$(call image,pathgraph-16-$$$$s,METHOD=pathgraph SPP=4 PASSES=4 SEED=$$$$s DEFINES="$$$$size"); \
 	done; \
 	n=$$$$(cat $(seeds:%=$$(@D)/pathgraph-16-%/pathgraph/direct.samples) | awk '{ n += $$$$1 } END { print n / NR }'); \
 	ratio=$$$$(awk "BEGIN { print (($$$$trace - $$$$load + $$$$cluster + $$$$refine + $$$$gather + $$$$merge) / 16 + ($$$$direct - $$$$load) / 16 * $$$$n / 16) / (($$$$plain - $$$$load) / 4) }"); \
 	equal=$$$$(awk "BEGIN { print int(16 * $$$$ratio + 0.5) }"); \
-	for s in $(seeds); do $$(call picture,pt-equal-$$$$s,METHOD=pt SPP=$$$$equal SEED=$$$$s DEFINES="$$$$size"); done; \
+	for s in $(seeds); do $$(call image,pt-equal-$$$$s,METHOD=pt SPP=$$$$equal SEED=$$$$s DEFINES="$$$$size"); done; \
 	$(compare) --quiet --tsv --reference "$$$$ref" $$$${var:+$$$$([ -f "$$$$var" ] && echo --reference-variance "$$$$var")} \
 		$$(foreach p,pt-1 pathgraph-1 pt-16 pathgraph-16 pt-equal,$$(foreach s,$(seeds),$$(p)=$$(@D)/$$(p)-$$(s)/image.exr)) >$$(@D)/errors.tsv; \
 	awk -F'\t' -v OFS='\t' -v scene='$(call row_name,$(1))' -v load="$$$$load" -v plain="$$$$plain" -v trace="$$$$trace" \

@@ -8,35 +8,36 @@
 # is binned by itself and goes, and the cubes are merged: for more samples than the disk or the memory has room for, and
 # for a window that the film or START and WIDTH say. Parameters are prerequisites, pass i takes samples
 # [i SPP, (i+1) SPP) of every pixel: as in still.mk.
+## make transient SCENE=scenes/flash.xml PULSE=gaussian LENGTH=0.1 UNIT=ns START=14 WIDTH=0.1
 
 .DELETE_ON_ERROR:
 .PHONY: transient cube demo
 .DEFAULT_GOAL := transient
 include pipelines/variables.mk
 
-SCENE ?= scenes/flash.xml  ## scene file, Mitsuba XML; a transient_hdr_film says the window
-# PASSES=  ## graphs to trace (4)
-# SPP=  ## samples per pixel of each (16); a graph takes about 300 bytes per sample on disk
-BATCH ?= 4  ## graphs that a process traces
-SAMPLER ?= sobol  ## or independent: more error, and error bars that are not too wide
-# K=  ## vertices of a cluster whose light first hits share (none: paths alone)
+SCENE ?= scenes/flash.xml  ## scene file (Mitsuba XML); its transient_hdr_film sets the window
+# PASSES=  ## number of graphs to trace (4)
+# SPP=  ## samples per pixel of each graph (16); about 300 bytes per sample on disk
+BATCH ?= 4  ## graphs traced by one process
+SAMPLER ?= sobol  ## sobol, or independent: larger error, but exact error bars
+# K=  ## vertices of a cluster whose first hits share light (none: the paths' own samples)
 # CLUSTER=  ## further options of loom-cluster: CLUSTER="--method centres"
 # BINS=  ## number of bins (the film's, else 300)
-# START=  ## where the first bin opens (the film's, else where light first arrives)
-# WIDTH=  ## of a bin (the film's, else so that 99.9 % of the light is within)
-# UNIT=  ## of START, WIDTH, LENGTH and the images: opl, or ns (opl: optical path length in units of the scene)
-# PULSE=  ## delta, box, gaussian, expgauss, table, sine, square (the film's)
-# LENGTH=  ## of the pulse: of a box its length, of a Gaussian its standard deviation
+# START=  ## start of the first bin, in UNIT (the film's, else the first arrival of light)
+# WIDTH=  ## width of a bin, in UNIT (the film's, else 99.9 % of the light is in the window)
+# UNIT=  ## unit of START, WIDTH, LENGTH and the images: opl (units of the scene) or ns (opl)
+# PULSE=  ## delta, box, gaussian, expgauss, table, sine or square (the film's)
+# LENGTH=  ## box: length of the pulse; gaussian: its standard deviation, in UNIT
 # TRANSIENT=  ## further options of loom-transient: TRANSIENT="--unwarp --group-index 1.5=1.53"
 FRAMES ?= --png  ## further options of loom-frames: FRAMES="--png --exr --row 40 --pixel 30:60 --exposure 1"
-# SEED=  ## seed of the random numbers
-# THREADS=  ## threads of a stage (all); no result depends on it
+# SEED=  ## seed of all random numbers (0)
+# THREADS=  ## threads of each stage; no result depends on it (all)
 # DEFINES=  ## values of the scene's parameters: DEFINES="resx=256 resy=256"
 # SENSOR=  ## sensor of the scene, by id or by number from 0 (the first)
 # TRACE=  ## further options of loom-trace: TRACE="--roulette throughput"
-KEEP ?= 1  ## 0: bin each graph by itself, and keep its cube instead
-# OUT=  ## folder of the results (out/NAME, after the scene)
-# LAUNCH=  ## put before each stage: LAUNCH="srun -c8"
+KEEP ?= 1  ## 0: bin each graph by itself and keep its cube instead of the graph
+# OUT=  ## folder of the results (out/NAME, NAME from the scene)
+# LAUNCH=  ## command to put before each stage: LAUNCH="srun -c8"
 BUILD ?= build
 SCENE := $(strip $(SCENE))
 SPP ?= 16
@@ -51,7 +52,7 @@ made := $(if $(keep),h5,cube.h5)
 include pipelines/passes.mk
 
 ifneq ($(if $(keep),,$(K)),)
-$(error K=$(K) KEEP=0: graphs that share light within are samples of each other; they are binned together)
+$(error K=$(K) KEEP=0: graphs that share light must be binned together; leave out one of K, KEEP)
 endif
 
 bin := $(BUILD)/bin/loom-transient

@@ -1,12 +1,12 @@
 # The variables that may be set on the command line of make or in the environment, by kind. Every makefile of the project includes
-# this first: a value is checked as it stands, before make expands it and before a shell has it, by functions of make alone.
-# What the values mean, the files that use them say.
+# this first: a value is checked as it stands, before make expands it and before a shell reads it, by functions of make alone.
+# The files that use a variable document it.
 
 commands := LAUNCH
-files := SCENE OLD NEW OLD_PICTURE REFERENCE REFERENCE_VARIANCE PYTHON PEERS_PYTHON
+files := SCENE OLD NEW OLD_IMAGE OLD_PICTURE REFERENCE REFERENCE_VARIANCE PYTHON PEERS_PYTHON
 folders := OUT BASE BUILD REFERENCES DOCS
 scene_lists := SCENES
-wholes := SPP PASSES BATCH K ITERATIONS BINS JOBS BASE_SPP REFERENCE_SPP PICTURE_SPP PASS REPLICATES SIZE PICTURE_SIZE LONGEST_SIDE
+wholes := SPP PASSES BATCH K ITERATIONS BINS JOBS BASE_SPP REFERENCE_SPP IMAGE_SPP PICTURE_SPP PASS REPLICATES SIZE IMAGE_SIZE PICTURE_SIZE LONGEST_SIDE
 whole_lists := SPPS
 wholes_from_0 := SEED BASE_SEED GRAPH_SEED THREADS
 switches := KEEP DENOISE MAP CONTROL UNBIASED
@@ -32,7 +32,7 @@ endef
 quote = '$(subst ','\'',$(1))'
 digits := 0 1 2 3 4 5 6 7 8 9
 letters := a b c d e f g h i j k l m n o p q r s t u v w x y z A B C D E F G H I J K L M N O P Q R S T U V W X Y Z
-# Signs that make or a shell would take for its own in the name of what make makes; a sign in a word that a shell reads.
+# Characters that make or a shell interprets, in names of targets; those that a shell interprets in a word.
 signs_of_make := $$ $(hash) % : ; = * ? [ ] ~ \ | & < > $(open) $(close) { } ! ' " `
 signs_of_shell := $$ ; | & < > \ ' " `
 
@@ -46,7 +46,7 @@ in_digits = $(if $(or $(call without,$(digits),$(3)),$(word $(2),$(call spread,$
 is_whole = $(call in_digits,,10,$(1))
 is_whole_from_0 = $(call in_digits,0,19,$(1))
 
-# $(call wrong_KIND,TEXT): what is wrong with a value that is not empty.
+# $(call wrong_KIND,TEXT): the fault of a value that is not empty.
 one = $(if $(word 2,$(1)),,$(1))
 not = $(if $(1),,$(2))
 all = $(if $(strip $(foreach w,$(2),$(if $(call $(1),$w),,no))),,yes)
@@ -84,11 +84,11 @@ endif
 endef
 $(foreach k,$(filter-out commands,$(kinds)),$(foreach v,$($(k)),$(if $(call given,$(v)),$(eval $(call check,$(k),$(v))))))
 
-# The rest of what is set on the command line: for compilers and tests, or a slip of the pen.
+# Other variables of the command line: for compilers and tests, or a typing error.
 known := $(foreach k,$(kinds),$($(k))) CC CXX CPPFLAGS CFLAGS CXXFLAGS LDFLAGS CMAKE_% CCACHE_% CTEST_% GTEST_% LOOM_% DRJIT_%
 $(foreach v,$(.VARIABLES),$(if $(filter command,$(firstword $(origin $(v)))),$(if $(filter $(known),$(v)),\
 	$(if $(filter-out $(commands),$(v)),$(if $(findstring $$,$(value $(v))),$(call refuse,$(v),must not have $$ in it))),\
-	$(call refuse,$(v),no variable of these makefiles; make help lists them))))
+	$(call refuse,$(v),no variable of these makefiles; make help-image, help-edit ... list them))))
 ifneq ($(findstring e,$(filter-out ---%,$(firstword -$(MAKEFLAGS)))),)
 $(error make -e: variables of the environment would replace those of these makefiles)
 endif

@@ -1,4 +1,4 @@
-# What pipelines say things with.
+# Functions that the pipelines share.
 
 .PHONY: FORCE
 

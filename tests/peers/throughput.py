@@ -4,7 +4,7 @@
 Optional: run by `make peers`; nothing else needs it. Two things are left in a folder, for charts and reports:
 
   peers.tsv               paths per second of loom-trace and of each variant of Mitsuba
-  peers/NAME/image.exr    with --pictures: pictures by Mitsuba at several numbers of samples, their cost beside them as
+  peers/NAME/image.exr    with --images: images by Mitsuba at several numbers of samples, their cost beside them as
                           beside ours, so that loom-compare sets them beside each other: equal paths are not equal errors
 
 Programs take turns, so that a machine that slows down slows all of them; the fastest of the rounds counts, since other
@@ -30,8 +30,8 @@ parser.add_argument("--spp", type=int, default=16, help="samples per pixel of th
 parser.add_argument("--threads", type=int, default=os.cpu_count())
 parser.add_argument("--rounds", type=int, default=3)
 parser.add_argument("--out", metavar="FOLDER", help="where peers.tsv and peers/ go; else only text is printed")
-parser.add_argument("--pictures", default="", metavar="SPPS", help='samples per pixel of pictures: "1 4 16"')
-parser.add_argument("--replicates", type=int, default=3, help="pictures of each number of samples")
+parser.add_argument("--images", default="", metavar="SPPS", help='samples per pixel of images: "1 4 16"')
+parser.add_argument("--replicates", type=int, default=3, help="images of each number of samples")
 parser.add_argument("-D", "--define", action="append", default=[], metavar="NAME=VALUE")
 args = parser.parse_args()
 short_spp, long_spp = 1, 1 + args.spp
@@ -139,8 +139,8 @@ if args.out:
             print(name, args.threads, args.spp, f"{rate:.6g}", *(f"{rate / rates[other]:.6g}" for other in others),
                   sep="\t", file=table)
     os.rename(table.name, os.path.join(args.out, "peers.tsv"))
-    for replicate in range(args.replicates if args.pictures else 0):
-        for spp in [int(word) for word in args.pictures.split()]:
+    for replicate in range(args.replicates if args.images else 0):
+        for spp in [int(word) for word in args.images.split()]:
             for peer in peers:
                 folder = os.path.join(args.out, "peers", f"{peer.name}-{spp}-{replicate}")
                 image = os.path.join(folder, "image.exr")

@@ -130,8 +130,8 @@ TEST_F(MakeContents, of_path_graphs_cubes_and_edits) {
                              " BASE=" + in("base") + " OUT=" + in("e") + " " + in("e/new.exr");
     const std::string chain = "make -s -f pipelines/edit.mk BUILD=" + build_folder() +
                               " METHOD=correlated SPP=2 OLD=" + in("new.xml") + " NEW=" + in("s.xml") +
-                              " OLD_PICTURE=" + quoted(in("before it.exr")) + " BASE=" + in("base") +
-                              " OUT=" + in("f") + " " + in("f/new.exr");
+                              " OLD_IMAGE=" + quoted(in("before it.exr")) + " BASE=" + in("base") + " OUT=" + in("f") +
+                              " " + in("f/new.exr");
     const auto stale = [&](const std::string& make) { return sh(make + " -q").code != 0; };
     write("pulse.txt", "0 1\n1 1\n");
     write("b.obj", triangle(1.5));
@@ -302,6 +302,39 @@ TEST_F(MakeVariables, are_all_listed_and_checked_first) {
         }
         EXPECT_TRUE(checked) << name << " does not include pipelines/variables.mk";
     }
+}
+
+// Caught: a target without a phrase, a list longer than a screen, a page without variables, a name of a page in a shell.
+TEST_F(MakeVariables, help_is_a_screen_and_a_page_per_pipeline) {
+    const std::string help = sh("make -s help").out;
+    EXPECT_TRUE(std::count(help.begin(), help.end(), '\n') >= 24 && std::count(help.begin(), help.end(), '\n') <= 40)
+        << help;
+    const std::set<std::string> unlisted{"edit-pictures", "stages"};  // an old spelling; a part of others
+    std::istringstream phony(text_of("Makefile"));
+    std::string line;
+    for (; std::getline(phony, line) && !line.starts_with(".PHONY:");) {
+    }
+    std::istringstream targets(line.substr(line.find(')') + 1));
+    for (std::string target; targets >> target;)
+        EXPECT_EQ(help.find("\n  " + target + " ") == std::string::npos, unlisted.contains(target)) << target;
+
+    std::istringstream refused(sh("make -s help-none").err);
+    int n_pages = 0;
+    for (std::string page; refused >> page;) {
+        if (!page.starts_with("help-") || page == "help-none:") continue;
+        ++n_pages;
+        const Outcome outcome = sh("make -s " + page.substr(0, page.find('.')));
+        EXPECT_EQ(outcome.code, 0) << page;
+        EXPECT_TRUE(outcome.out.starts_with("Usage: make ")) << page << "\n" << outcome.out;
+        EXPECT_NE(help.find("\n  " + page.substr(5, page.find('.') - 5) + " "), std::string::npos) << page;
+    }
+    EXPECT_EQ(n_pages, 16);
+    const std::string image = sh("make -s help-image").out;
+    EXPECT_NE(image.find("  METHOD=pathgraph               pathgraph, west, graph, or pt"), std::string::npos) << image;
+    for (const char* hostile : {"help-none", "help-%", "help-image;touch PWNED", "help-`touch PWNED`",
+                                "help-$(shell touch PWNED)", "help-x' ; touch PWNED '", "help-../LICENSE"})
+        EXPECT_EQ(sh("make -s " + quoted(hostile)).code, 2) << hostile;
+    EXPECT_FALSE(fs::remove(LOOM_SOURCE_DIR "/PWNED"));
 }
 
 // Each variable with each value, by one shell: a line for each that is let through.
