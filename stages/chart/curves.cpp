@@ -166,7 +166,7 @@ std::vector<Curve> curves_of(const Table& table, const std::string& x, const std
         for (const auto& [column, values] : {std::pair{cx, &point.costs}, std::pair{cy, &point.errors}}) {
             const double value = table.number(row, column);
             if (!(value > 0) || !std::isfinite(value)) {
-                throw InputError(fmt::format("{}: row {}, {}: {} has no place on a log axis", table.file, row + 1,
+                throw InputError(fmt::format("{}: row {}, {}: {} must be above 0 on a log axis", table.file, row + 1,
                                              table.names[column], table.rows[row][column]));
             }
             values->push_back(value);

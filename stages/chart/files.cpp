@@ -197,7 +197,7 @@ Files part_files(const std::string& stem, const Table& table, const Options& opt
     }
     if (scenes.empty())
         throw InputError(
-            fmt::format("{}: neither variance nor bias2 is known: replicates or VarMean are needed", table.file));
+            fmt::format("{}: has neither variance nor bias2; compare replicates, or images with VarMean", table.file));
     const int columns = int(std::min<std::size_t>(scenes.size(), 3));
     const int lines = (int(scenes.size()) + columns - 1) / columns;
     if (scenes.size() > 1) body += fmt::format("set multiplot layout {},{}\n", lines, columns);

@@ -23,8 +23,8 @@ PathGraph read_graph(const std::string& file) {
     PathGraph graph = read_path_graph(file);
     // Their directions are not those of BSDF sampling, by whose densities neighbours are weighted.
     if (!graph.nlos.capture.empty())
-        throw InputError(
-            fmt::format("{}: vertices of a capture around a corner cannot be shared; loom-transient reads it", file));
+        throw InputError(fmt::format(
+            "{}: vertices of an NLOS capture cannot share samples; bin its paths with loom-transient", file));
     return graph;
 }
 
@@ -34,7 +34,8 @@ std::string output_of(std::string name, const std::string& graph) {
 }
 
 void check(const Options& options) {
-    if (options.graphs.empty()) throw InputError("no graph is named; loom-cluster GRAPH -o CLUSTERS, or --help");
+    if (options.graphs.empty())
+        throw InputError("no input: give a path graph (loom-cluster GRAPH -o CLUSTERS); see --help");
     const bool joint = !options.with.empty();
     if (joint && options.with.size() != options.graphs.size())
         throw InputError(
@@ -47,8 +48,7 @@ void check(const Options& options) {
         std::vector<std::string> outputs;
         const auto add = [&](const std::string& name, const std::vector<std::string>& graphs) {
             if (graphs.size() > 1 && name.find('%') == std::string::npos)
-                throw InputError(name +
-                                 ": several graphs need a % in the name of the output, for the names of the graphs");
+                throw InputError(name + ": needs a % for the names of the graphs, because several are given");
             for (const std::string& graph : graphs) {
                 outputs.push_back(output_of(name, graph));
                 check_output_path(outputs.back());
@@ -58,13 +58,13 @@ void check(const Options& options) {
         add(options.with_output, options.with);
         std::sort(outputs.begin(), outputs.end());
         if (const auto twice = std::adjacent_find(outputs.begin(), outputs.end()); twice != outputs.end())
-            throw InputError(fmt::format("{}: is named twice", *twice));
+            throw InputError(fmt::format("{}: given twice", *twice));
     }
     if (options.scene.empty() && !options.defines.empty()) throw InputError("--define: needs --scene");
     if (options.with_scene.empty() && !options.with_defines.empty())
         throw InputError("--with-define: needs --with-scene");
     if (joint && options.scene.empty() != options.with_scene.empty())
-        throw InputError("--scene, --with-scene: of two graphs both scenes are needed, or none");
+        throw InputError("--scene, --with-scene: give both scenes or none");
     if (!joint && !options.with_scene.empty())
         throw InputError(fmt::format("--with-scene {}: needs --with", options.with_scene));
     const ClusterOptions& c = options.cluster;
@@ -120,8 +120,8 @@ class Maker {
         report_.info("plan: {}", plan_);
         if (!settings_.scene)
             report_.warn(
-                "no --scene: members of a cluster that a wall hides from one another share their light, and an image "
-                "from them can be wrong");
+                "no --scene: visibility between members of a cluster is not tested, and light may leak through walls; "
+                "give --scene");
         const std::string output = output_of(options_.output, file);
         const InputId id = identify(file);
         Cost cost;
@@ -171,7 +171,7 @@ class Maker {
         write_clusters(clusters, output);
         report_.info("{}", text_of(cluster_sizes(clusters)));
         report_.info("{}", text_of(cluster_spread(of, clusters, clusters_to_measure)));
-        report_.info("kept apart, of {} vertices: {}", clusters.n_members(), text_of(clusters.separation));
+        report_.info("separated, of {} vertices: {}", clusters.n_members(), text_of(clusters.separation));
     }
     static std::string text_of_done(const Clusters& clusters) {
         return fmt::format("{} vertices in {} clusters, {} solitary", clusters.n_members(), clusters.n_clusters(),

@@ -411,20 +411,22 @@ void declare(app::Command& command, Options& options) {
 }
 
 int run(const Options& options, app::Report& report) {
-    if (options.json && options.tsv) throw InputError("--json and --tsv: one of them");
+    if (options.json && options.tsv) throw InputError("--json, --tsv: give only one of them");
     std::vector<Limit> limits;
     parse_limits(options.fail_above, true, limits);
     parse_limits(options.fail_below, false, limits);
     std::vector<Input> inputs = inputs_of(options);
     if (options.cost && options.reference.empty()) {
         if (!limits.empty() || !options.difference.empty())
-            throw InputError("--cost without --reference only adds up costs");
+            throw InputError(
+                "--cost: compares nothing without --reference; give a reference or leave out --difference and "
+                "--fail-*");
         report_costs(options, report);
         return app::exit_done;
     }
     std::string reference_file = options.reference;
     if (reference_file.empty()) {
-        if (inputs.size() != 2) throw InputError("--reference: missing (it may be left out for two inputs only)");
+        if (inputs.size() != 2) throw InputError("--reference: missing; only two inputs can do without it");
         reference_file = inputs[1].file;
         inputs.pop_back();
     }
@@ -438,7 +440,9 @@ int run(const Options& options, app::Report& report) {
     Comparison comparison{
         options.scene, reference_file, reference.width, reference.height, reference.cube.time.n_bins, {}};
     if (reference.is_cube() && reference.var_mean.empty())
-        throw InputError(fmt::format("{}: has a single sample, and no variance: no reference", reference_file));
+        throw InputError(
+            fmt::format("{}: has no variance and cannot be a reference; a cube needs two samples per pixel or more",
+                        reference_file));
     std::map<std::string, std::string> name_by_hash;
     std::vector<Loaded> loaded;
     std::map<std::pair<std::string, std::uint64_t>, std::size_t> group_by_key;
@@ -473,7 +477,7 @@ int run(const Options& options, app::Report& report) {
         if (is_new) into.first = std::move(picture);
     }
     if (!options.difference.empty() && loaded.size() != 1)
-        throw InputError(fmt::format("--difference: {} methods are compared, one is needed", loaded.size()));
+        throw InputError(fmt::format("--difference: needs exactly one method, not {}", loaded.size()));
     for (Loaded& one : loaded) {
         for (double& error : one.group.tile_errors) error /= double(one.rgb.size());
         finish(one, reference, options);

@@ -51,7 +51,7 @@ std::string plan_of(const Layers& layers, const std::optional<Oidn>& oidn, Metho
         say(off, "built-in filter");
     } else {
         say(on, "built-in filter");
-        say(off, method == Method::filter ? "Open Image Denoise (not asked for)" : "Open Image Denoise (not found)");
+        say(off, method == Method::filter ? "Open Image Denoise (not requested)" : "Open Image Denoise (not found)");
         if (layers.var_mean[0].empty()) {
             say(on, "variance from neighbours");
             say(off, samples == 1 ? "VarMean (one sample has none)" : "VarMean (not in the image)");
@@ -62,12 +62,12 @@ std::string plan_of(const Layers& layers, const std::optional<Oidn>& oidn, Metho
     say(albedo ? on : off, albedo ? "albedo" : "albedo (not in the image)");
     const bool normal_used = normal && (!oidn || albedo);
     say(normal_used ? on : off, normal_used ? "normal"
-                                : normal    ? "normal (taken only beside albedo)"
+                                : normal    ? "normal (used only with albedo)"
                                             : "normal (not in the image)");
     if (layers.depth.empty())
         say(off, "depth (not in the image)");
     else
-        say(oidn ? off : on, oidn ? "depth (not taken)" : "depth");
+        say(oidn ? off : on, oidn ? "depth (not used)" : "depth");
     const bool negative = std::any_of(layers.color, layers.color + 3, [](std::span<const float> channel) {
         return std::any_of(channel.begin(), channel.end(), [](float x) { return x < 0; });
     });
@@ -160,7 +160,7 @@ void run(const Options& options, app::Report& report) {
         report.warn("{}: {} pixels were not finite and are replaced by their neighbours", options.image,
                     prepared.n_bad_pixels);
     if (prepared.n_bad_values > 0)
-        report.warn("{}: {} numbers of other layers were not finite; their neighbours are taken", options.image,
+        report.warn("{}: {} values of other layers were not finite and are replaced by their neighbours", options.image,
                     prepared.n_bad_values);
 
     std::vector<float> color[3];

@@ -91,12 +91,12 @@ void write_movie(const Options& options, const TransientCube& cube, const fs::pa
     fs::remove(log);
     if (status != 0) fs::remove(options.movie);  // of another cube
     if (!status) {
-        report.info("no movie: ffmpeg is not installed");
+        report.info("no movie: ffmpeg is not installed (Debian: apt install ffmpeg)");
         return;
     }
     if (*status != 0) throw std::runtime_error(fmt::format("{}: ffmpeg failed:\n{}", options.movie, said));
     output.commit();
-    report.info("{}: {} frames, a second is {:.4g} {}", options.movie, cube.time.n_bins,
+    report.info("{}: {} frames; one second shows {:.4g} {}", options.movie, cube.time.n_bins,
                 options.fps * cube.in_unit(cube.time.bin_width_opl), time_unit(cube));
 }
 
@@ -142,7 +142,7 @@ void run(const Options& options, app::Report& report) {
 
     double white = luminance_quantile(cube, options.quantile) * std::exp2(-options.exposure_ev);
     if (!(white > 0)) {
-        report.warn("{}: all bins are dark", options.cube);
+        report.warn("{}: all bins are zero; there is nothing to draw", options.cube);
         white = 1;
     }
     for (const Plot& plot : {strip(cube, output.filename(), strip_bins(cube, options.count), white),

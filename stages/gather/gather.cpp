@@ -191,13 +191,13 @@ void run(const Options& options, app::Report& report) {
     const InputId graph_id = identify(options.graph);
     const bool subsets = options.gather.direct == Source::subset || options.gather.indirect == Source::subset;
     if (subsets && options.clusters.empty())
-        throw InputError("clusters: missing (made by loom-cluster); a subset is drawn from them");
+        throw InputError("clusters: missing; a subset is drawn from them (make them with loom-cluster)");
     if (!subsets && !options.clusters.empty())
         throw InputError(
             fmt::format("{}: only subsets need clusters (--direct subset, --indirect subset)", options.clusters));
     const bool occlusion = options.gather.occlusion;
     if (occlusion && options.gather.indirect != Source::subset)
-        throw InputError("--occlusion: only --indirect subset has rays");
+        throw InputError("--occlusion: needs --indirect subset");
     if (occlusion != !options.scene.empty())
         throw InputError(occlusion ? "--occlusion: needs --scene"
                                    : fmt::format("--scene {}: only --occlusion needs it", options.scene));

@@ -71,7 +71,7 @@ struct ClusterFacts {
     }
     std::string text() const {
         return fmt::format("\n{}\n{}\n", text_of(sizes),
-                           spread ? text_of(*spread) : "radii and normals: name the graph with --graph");
+                           spread ? text_of(*spread) : "radii and normals: give the graph with --graph");
     }
     void write(JsonWriter& json) const {
         json.begin_object("clusters");

@@ -51,7 +51,7 @@ int stamp(const Options& options) {
     std::vector<std::string> files;
     if (!options.scene.empty()) files = read_scene(options.scene, parse_defines(options.defines), options.sensor).files;
     files.insert(files.end(), options.files.begin(), options.files.end());
-    if (files.empty()) throw InputError("--stamp: no file is named");
+    if (files.empty()) throw InputError("--stamp: no input; give files or --scene");
     if (options.check) return app::stamp_matches(options.stamp, files) ? app::exit_done : app::exit_no;
     app::update_stamp(options.stamp, files);
     return app::exit_done;
@@ -67,9 +67,9 @@ int run(const Options& options, app::Report& report) {
     if (!options.stamp.empty()) return stamp(options);
     if (options.check || !options.scene.empty() || !options.defines.empty() || !options.sensor.empty())
         throw InputError("--scene, --define, --sensor, --check: only with --stamp");
-    if (options.files.empty()) throw InputError("no file is named; loom-inspect FILE, or --help");
+    if (options.files.empty()) throw InputError("no input: give a file (loom-inspect FILE); see --help");
     if (options.files.size() > 1)
-        throw InputError(fmt::format("{}: one file at a time, but for --stamp", options.files[1]));
+        throw InputError(fmt::format("{}: second input; only --stamp takes several files", options.files[1]));
     const std::string& file = options.files[0];
     if (options.iterations) {
         report.answer(iterations_tsv(read_radiance(file)));

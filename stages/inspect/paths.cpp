@@ -114,7 +114,7 @@ std::string path_text(const PathGraph& graph, const std::string& which) {
     const auto first = graph.paths.first_vertex[i], end = graph.paths.first_vertex[i + 1];
     const std::size_t pixel = i % graph.n_pixels();
     std::string text =
-        fmt::format("path {}: pixel {}:{} (index {}), sample {}, {} vertices, Le {} seen directly\n", i,
+        fmt::format("path {}: pixel {}:{} (index {}), sample {}, {} vertices, directly visible Le {}\n", i,
                     pixel % graph.sensor.width, pixel / graph.sensor.width, pixel,
                     graph.tracing.first_sample + i / graph.n_pixels(), end - first, triple(graph.paths.Le.row(i, 3)));
     for (std::uint64_t j = first; j < end; ++j) {
@@ -123,7 +123,7 @@ std::string path_text(const PathGraph& graph, const std::string& which) {
             text += edge_text(graph, k);
         }
     }
-    if (end == first) return text + "  no vertex: the camera ray met no surface with a BSDF\n";
+    if (end == first) return text + "  no vertex: the camera ray hit no surface with a BSDF\n";
     return text + fmt::format("  ending: {}\n", ending_name(ending_of(graph.vertices.flags[end - 1])));
 }
 

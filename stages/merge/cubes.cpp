@@ -36,7 +36,8 @@ void run_cubes(const Options& options, app::Report& report) {
     for (const std::string& file : options.parts) {
         cubes.push_back(read_transient_cube(file));
         if (cubes.back().film.samples_per_pixel == 0)
-            throw InputError(fmt::format("{}: does not say how many samples per pixel it has", file));
+            throw InputError(fmt::format(
+                "{}: has no number of samples per pixel (attribute samples), which weighs the parts", file));
         samples += cubes.back().film.samples_per_pixel;
         if (const std::string why = difference_in_words(cubes.back(), cubes[0]); !why.empty())
             throw InputError(fmt::format("{}: {} (of {})", file, why, options.parts[0]));

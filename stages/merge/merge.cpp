@@ -21,12 +21,13 @@ constexpr double distrust_to_warn = 0.01;
 constexpr std::string_view variance_layer = "VarMean.";
 
 void check_fit(const Image& first, const Image& part, const std::string& first_name, const std::string& name) {
-    if (part.samples == 0) throw InputError(fmt::format("{}: does not say how many samples per pixel it has", name));
-    if (part.ledger.size() > 1)
+    if (part.samples == 0)
         throw InputError(
-            fmt::format("{}: is a picture and {} added to it, whose samples do not weigh alike; merge passes of the "
-                        "residual instead",
-                        name, part.ledger.size() == 2 ? "an edit" : fmt::format("{} edits", part.ledger.size() - 1)));
+            fmt::format("{}: has no number of samples per pixel (attribute samples), which weighs the parts", name));
+    if (part.ledger.size() > 1)
+        throw InputError(fmt::format(
+            "{}: is an image plus {}, whose samples have different weights; merge passes of the residual instead", name,
+            part.ledger.size() == 2 ? "an edit" : fmt::format("{} edits", part.ledger.size() - 1)));
     if (part.width != first.width || part.height != first.height) {
         throw InputError(fmt::format("{}: is {} x {}, but {} is {} x {}", name, part.width, part.height, first_name,
                                      first.width, first.height));
@@ -205,7 +206,7 @@ double cost_of_direct(const std::string& part) {
 void say_direct(const Options& options, app::Report& report) {
     if (options.parts.size() < min_blend_parts)
         throw InputError(
-            fmt::format("--plan-direct: only a blend takes direct light: {} or more parts", min_blend_parts));
+            fmt::format("--plan-direct: only a blend uses direct light; give {} or more parts", min_blend_parts));
     const double cost = cost_of_direct(options.parts[0]);
     const DirectPlan plan = plan_direct(
         options.parts.size(),
@@ -217,7 +218,7 @@ void say_direct(const Options& options, app::Report& report) {
         },
         cost);
     report.info(
-        "plan: {} samples of direct light: error {:.3g} of it becomes {:.3g}, beside {:.3g} of all other light, at "
+        "plan: {} samples of direct light; its error falls from {:.3g} to {:.3g} (all other light: {:.3g}), each at "
         "{:.3f} of the cost of a path",
         plan.samples, plan.direct, plan.direct_with, plan.indirect, cost);
     report.answer(fmt::format("{}\n", plan.samples));
@@ -231,7 +232,7 @@ void run(const Options& options, app::Report& report) {
         return;
     }
     if (options.output.empty()) throw InputError("--output: missing (an .exr file, or .h5 for cubes)");
-    if (options.parts.empty()) throw InputError("no image to merge");
+    if (options.parts.empty()) throw InputError("no input: give images (.exr) or transient cubes (.h5)");
     if (std::filesystem::path(options.parts[0]).extension() == ".h5") {
         if (options.zip || options.no_blend || !options.direct.empty() || !options.minus.empty() ||
             options.unbiased > 0)
@@ -253,9 +254,10 @@ void run(const Options& options, app::Report& report) {
         if (!differences) return image;
         const Image before = read_image(options.minus[i]);
         if (image.provenance.seed != before.provenance.seed)
-            throw InputError(fmt::format(
-                "{}: was made with seed {}, but {} with {}: only the same random numbers have noise in common",
-                options.minus[i], before.provenance.seed, options.parts[i], image.provenance.seed));
+            throw InputError(
+                fmt::format("{}: was made with seed {}, but {} with {}; trace both with the same --seed, so that their "
+                            "noise cancels",
+                            options.minus[i], before.provenance.seed, options.parts[i], image.provenance.seed));
         return difference_of(image, before, options.parts[i], options.minus[i]);
     };
     const Image first = read_part(0);
@@ -263,15 +265,17 @@ void run(const Options& options, app::Report& report) {
     const bool blend = estimates && !options.no_blend && !two_levels && options.parts.size() >= min_blend_parts;
     if (two_levels) {
         if (!estimates)
-            throw InputError(fmt::format(
-                "--unbiased: {} does not say what its paths alone know (loom-gather --estimates)", options.parts[0]));
+            throw InputError(
+                fmt::format("--unbiased: {} has no estimates of its own paths; make it with loom-gather --estimates",
+                            options.parts[0]));
         check_two_levels(options.unbiased, options.parts.size());
     }
     Image merged, direct;
     if (!options.direct.empty()) {
         if (!blend || differences)
             throw InputError(
-                fmt::format("{}: only a blend takes it: {} or more parts of path graphs with estimates, no differences",
+                fmt::format("{}: only a blend uses --direct; give {} or more parts made with loom-gather --estimates, "
+                            "and no --minus",
                             options.direct, min_blend_parts));
         direct = read_image(options.direct);
         if (direct.width != first.width || direct.height != first.height)
@@ -279,7 +283,7 @@ void run(const Options& options, app::Report& report) {
                                          direct.height, options.parts[0], first.width, first.height));
         if (direct.find("VarMean.R").empty() || direct.samples < 2)
             throw InputError(
-                fmt::format("{}: does not say how noisy it is (VarMean of two samples or more)", options.direct));
+                fmt::format("{}: has no variance (VarMean, from two samples per pixel or more)", options.direct));
         provenance.inputs.push_back(identify(options.direct));
     }
     if ((estimates || differences) && options.parts.size() > 1) {
@@ -297,14 +301,14 @@ void run(const Options& options, app::Report& report) {
         for (std::size_t i = 1; i < options.parts.size(); ++i) parts.push_back(read_part(i));
         merged = merge_images(parts, options.parts);
         if (differences)
-            report.warn("{}: one difference does not know its noise, so there is no VarMean; give two or more",
+            report.warn("{}: one difference has no spread, so the result has no VarMean; give two or more",
                         options.output);
     }
     if (const auto distrust = merged.find("Blend.Distrust"); !distrust.empty()) {
         const double share = std::accumulate(distrust.begin(), distrust.end(), 0.0) / double(distrust.size());
         const std::string text = fmt::format(
-            "clusters are not trusted in {:.2f} % of the pixels (layer Blend.Distrust): the paths alone are taken "
-            "there",
+            "clusters look biased in {:.2f} % of the pixels (layer Blend.Distrust), which use the paths' own estimates "
+            "alone",
             100 * share);
         if (share >= distrust_to_warn)
             report.warn("{}", text);
@@ -312,8 +316,8 @@ void run(const Options& options, app::Report& report) {
             report.info("{}", text);
     }
     const std::string why =
-        two_levels   ? fmt::format("on: {} parts, corrected by what the paths of {} say; off: blend",
-                                   options.parts.size(), options.unbiased)
+        two_levels   ? fmt::format("on: {} parts, corrected by the own paths of {}; off: blend", options.parts.size(),
+                                   options.unbiased)
         : blend      ? fmt::format("on: blend with the paths' own estimates; off: {}",
                               options.direct.empty() ? "further direct light (none given)" : "nothing")
         : !estimates ? ""

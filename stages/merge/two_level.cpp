@@ -14,8 +14,8 @@ namespace loom::merge {
 void check_two_levels(std::size_t n_corrected, std::size_t n_parts) {
     if (n_corrected >= 2 && (n_corrected == n_parts || n_corrected + 2 <= n_parts)) return;
     throw InputError(
-        fmt::format("--unbiased {}: of {} parts; must be at least 2 of them, and leave none or at least 2, so that "
-                    "both groups know their variance",
+        fmt::format("--unbiased {}: with {} parts it must be at least 2 and leave 0 or at least 2, so that each group "
+                    "has a variance",
                     n_corrected, n_parts));
 }
 

@@ -35,9 +35,9 @@ Schedule schedule(const PathGraph& graph, const Options& options) {
     const int depth = graph.tracing.max_depth;
     if (options.start == Start::automatic && depth >= 0 && depth <= longest_exact_depth)
         return {Start::zero, std::max(depth - 2, 0), true,
-                fmt::format("from darkness, {} steps: paths have at most {} edges", std::max(depth - 2, 0), depth)};
+                fmt::format("from zero, {} steps: paths have at most {} edges", std::max(depth - 2, 0), depth)};
     if (options.start == Start::zero)
-        return {Start::zero, options.iterations, false, fmt::format("from darkness, {} steps", options.iterations)};
+        return {Start::zero, options.iterations, false, fmt::format("from zero, {} steps", options.iterations)};
     return {Start::paths, options.iterations, false,
             fmt::format("from the radiance of the paths, {} steps", options.iterations)};
 }
@@ -105,9 +105,8 @@ Radiance refine_radiance(const PathGraph& graph, const Clusters& clusters, const
     System system = build_system(
         graph, clusters, {{options.reuse, options.as_printed}, options.clamp, options.epsilon, options.threads});
     if (system.largest_column_sum > 1)
-        report.info(
-            "an edge gives up to {:.3f} of the light that it brings; {} of {} edges clamped, {:.4f} % of the energy",
-            system.largest_column_sum, system.n_clamped, system.n_columns, 100 * system.clamped_share);
+        report.info("largest gain of an edge: {:.3f}; {} of {} edges clamped, {:.4f} % of the energy",
+                    system.largest_column_sum, system.n_clamped, system.n_columns, 100 * system.clamped_share);
 
     std::vector<std::uint32_t> first_hits;
     first_hits.reserve(graph.n_paths());
@@ -140,7 +139,8 @@ Radiance refine_radiance(const PathGraph& graph, const Clusters& clusters, const
 
     if (result.clamped_share >= clamped_share_to_warn)
         report.warn(
-            "the clamp took {:.1f} % of the energy: the image is darker by up to that; --clamp none shows by how much",
+            "the clamp removed {:.1f} % of the energy, and the image is darker by up to that; --clamp none shows by "
+            "how much",
             100 * result.clamped_share);
 
     result.graph_vertices = system.n_unknowns;
@@ -184,14 +184,14 @@ void run(const Options& options, app::Report& report) {
     // Their directions are not those of BSDF sampling, by whose densities neighbours are weighted.
     if (!graph.nlos.capture.empty())
         throw InputError(fmt::format(
-            "{}: vertices of a capture around a corner cannot be shared; loom-transient reads it", options.graph));
+            "{}: vertices of an NLOS capture cannot share samples; bin its paths with loom-transient", options.graph));
     const bool west = options.method == Method::west;
     const std::string plan =
         fmt::format("on: {}{}; off: {}",
                     west ? fmt::format("one aggregation over {} nearest neighbours", options.neighbours)
                          : fmt::format("{}; clamp {}", schedule(graph, options).why, name(options.clamp)),
                     options.as_printed ? ", equations as printed" : "",
-                    west                         ? "propagation (asked for --method west)"
+                    west                         ? "propagation (--method west)"
                     : graph.vertices.eta.empty() ? "private dielectric lobes (no dielectric)"
                                                  : "nothing");
     if (options.plan) {
@@ -203,7 +203,7 @@ void run(const Options& options, app::Report& report) {
     Radiance radiance;
     if (west) {
         if (!options.clusters.empty())
-            throw InputError(options.clusters + ": --method west finds its neighbours itself, give no clusters");
+            throw InputError(options.clusters + ": --method west finds its own neighbours; leave out the clusters");
         radiance = west_radiance(graph, options);
         radiance.provenance.inputs = {graph_id};
     } else {
@@ -213,7 +213,7 @@ void run(const Options& options, app::Report& report) {
         if (clusters.settings.max_size > max_lanes)
             throw InputError(fmt::format("{}: clusters of up to {} vertices; at most {} can be refined",
                                          options.clusters, clusters.settings.max_size, max_lanes));
-        report.info("clusters: kept apart, of {} vertices: {}", clusters.n_members(), text_of(clusters.separation));
+        report.info("clusters: separated, of {} vertices: {}", clusters.n_members(), text_of(clusters.separation));
         radiance = refine_radiance(graph, clusters, options, report);
         radiance.provenance.inputs = {graph_id, identify(options.clusters)};
         radiance.clusters = radiance.provenance.inputs[1].hash;

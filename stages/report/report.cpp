@@ -233,34 +233,25 @@ Figure figure_of(const std::string& stem) {
     static const std::map<std::string, Figure> known{
         {"error-cost",
          {"Error against cost",
-          "A point is the mean over pictures that differ in their random numbers only, the band reaches from "
-          "the best "
-          "to the worst of them. Lower and further left is better. A method without bias falls along a line "
-          "of slope "
-          "−1, twice the time for half the squared error; a curve that flattens out has reached its bias. "
-          "Rings mark "
-          "the Pareto front: of all that was measured, nothing has both less cost and less error."}},
+          "A point is the mean over images that differ in their random numbers only; the band reaches from the best to "
+          "the worst of them. Lower and further left is better. A method without bias falls along a line of slope −1, "
+          "twice the time for half the squared error; a curve that flattens out has reached its bias. Rings mark the "
+          "Pareto front: of all that was measured, nothing has both less cost and less error."}},
         {"stages",
          {"Where the time goes",
-          "Time of each stage for one sample of every pixel, along the whole chain of files that a picture "
-          "came "
-          "from: what a method pays besides tracing paths, and which stage would be worth making faster."}},
+          "Time of each stage for one sample of every pixel, along the whole chain of files that an image was made "
+          "from. It shows what a method costs besides tracing paths, and which stage takes the most time."}},
         {"bias-variance",
          {"Bias and variance apart",
-          "The two parts of the mean squared error, told apart by pictures that differ in their random "
-          "numbers only. "
-          "Variance (filled) falls with every sample; squared bias (open, dashed) does not, unless the "
-          "method itself "
-          "gets better with more of them. Where squared bias came out at or below zero, which is what noise "
-          "makes of "
-          "a bias too small to see, there is no point."}},
+          "The two parts of the mean squared error, separated by images that differ in their random numbers only. "
+          "Variance (filled) falls with every sample; squared bias (open, dashed) does not, unless the method itself "
+          "gets better with more of them. Where squared bias came out at or below zero, as noise makes it for a bias "
+          "too small to measure, there is no point."}},
         {"convergence",
          {"Convergence of the refinement",
-          "How much the radiance of all vertices changes from one step of the refinement to the next, as a "
-          "share of "
-          "the whole. A straight line on this axis is a constant factor per step. Once the change lies far "
-          "below the "
-          "noise of the picture, further steps are wasted time."}},
+          "How much the radiance of all vertices changes from one step of the refinement to the next, as a share of "
+          "the whole. A straight line on this axis is a constant factor per step. Once the change is far below the "
+          "noise of the image, further steps are wasted time."}},
     };
     const auto at = known.find(stem);
     return at == known.end() ? Figure{stem, ""} : at->second;
@@ -410,40 +401,36 @@ std::string page_of(const Options& options) {
             for (Picture& picture : pictures)
                 if (picture.label == group.method && std::to_string(picture.samples) == group.samples)
                     picture.relmse = estimate(errors, group, "relmse").mean;
-        tables += subsection("Errors",
-                             "Means over n pictures that differ in their random numbers only, with the "
-                             "standard error of that mean. "
-                             "relMSE is the mean of (x − r)² / (r² + 0.01), <i>trimmed</i> leaves out the "
-                             "0.1 % worst pixels, which "
-                             "else may decide alone. PSNR and SSIM look at what a display shows.",
-                             error_table(errors));
-        tables += subsection("Bias, variance and grain",
-                             "The relMSE in three parts: squared bias, variance, and the noise of the "
-                             "reference itself. Squared bias is "
-                             "an estimate and comes out below zero where there is none to see. Then the "
-                             "correlation of the error with "
-                             "that of the pixel to the right and of pixels 2 to 8 away: 0 for grain, towards "
-                             "1 for blotches. The p "
-                             "values ask whether the means of the picture, and of its 8 × 8 tiles, differ "
-                             "from the reference by more "
-                             "than noise; a method without bias has small ones as rarely as they say.",
-                             parts_table(errors));
-        tables += subsection("Costs",
-                             "Of the whole chain of files that a picture came from, each file once. Render "
-                             "time is CPU time but for "
-                             "reading the scene, in which small pictures of large scenes would drown.",
-                             cost_table(errors));
+        tables +=
+            subsection("Errors",
+                       "Means over n images that differ in their random numbers only, with the standard error of that "
+                       "mean. relMSE is the mean of (x − r)² / (r² + 0.01). <i>Trimmed</i> leaves out the 0.1 % worst "
+                       "pixels, which may dominate the mean. PSNR and SSIM compare what a display shows.",
+                       error_table(errors));
+        tables += subsection(
+            "Bias, variance and grain",
+            "The relMSE in three parts: squared bias, variance, and the noise of the reference itself. Squared bias is "
+            "an estimate and falls below zero where there is none to measure. Then the correlation of the error with "
+            "that of the pixel to the right and of pixels 2 to 8 away: 0 for grain, towards 1 for blotches. The p "
+            "values test whether the means of the image, and of its 8 × 8 tiles, differ from the reference by more "
+            "than noise; without bias, a value below p has probability p.",
+            parts_table(errors));
+        tables +=
+            subsection("Costs",
+                       "Cost of the whole chain of files that an image was made from, each file once. Render time is "
+                       "CPU time without reading the scene, which would dominate for small images of large scenes.",
+                       cost_table(errors));
     }
     const auto equal_cost = read_matches(options.equal_cost), equal_error = read_matches(options.equal_error);
     if (equal_cost) {
         tables += subsection("At equal " + escaped(words_for(equal_cost->equal)),
-                             "What each method's error is where it has cost as much as the other, between measured "
-                             "points along a straight line in the logarithms, never beyond their ends.",
+                             "Error of each method at the same cost as the other, between measured points along a "
+                             "straight line in the logarithms, never beyond their ends.",
                              match_table(*equal_cost));
     }
     if (equal_error) {
         tables += subsection("At equal " + escaped(words_for(equal_error->equal)),
-                             "What it costs to get as far as the other.", match_table(*equal_error));
+                             "Cost of each method at the same error as the other.", match_table(*equal_error));
     }
     if (!options.peers.empty()) {
         tables += subsection("Beside other renderers",
@@ -470,15 +457,15 @@ std::string page_of(const Options& options) {
     std::string reduced;
     if (factor > 1) {
         reduced = fmt::format(
-            " The pictures are shown reduced {0} times, a pixel being the mean of {0} × {0}; the "
-            "tables are of the full size.",
+            " The images are shown reduced {0} times, each pixel being the mean of {0} × {0}; the tables are of the "
+            "full size.",
             factor);
     }
-    if (n_clipped > 0) reduced += fmt::format(" {} values above 65504 are shown as that.", n_clipped);
+    if (n_clipped > 0) reduced += fmt::format(" {} values above 65504 are shown as 65504.", n_clipped);
     const std::string lead = headline(equal_cost);
     return filled(
         page_html,
-        {{"title", escaped(options.title.empty() ? "Pictures and their errors" : options.title)},
+        {{"title", escaped(options.title.empty() ? "Images and their errors" : options.title)},
          {"css", page_css},
          {"js", page_js},
          {"lead", lead.empty() ? "" : fmt::format("<p class=\"lead\">{}</p>", lead)},
@@ -490,7 +477,7 @@ std::string page_of(const Options& options) {
          {"tables", section("tables", "Tables", tables)},
          {"lineage", section("lineage", "Plan and lineage",
                              "<p>Each file was made by one stage from the files named beside it. A row stands for all "
-                             "files of a kind; <i>plan</i> is what the stage found that the scene calls for.</p>\n" +
+                             "files of a kind; <i>plan</i> says what the stage switched on for the scene.</p>\n" +
                                  lineage)},
          {"made_by", options.made_by.empty()
                          ? ""
@@ -524,7 +511,7 @@ void run(const Options& options, app::Report& report) {
     check_output_path(options.output);
     const std::string page = page_of(options);
     write_text_file(options.output, page);
-    report.done("{}: {} pictures, {}", options.output, options.pictures.size(), app::bytes_text(page.size()));
+    report.done("{}: {} images, {}", options.output, options.pictures.size(), app::bytes_text(page.size()));
 }
 
 }  // namespace loom::report

@@ -43,7 +43,7 @@ void check_numbers(const Ledger& before, const std::string& method, std::uint64_
             throw InputError(fmt::format(
                 "--old: {} has the random numbers of this residual ({}, seed {}), so that their variances would not "
                 "add up; make it with another --seed",
-                i == 0 ? "the picture before all edits" : fmt::format("its edit {} ({})", i, before[i].method), method,
+                i == 0 ? "the image before all edits" : fmt::format("its edit {} ({})", i, before[i].method), method,
                 seed));
 }
 
@@ -62,8 +62,8 @@ void say_standing(const Ledger& ledger, const Options& options, app::Report& rep
     const Standing s = standing_of(ledger);
     if (s.worth == 0 || s.var_mean == 0) return;
     report.info(
-        "ledger: {} ({} paths per pixel) since a picture of {} samples per pixel; {:.3g} % of the variance is theirs; "
-        "as noisy as a fresh picture of {:.3g} samples per pixel",
+        "ledger: {} ({} paths per pixel) since an image of {} samples per pixel; {:.3g} % of the variance is theirs; "
+        "as noisy as a fresh image of {:.3g} samples per pixel",
         ledger.size() == 2 ? "one edit" : fmt::format("{} edits", ledger.size() - 1), s.all_edit_paths, s.base_samples,
         100 * s.var_mean_of_edits / s.var_mean, s.worth);
     if (!s.rebase()) return;
@@ -76,7 +76,7 @@ void say_standing(const Ledger& ledger, const Options& options, app::Report& rep
                                  ? fmt::format("less than half of the {} that the chain began with", s.base_samples)
                                  : fmt::format("fewer than the {} paths of this edit", s.edit_paths);
     report.warn(
-        "{}: as noisy as a fresh picture of {:.3g} samples per pixel, {} (variance {:.3g}, {:.3g} of it by edits); "
+        "{}: as noisy as a fresh image of {:.3g} samples per pixel, {} (variance {:.3g}, {:.3g} of it by edits); "
         "re-base: {} --spp {} -o FRESH.exr",
         options.new_picture, s.worth, than, s.var_mean, s.var_mean_of_edits, fresh, s.base_samples);
 }

@@ -275,7 +275,7 @@ Image render_dynamic(const ScenePair& pair, const Edit& edit, const DynamicOptio
         effort = equal_effort(families, sensor, work.spp);
     } else if (work.spp < least_spp) {
         effort = camera_effort(families, sensor, work.spp);
-        effort.why = fmt::format("camera paths alone, evenly: --spp {} is too little for a pilot, which takes {}",
+        effort.why = fmt::format("camera paths alone, evenly: --spp {} is too small for a pilot, which needs {}",
                                  work.spp, least_spp);
     } else {
         // How many samples there will be is not known beforehand, so that passes have seeds of their own, as the pilot

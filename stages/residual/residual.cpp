@@ -44,8 +44,7 @@ Image read_noisy_picture(const std::string& file, const Scene& scene, const std:
         throw InputError(fmt::format("{}: is {} x {}, but the film of {} has {} x {} pixels", file, image.width,
                                      image.height, scene_name, scene.sensor.width, scene.sensor.height));
     if (!says_its_noise(image) && !(or_denoised && image.provenance.stage == "loom-denoise"))
-        throw InputError(fmt::format("{}: does not say how noisy it is (no channels VarMean.R, G, B); {} write them",
-                                     file, writers));
+        throw InputError(fmt::format("{}: has no variance (channels VarMean.R, G, B); {} write them", file, writers));
     return image;
 }
 
@@ -54,22 +53,22 @@ Image read_old_picture(const std::string& file, const Scene& old_scene, const st
                        app::Report& report) {
     Image image = read_noisy_picture(file, old_scene, scene_name, "loom-trace -o x.exr and loom-merge");
     if (image.samples < 2)
-        throw InputError(fmt::format("{}: does not say how noisy it is (samples per pixel: {}, VarMean takes two)",
-                                     file, image.samples));
+        throw InputError(
+            fmt::format("{}: has no variance (samples per pixel: {}; VarMean needs two)", file, image.samples));
     if (image.ledger.size() == 1)
-        throw InputError(fmt::format("{}: is a residual, not a picture of {}; --new writes one", file, scene_name));
+        throw InputError(fmt::format("{}: is a residual, not an image of {}; --new writes one", file, scene_name));
     // Traced before pictures named their scene.
     if (image.scene.hash.empty() && image.provenance.stage == "loom-trace" && !image.provenance.inputs.empty())
         image.scene = image.provenance.inputs[0];
     const std::string hash = content_hash_text(old_scene.content_hash);
     if (image.scene.hash.empty())
-        report.info("{}: does not name its scene; taken for a picture of {}", file, scene_name);
+        report.info("{}: names no scene and is taken for an image of {}", file, scene_name);
     else if (image.scene.hash != hash)
         throw InputError(fmt::format(
-            "{}: is a picture of {} with content {}, not of {} with these values, whose content is {}; {}", file,
+            "{}: is an image of {} with content {}, not of {} with these values, whose content is {}; {}", file,
             image.scene.name, image.scene.hash, scene_name, hash,
             image.ledger.empty() ? "trace it again"
-                                 : "an edit goes on from the new scene of the edit before, with its values"));
+                                 : "as the old scene, give the new scene of the edit before, with its values"));
     return image;
 }
 
@@ -80,7 +79,8 @@ std::size_t family_of(const std::string& name, const std::vector<Family>& famili
     if (found != families.end()) return std::size_t(found - families.begin());
     std::vector<const char*> names;
     for (const Family& family : families) names.push_back(family.name);
-    throw InputError(fmt::format("--technique {}: this edit has {}", name, fmt::join(names, ", ")));
+    throw InputError(
+        fmt::format("--technique {}: unknown; the techniques of this edit are {}", name, fmt::join(names, ", ")));
 }
 
 /// A residual made before, once it is known to lead to the new scene as far as it says; with its link.
@@ -88,10 +88,10 @@ Image read_residual(const std::string& file, const Scene& new_scene, const std::
     Image image =
         read_noisy_picture(file, new_scene, scene_name, "loom-residual and loom-merge of two or more passes", true);
     if (!image.scene.hash.empty())
-        throw InputError(fmt::format("{}: is a picture of {}, not a residual", file, image.scene.name));
+        throw InputError(fmt::format("{}: is an image of {}, not a residual", file, image.scene.name));
     image.ledger = {link_of_residual(image)};
     if (image.ledger[0].method == part_method)
-        throw InputError(fmt::format("{}: has the paths of one technique, which are a part of a residual", file));
+        throw InputError(fmt::format("{}: holds the paths of one technique only, not a whole residual", file));
     const InputId& leads_to = image.ledger[0].scene;
     const std::string hash = content_hash_text(new_scene.content_hash);
     if (!leads_to.hash.empty() && leads_to.hash != hash)
@@ -113,30 +113,29 @@ void check_endings(const Options& options) {
     check("--png", options.png, ".png");
     check("--residual-png", options.residual_png, ".png");
     if (!options.technique.empty() && options.method != Method::dynamic)
-        throw InputError("--technique: is of --method dynamic");
+        throw InputError("--technique: needs --method dynamic");
     if (!options.technique.empty() && !options.new_picture.empty())
         throw InputError(
-            "--technique: its paths are a part of the residual, which makes no picture of the new scene; leave out "
+            "--technique: its paths are only a part of the residual and give no image of the new scene; leave out "
             "--new");
     if (options.as_printed && (options.method != Method::dynamic || options.no_mapping || !options.technique.empty()))
-        throw InputError("--as-printed: is of the pairs that --method dynamic maps, all techniques together");
-    if (options.raw && options.technique.empty()) throw InputError("--raw: is of the paths of one --technique");
+        throw InputError("--as-printed: needs --method dynamic, without --no-mapping or --technique");
+    if (options.raw && options.technique.empty()) throw InputError("--raw: needs --technique");
     if (!options.residual.empty() && !options.output.empty())
-        throw InputError(fmt::format("-o: the residual is there, {}; give --new", options.residual));
+        throw InputError(fmt::format("-o: the residual exists already, {}; give --new instead", options.residual));
     if (options.output.empty() && options.new_picture.empty())
         throw InputError("-o: missing (an .exr file), or --new with --old");
     if (!options.png.empty() && options.new_picture.empty())
-        throw InputError("--png: is of the new picture; give --new and --old");
+        throw InputError("--png: is a preview of the new image; give --new and --old");
     if (!options.new_picture.empty() && options.old_picture.empty())
-        throw InputError("--new: is the sum of the residual and the old picture; give --old");
+        throw InputError("--new: is the sum of the residual and the old image; give --old");
     if (!options.old_graph.empty() && !options.residual.empty())
-        throw InputError("--old-graph: nothing is traced with --residual");
+        throw InputError("--old-graph: has no use with --residual, which traces nothing; leave out one of them");
     if (!options.old_graph.empty() && options.method != Method::automatic && options.method != Method::correlated)
         throw InputError(
-            "--old-graph: its paths are traced again with the same random numbers; --method must be correlated or "
-            "auto");
+            "--old-graph: its paths are traced again with the same random numbers; give --method correlated or auto");
     if (!options.new_picture.empty() && options.residual.empty() && options.old_graph.empty() && options.spp < 2)
-        throw InputError("--spp 1: one sample has no variance, so that --new could not say its own; at least 2");
+        throw InputError("--spp 1: one sample has no variance, which --new must store; give at least 2");
 }
 
 /// in:  old_picture  null, or what the new picture is wanted from
@@ -145,7 +144,7 @@ Image render_by_dynamic_paths(const ScenePair& scenes, const Edit& edit, const O
                               const PathOptions& path, const Image* old_picture, app::Report& report, Counts& counts,
                               std::string& plan, std::optional<ControlledPicture>& controlled) {
     if (scenes.old_scene.nlos || scenes.new_scene.nlos)
-        throw InputError("captures around a corner have no dynamic paths; --method correlated compares them");
+        throw InputError("NLOS captures have no dynamic paths; give --method correlated");
     DynamicOptions dynamic;
     dynamic.pairs.mapping = !options.no_mapping;
     dynamic.pairs.limits.d_min = 0.01f * scenes.new_scene.radius;
@@ -172,10 +171,10 @@ Image render_by_dynamic_paths(const ScenePair& scenes, const Edit& edit, const O
     if (!counted.effort.empty()) plan += "; " + counted.effort;
     if (counts.nonfinite > 0) report.warn("{} paths are not finite and left out", counts.nonfinite);
     if (counted.n_unrelocated > 0)
-        report.info("{} samples of ghosts lie on a segment that does not reach them (surfaces in one place)",
+        report.info("{} samples of ghosts cannot be reached along their segment (coincident surfaces)",
                     counted.n_unrelocated);
     if (counted.controlled) {
-        const std::string weights = fmt::format("weight of the old picture {:.3g} to {:.3g}", counted.controlled->least,
+        const std::string weights = fmt::format("weight of the old image {:.3g} to {:.3g}", counted.controlled->least,
                                                 counted.controlled->most);
         report.info("{}", weights);
         plan += "; " + weights;
@@ -257,24 +256,24 @@ std::string plan_of(Method method, const Edit& edit) {
             if (!sites.empty()) plan += "; if a pilot finds that they pay: " + sites.substr(0, sites.size() - 2);
             break;
         case Method::dynamic:
-            plan = "on: path tracing with paths that the edit cannot change left out; " + sites + "as asked";
+            plan = "on: path tracing with paths that the edit cannot change left out; " + sites + "as requested";
             if (!moves) plan += "; off: ghosts (nothing moves)";
             break;
         case Method::correlated:
             plan =
-                "on: correlated paths (same random numbers in both scenes, as asked: a path that meets nothing of the "
-                "edit differs by 0)"
-                "; off: independent paths (more noise for all but the largest edits)";
+                "on: correlated paths (same random numbers in both scenes, as requested: a path that hits nothing of "
+                "the edit differs by 0); off: independent paths (more noise for all but the largest edits)";
             break;
         case Method::independent:
             plan =
-                "on: independent paths (different random numbers in the two scenes, as asked); off: correlated paths "
-                "(the noise of both pictures is in the residual)";
+                "on: independent paths (different random numbers in the two scenes, as requested); off: correlated "
+                "paths (the noise of both images is in the residual)";
             break;
     }
     if (method != Method::independent && edit.old_emitters.size() != edit.new_emitters.size())
-        plan += fmt::format("; joint choice of lights is off ({} lights, now {}: the same number picks another)",
-                            edit.old_emitters.size(), edit.new_emitters.size());
+        plan += fmt::format(
+            "; joint choice of lights is off ({} lights, now {}: the same random number picks another light)",
+            edit.old_emitters.size(), edit.new_emitters.size());
     return plan;
 }
 
@@ -325,9 +324,8 @@ void run(const Options& options, app::Report& report) {
     const Edit edit = find_edit(old_description, new_description);
     std::string plan = plan_of(options.old_graph.empty() ? options.method : Method::correlated, edit);
     const std::string found = edit.nothing() ? "nothing differs" : fmt::format("{}", fmt::join(edit.changes, "\n"));
-    const std::string counted =
-        fmt::format("shapes: {} dynamic, {} ghosts of them, {} look otherwise; lights: {} changed", edit.n_dynamic(),
-                    edit.n_ghosts(), edit.n_dyed(), edit.n_emitters());
+    const std::string counted = fmt::format("shapes: {} dynamic, {} ghosts of them, {} repainted; lights: {} changed",
+                                            edit.n_dynamic(), edit.n_ghosts(), edit.n_dyed(), edit.n_emitters());
     if (options.plan) {
         std::string text = found + "\n";
         for (const std::string& note : edit.notes) text += "note: " + note + "\n";
@@ -368,7 +366,7 @@ void run(const Options& options, app::Report& report) {
         path.seed = graph.path.seed;
         if (!options.new_picture.empty() && graph.spp < 2)
             throw InputError(
-                fmt::format("{}: one sample per pixel has no variance, so that --new could not say its own; at least 2",
+                fmt::format("{}: one sample per pixel has no variance, which --new must store; at least 2 are needed",
                             options.old_graph[0]));
         same = !options.old_picture.empty() && old_picture.ledger.empty() &&
                same_samples(old_picture, options.old_picture, graph);
@@ -391,7 +389,7 @@ void run(const Options& options, app::Report& report) {
         plan += "; old graph: " + of_graph.summary();
         report.info("old graph: {}", of_graph.summary());
         if (same)
-            report.info("{}: is of the graph's own samples, and so the sum is what these are in the new scene",
+            report.info("{}: has the samples of the graph, so the sum is the new scene's image of these samples",
                         options.old_picture);
     } else if (!made) {
         residual = options.method == Method::automatic || options.method == Method::dynamic

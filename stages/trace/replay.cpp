@@ -38,8 +38,8 @@ std::string replay(const Scene& scene, const PathOptions& options, const std::st
             fmt::format("--replay {}: the film has {} x {} pixels", place, scene.sensor.width, scene.sensor.height));
     PathRecords record;
     const PathResult r = trace_path(scene, options, {y * scene.sensor.width + x, sample}, record);
-    std::string out = fmt::format("pixel ({}, {}), sample {}: L = {}, of it seen directly {}; {} vertices, {} rays\n",
-                                  x, y, sample, text(r.L), text(record.paths[0].Le), r.n_vertices, r.n_rays);
+    std::string out = fmt::format("pixel ({}, {}), sample {}: L = {}, directly visible {}; {} vertices, {} rays\n", x,
+                                  y, sample, text(r.L), text(record.paths[0].Le), r.n_vertices, r.n_rays);
     std::size_t edge = 0;
     for (std::size_t j = 0; j < record.vertices.size(); ++j) {
         const VertexRecord& v = record.vertices[j];

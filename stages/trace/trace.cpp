@@ -204,10 +204,10 @@ std::string plan(const Scene& scene, const PathOptions& path, bool graph) {
         say(scene.nlos->laser_sampling,
             path.laser_spot == LaserSpot::unit_area ? "laser sampling (spot of unit area)"
                                                     : "laser sampling (spot of true area)",
-            " (not asked for)");
+            " (not requested)");
         say(scene.nlos->hidden_probability > 0,
             fmt::format("hidden geometry at {:.4g} % of the vertices", 100 * scene.nlos->hidden_probability).c_str(),
-            " (not asked for)");
+            " (not requested)");
     }
     if (graph) {
         say(f.smooth_normals, "geometric normals", " (all surfaces flat)");
@@ -234,8 +234,7 @@ void run(const Options& options, app::Report& report) {
             throw InputError(
                 fmt::format("{}: the output must end in .h5 (path graph) or .exr (image)", options.output));
         if (options.passes > 1 && options.output.find('%') == std::string::npos)
-            throw InputError(options.output +
-                             ": --passes needs a % in the name of the output, for the number of the pass");
+            throw InputError(options.output + ": --passes needs a % in the name of the output, for the pass number");
         if (options.passes > 1 && options.first_sample % options.spp != 0)
             throw InputError(
                 fmt::format("--first-sample {}: passes are numbered by it, so it must be a multiple of --spp {}",
@@ -250,7 +249,8 @@ void run(const Options& options, app::Report& report) {
         report.answer(replay(*scene, path, options.replay));
         return;
     }
-    if (options.misses && scene->nlos) throw InputError("--misses: a capture around a corner has none");
+    if (options.misses && scene->nlos)
+        throw InputError("--misses: an NLOS capture stores no failed light samples; leave out --misses");
     if (options.plan) {
         report.answer(planned + "\n");
         return;

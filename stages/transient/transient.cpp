@@ -55,7 +55,7 @@ Pulse read_pulse_table(const std::string& file, const Lengths& lengths) {
         double t, p;
         std::string rest;
         if (!(words >> t >> p) || words >> rest)
-            throw InputError(fmt::format("{}:{}: expected two numbers, when and power", file, number));
+            throw InputError(fmt::format("{}:{}: expected two numbers, time and power", file, number));
         at.push_back(lengths(t));
         power.push_back(p);
     }
@@ -67,7 +67,7 @@ Pulse read_pulse_table(const std::string& file, const Lengths& lengths) {
 }
 
 double positive(double value, const char* option, const char* what) {
-    if (!(value > 0)) throw InputError(fmt::format("{}: missing; it is {}", option, what));
+    if (!(value > 0)) throw InputError(fmt::format("{}: missing; give {}", option, what));
     return value;
 }
 
@@ -81,14 +81,15 @@ void set_pulse(const Options& options, double film_sigma, const Lengths& lengths
         shape = film_sigma > 0 ? Shape::gaussian : Shape::delta;
         said.length_opl = film_sigma;
     } else if (shape == Shape::box || shape == Shape::gaussian || shape == Shape::expgauss) {
-        said.length_opl = positive(length, "--pulse-length",
-                                   shape == Shape::box ? "how long the light is on" : "the pulse's standard deviation");
+        said.length_opl =
+            positive(length, "--pulse-length",
+                     shape == Shape::box ? "the length of the pulse" : "the standard deviation of the pulse");
     } else if (options.pulse_length != 0) {
-        throw InputError("--pulse-length: only a box, gaussian or expgauss pulse has one");
+        throw InputError("--pulse-length: needs --pulse box, gaussian or expgauss");
     }
-    if ((shape == Shape::expgauss) != (tail != 0)) throw InputError("--pulse-tail: goes with --pulse expgauss");
+    if ((shape == Shape::expgauss) != (tail != 0)) throw InputError("--pulse expgauss and --pulse-tail: give both");
     if ((shape == Shape::table) != !options.pulse_table.empty())
-        throw InputError("--pulse-table: goes with --pulse table");
+        throw InputError("--pulse table and --pulse-table: give both");
     switch (shape) {
         case Shape::film:
         case Shape::delta:
@@ -202,7 +203,7 @@ void run(const Options& options, app::Report& report) {
         require_clusters_of(graphs[i], header.provenance.inputs[i], clusters[i], options.clusters[i]);
         if (graphs[i].tracing.samples_per_pixel != graphs[0].tracing.samples_per_pixel)
             throw InputError(
-                fmt::format("{}: has {} samples per pixel, but {} has {}; graphs that share light must have as many",
+                fmt::format("{}: has {} samples per pixel, but {} has {}; with --clusters all graphs need as many",
                             options.graphs[i], graphs[i].tracing.samples_per_pixel, options.graphs[0],
                             graphs[0].tracing.samples_per_pixel));
     }
@@ -210,8 +211,8 @@ void run(const Options& options, app::Report& report) {
     if (!options.tal.empty()) {
         check_output_path(options.tal);
         if (graphs[0].sensor.kind != "nlos_capture_meter")
-            throw InputError(fmt::format("--tal: {} is not of a capture around a corner (sensor nlos_capture_meter)",
-                                         options.graphs[0]));
+            throw InputError(
+                fmt::format("--tal: {} is no NLOS capture (sensor nlos_capture_meter)", options.graphs[0]));
     }
     const auto& film = graphs[0].transient;
     const bool has_film = !film.n_bins.empty();
@@ -225,7 +226,7 @@ void run(const Options& options, app::Report& report) {
                                                                                       : 4);
     if (response.modulation != Modulation::none) {
         if (options.start || options.width || options.gate)
-            throw InputError("--pulse sine and square: their bins are phases, with no --start, --width or --gate");
+            throw InputError("--pulse sine, square: bins are phases; leave out --start, --width and --gate");
         if (!options.bins) response.n_bins = 4;
         if (response.n_bins < 2 || (response.modulation == Modulation::square && response.n_bins % 2 != 0))
             throw InputError(
@@ -236,7 +237,7 @@ void run(const Options& options, app::Report& report) {
         response.start = 0;
         response.width = response.gate = response.period / response.n_bins;
     } else {
-        if (options.period != 0) throw InputError("--period: goes with --pulse sine and square");
+        if (options.period != 0) throw InputError("--period: needs --pulse sine or square");
         const Window window = has_film || (options.start && options.width) ? Window{} : window_of(graphs[0], timing);
         response.start = options.start ? lengths(*options.start) : has_film ? film.start_opl[0] : window.start;
         response.width = options.width ? lengths(*options.width)
@@ -301,7 +302,7 @@ void run(const Options& options, app::Report& report) {
     const auto share = [&](const Rgb<double>& part) {
         return luminance(steady) > 0 ? 100 * luminance(part) / luminance(steady) : 0.0;
     };
-    if (!std::isfinite(luminance(steady))) report.warn("light that is not finite is in the sums");
+    if (!std::isfinite(luminance(steady))) report.warn("the sums hold light that is not finite");
 
     Cost cost = report.cost();
     cost.plan = header.provenance.plan;
@@ -310,8 +311,8 @@ void run(const Options& options, app::Report& report) {
     for (const std::string& file : options.graphs) cost.parents.push_back(parent_of(options.output, file));
     for (const std::string& file : options.clusters) cost.parents.push_back(parent_of(options.output, file));
     write_cost(cost, options.output);
-    report.done("{} paths; of their light {:.4g} % in the bins, {:.3g} % before, {:.3g} % after, {:.3g} % never",
-                cost.samples, share(inside), share(before), share(after), share(never));
+    report.done("{} paths; light: {:.4g} % in the bins, {:.3g} % before, {:.3g} % after, {:.3g} % never", cost.samples,
+                share(inside), share(before), share(after), share(never));
 }
 
 }  // namespace loom::transient

@@ -213,7 +213,7 @@ TEST(Merge, RefusesWhatDoesNotFit) {
     const std::array<std::string, 2> names{"a.exr", "b.exr"};
     const auto message = [&] { return input_error_of([&] { merge::merge_images(parts, names); }); };
     parts[1].samples = 0;
-    EXPECT_EQ(message(), "b.exr: does not say how many samples per pixel it has");
+    EXPECT_EQ(message(), "b.exr: has no number of samples per pixel (attribute samples), which weighs the parts");
     parts[1] = tiny_image();
     parts[1].channels.pop_back();
     EXPECT_EQ(message(), "b.exr: has no channel " + tiny_image().channels.back().name + ", but a.exr has");

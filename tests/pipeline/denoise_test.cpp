@@ -31,7 +31,7 @@ TEST_F(Denoise, leaves_picture_layers_preview_and_cost) {
     EXPECT_EQ(clean.provenance.stage, "loom-denoise");
     EXPECT_EQ(clean.provenance.inputs.at(0).name, "noisy.exr");
     EXPECT_EQ(clean.provenance.plan,
-              "on: built-in filter, VarMean, albedo, normal, depth; off: Open Image Denoise (not asked for)");
+              "on: built-in filter, VarMean, albedo, normal, depth; off: Open Image Denoise (not requested)");
     EXPECT_EQ(count_nonfinite(clean), 0u);
     double difference = 0;
     for (const auto& channel : noisy.channels) {
@@ -74,10 +74,10 @@ TEST_F(Denoise, plan_says_what_is_missing_and_writes_nothing) {
     const Outcome one = sh(stage("denoise") + " " + in("one.exr") + " --method filter --plan");
     EXPECT_EQ(one.out,
               "on: built-in filter, variance from neighbours, albedo, normal, depth; "
-              "off: Open Image Denoise (not asked for), VarMean (one sample has none)\n");
+              "off: Open Image Denoise (not requested), VarMean (one sample has none)\n");
     const Outcome nothing = sh(stage("denoise") + " " + in("bare.exr") + " --method filter --plan");
     EXPECT_EQ(nothing.out,
-              "on: built-in filter, variance from neighbours; off: Open Image Denoise (not asked for), VarMean "
+              "on: built-in filter, variance from neighbours; off: Open Image Denoise (not requested), VarMean "
               "(not in the image), albedo (not in the image), normal (not in the image), depth (not in the "
               "image)\n");
     EXPECT_EQ(files(), before);

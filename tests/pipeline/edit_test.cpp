@@ -84,9 +84,9 @@ TEST_F(MakeEdit, of_a_denoised_residual) {
         EXPECT_GT(changed, 0);
     }
     EXPECT_TRUE(noisy == made("a", light));  // whatever was made there in between
-    const Outcome chained = sh(edit("e", light + " OLD_PICTURE=" + in("d/new.exr")));
+    const Outcome chained = sh(edit("e", light + " OLD_IMAGE=" + in("d/new.exr")));
     EXPECT_NE(chained.code, 0);
-    EXPECT_NE(chained.err.find("does not say how noisy it is"), std::string::npos) << chained.err;
+    EXPECT_NE(chained.err.find("has no variance"), std::string::npos) << chained.err;
 }
 
 // The difference of path graphs: old + residual, its passes made once, the graphs gone; the same scene is 0.
@@ -152,8 +152,8 @@ TEST_F(MakeEdit, from_a_graph_of_the_scene_before) {
     EXPECT_EQ(same.scene.hash, fresh.scene.hash);
     EXPECT_EQ(sum.ledger.back().method, "old graph");
     // An edit after that, with a graph whose random numbers no link has.
-    const std::string later = "OLD_DEFINES=light=20,10,5 NEW_DEFINES=light=3 GRAPH=1 OLD_PICTURE=" + in("a/new.exr") +
-                              " BASE=" + in("base-2");
+    const std::string later =
+        "OLD_DEFINES=light=20,10,5 NEW_DEFINES=light=3 GRAPH=1 OLD_IMAGE=" + in("a/new.exr") + " BASE=" + in("base-2");
     EXPECT_NE(sh(edit("later", later + " GRAPH_SEED=9")).err.find("has the random numbers of this residual"),
               std::string::npos);
     made("later", later + " GRAPH_SEED=10");
@@ -181,10 +181,10 @@ TEST_F(MakeEdit, graphs_that_do_not_fit_are_refused) {
     expect_refused(edit + in("light.h5") + o, "trace it again");
     expect_refused(edit + in("short.h5") + o, "give --max-depth 3");
     expect_refused(edit + in("old.h5") + " " + in("more.h5") + o, "which");
-    expect_refused(edit + in("old.h5") + o + " --method dynamic", "--method must be correlated or auto");
-    expect_refused(edit + in("old.h5") + n + " --residual " + in("old.exr"), "nothing is traced with --residual");
+    expect_refused(edit + in("old.h5") + o + " --method dynamic", "give --method correlated or auto");
+    expect_refused(edit + in("old.h5") + n + " --residual " + in("old.exr"), "has no use with --residual");
     expect_refused(edit + in("one.h5") + n, "one sample per pixel has no variance");
-    expect_refused(edit + in("more.h5") + n, "not just the same samples");
+    expect_refused(edit + in("more.h5") + n, "other samples or options");
     EXPECT_EQ(sh(stage("residual") + " " + edit + in("old.h5") + o + n).code, 0);
 }
 
@@ -201,9 +201,9 @@ TEST_F(MakeEdit, what_does_not_go_together_is_refused) {
     };
     const std::string merge = stage("merge") + " " + in("a.exr") + " -o " + in("x.exr"),
                       cluster = stage("cluster") + " " + in("a.h5");
-    refused(merge + " --minus " + in("b.exr"), "only the same random numbers have noise in common");
+    refused(merge + " --minus " + in("b.exr"), "trace both with the same --seed");
     refused(merge + " --minus " + in("a.exr") + " --minus " + in("b.exr"), "2 images for 1 parts");
-    refused(merge + " --unbiased 1", "does not say what its paths alone know");
+    refused(merge + " --unbiased 1", "has no estimates of its own paths");
     ASSERT_EQ(sh(stage("trace") + box + "-o " + in("a.h5")).code, 0);
     refused(cluster + " -o " + in("x.h5") + " --with " + in("a.h5"), "needs --with-output");
     refused(cluster + " -o " + in("x.h5") + " --with-output " + in("y.h5"), "needs --with");
@@ -212,15 +212,15 @@ TEST_F(MakeEdit, what_does_not_go_together_is_refused) {
     ASSERT_EQ(sh(merge + " --minus " + in("a.exr")).code, 0);
     refused(stage("residual") + " scenes/cornell-box.xml -D resx=24 -D resy=16 --old " + in("a.exr") + " --new " +
                 in("n.exr") + " --residual " + in("x.exr"),
-            "does not say how noisy it is");
+            "has no variance");
 }
 
 TEST_F(MakeEdit, wrong_variables_are_refused) {
     for (const char* wrong :
          {"METHOD=graph PASSES=1", "METHOD=graph K=0", "METHOD=graph UNBIASED=2", "METHOD=none", "GRAPH=2",
           "GRAPH=1 METHOD=independent", "SPP=0", "BASE_SPP=x", "OLD=missing.xml", "NEW=missing.xml", "OUT='two words'",
-          "OLD_PICTURE=missing.exr", "OLD_PICTURE=LICENSE GRAPH=same", "OLD_PICTURE=LICENSE METHOD=graph",
-          "OLD_PICTURE=LICENSE", "NEW_DEFINES=resx=25"}) {
+          "OLD_IMAGE=missing.exr", "OLD_IMAGE=LICENSE GRAPH=same", "OLD_IMAGE=LICENSE METHOD=graph",
+          "OLD_IMAGE=LICENSE", "OLD_PICTURE=missing.exr", "NEW_DEFINES=resx=25"}) {
         const Outcome outcome = sh(edit("x", wrong));
         EXPECT_EQ(outcome.code, 2) << wrong << "\n" << outcome.err;
         EXPECT_EQ(outcome.out, "");
@@ -234,7 +234,7 @@ TEST_F(MakeEdit, plan_says_the_edit) {
     EXPECT_EQ(sh(box + " --old-define light=1 --new-define light=2,2,2").out.substr(0, 61),
               "light changed: lamp: radiance (1, 1, 1) -> (2, 2, 2)\nshapes: ");
     EXPECT_NE(sh(box + " --method independent")
-                  .out.find("on: independent paths (different random numbers in the two scenes, as asked)"),
+                  .out.find("on: independent paths (different random numbers in the two scenes, as requested)"),
               std::string::npos);
 }
 
@@ -259,7 +259,7 @@ TEST_F(MakeEdit, wrong_command_lines_are_2) {
     expect_refused(box + " -o " + in("r.h5"), "must end in .exr");
     expect_refused(box + old("old.exr") + n + " --spp 1", "at least 2");
     expect_refused(box + o + old("tall.exr") + n, "is 16 x 24, but the film of cornell-box.xml has 24 x 16 pixels");
-    expect_refused(box + o + old("one.exr") + n, "does not say how noisy it is");
+    expect_refused(box + o + old("one.exr") + n, "has no variance");
     expect_refused(box + o + old("light.exr") + n, "trace it again");
     expect_refused(box + o + " --new-define resx=25",
                    "the film's width is 25, not 24 as in the old scene, at scenes/cornell-box.xml:");
@@ -285,12 +285,13 @@ TEST_F(MakeEdit, techniques_by_themselves) {
     EXPECT_NE(read_image(in("raw.exr")).provenance.plan.find("only paths found by path-tracing, raw"),
               std::string::npos);
     const std::string o = " -o " + in("x.exr"), n = " --old " + in("old.exr") + " --new " + in("n.exr");
-    expect_refused(light + "--technique ghost-two-ends" + o, "--technique ghost-two-ends: this edit has path-tracing");
-    expect_refused(part + n, "makes no picture of the new scene");
-    expect_refused(box + "--new-define light=3 --technique path-tracing" + o, "is of --method dynamic");
-    expect_refused(part + o + " --as-printed", "all techniques together");
-    expect_refused(light + "--raw" + o, "is of the paths of one --technique");
-    expect_refused(light + n + " --residual " + in("part.exr"), "has the paths of one technique");
+    expect_refused(light + "--technique ghost-two-ends" + o,
+                   "--technique ghost-two-ends: unknown; the techniques of this edit are path-tracing");
+    expect_refused(part + n, "give no image of the new scene");
+    expect_refused(box + "--new-define light=3 --technique path-tracing" + o, "needs --method dynamic");
+    expect_refused(part + o + " --as-printed", "without --no-mapping or --technique");
+    expect_refused(light + "--raw" + o, "--raw: needs --technique");
+    expect_refused(light + n + " --residual " + in("part.exr"), "holds the paths of one technique");
     const Outcome pictures = sh("make -s edit-techniques BUILD='" + fs::path(LOOM_BIN_DIR).parent_path().string() +
                                 "' DEFINES='resx=24 resy=16' SPP=2 NEW_DEFINES=light=3 OUT=" + in("t"));
     EXPECT_EQ(pictures.out,
@@ -352,11 +353,11 @@ TEST_F(MakeEdit, edits_go_on_from_edits) {
     made("a", "METHOD=correlated NEW_DEFINES=" + warm);
     const auto base_time = fs::last_write_time(folder / "base/old.exr");
     const std::string goes_on =
-        "OLD_DEFINES=" + warm + " NEW_DEFINES=" + cold + " METHOD=dynamic OLD_PICTURE=" + in("a/new.exr");
+        "OLD_DEFINES=" + warm + " NEW_DEFINES=" + cold + " METHOD=dynamic OLD_IMAGE=" + in("a/new.exr");
     const std::string second = made("b", goes_on);
     EXPECT_TRUE(second == made("b", goes_on + " THREADS=1"));
     const auto made_at = fs::last_write_time(folder / "b/new.exr");
-    made("c", "METHOD=correlated OLD_DEFINES=" + cold + " OLD_PICTURE=" + in("b/new.exr"));
+    made("c", "METHOD=correlated OLD_DEFINES=" + cold + " OLD_IMAGE=" + in("b/new.exr"));
     EXPECT_EQ(fs::last_write_time(folder / "b/new.exr"), made_at);
     EXPECT_EQ(fs::last_write_time(folder / "base/old.exr"), base_time);  // nothing but differences is traced
 
@@ -398,14 +399,14 @@ TEST_F(MakeEdit, edits_go_on_from_edits) {
     const std::string box = "scenes/cornell-box.xml -D resx=24 -D resy=16 --spp 2 ",
                       from_warm = box + "--old-define " + warm + " ", n = " --new " + in("n.exr");
     expect_refused(box + "--new-define light=3 --old " + in("a/new.exr") + n,
-                   "an edit goes on from the new scene of the edit before, with its values");
+                   "as the old scene, give the new scene of the edit before, with its values");
     expect_refused(box + "--new-define light=3 --old " + in("a/new.exr") + n,
-                   "is a picture of cornell-box.xml with content " + ledger[1].scene.hash +
+                   "is an image of cornell-box.xml with content " + ledger[1].scene.hash +
                        ", not of cornell-box.xml with these values, whose content is " + first.scene.hash);
     expect_refused(box + "--new-define light=3 --old " + in("a/residual.exr") + n,
-                   "is a residual, not a picture of cornell-box.xml");
+                   "is a residual, not an image of cornell-box.xml");
     EXPECT_NE(sh(stage("merge") + " " + in("base/old.exr") + " " + in("a/new.exr") + " -o " + in("m.exr"))
-                  .err.find("is a picture and an edit added to it"),
+                  .err.find("is an image plus an edit"),
               std::string::npos);
     EXPECT_FALSE(fs::exists(folder / "m.exr"));
     // A picture from before pictures named their scene: loom-trace's is known by its input, others are taken on trust.
@@ -421,7 +422,7 @@ TEST_F(MakeEdit, edits_go_on_from_edits) {
     write_image(old, in("old.exr"));
     const Outcome on_trust = sh(stage("residual") + " " + box + "--new-define light=3 --old " + in("old.exr") + n);
     EXPECT_EQ(on_trust.code, 0);
-    EXPECT_NE(on_trust.err.find("does not name its scene; taken for a picture of cornell-box.xml"), std::string::npos)
+    EXPECT_NE(on_trust.err.find("names no scene and is taken for an image of cornell-box.xml"), std::string::npos)
         << on_trust.err;
 
     // A residual made before has a seed of its own, and passes of it merge.
@@ -437,7 +438,7 @@ TEST_F(MakeEdit, edits_go_on_from_edits) {
                    "its edit 1 (correlated) has the random numbers of this residual (correlated, seed 0)");
     expect_refused(add + in("a/residual.exr"),
                    "leads to cornell-box.xml with content " + ledger[1].scene.hash + ", not to cornell-box.xml");
-    expect_refused(add + in("base/old.exr"), "is a picture of cornell-box.xml, not a residual");
+    expect_refused(add + in("base/old.exr"), "is an image of cornell-box.xml, not a residual");
     const Outcome added = sh(stage("residual") + " " + add + in("r.exr"));
     ASSERT_EQ(added.code, 0) << added.err;
     const Image sum = read_image(in("n.exr"));

@@ -121,7 +121,7 @@ TEST_F(MakeImage, direct_light_is_planned_from_the_passes) {
     const Outcome few =
         sh(stage("merge") + " --plan-direct " + (folder / "cornell-box-1/pathgraph/pass-0.exr").string());
     EXPECT_EQ(few.code, 2);
-    EXPECT_NE(few.err.find("only a blend takes direct light: 4 or more parts"), std::string::npos) << few.err;
+    EXPECT_NE(few.err.find("only a blend uses direct light; give 4 or more parts"), std::string::npos) << few.err;
 }
 
 TEST_F(MakeImage, wrong_variables_are_refused) {

@@ -51,7 +51,8 @@ TEST_F(PathGraphChain, files_of_another_kind_are_refused) {
     expect_refused(stage("gather") + " " + in("g1.h5") + " " + in("c1.h5") + exr, "is a clusters, expected a radiance");
     expect_refused(stage("gather") + " " + in("r1.h5") + " " + in("r1.h5") + exr,
                    "is a radiance, expected a path_graph");
-    expect_refused(stage("refine") + " " + in("g1.h5") + " " + in("c1.h5") + " --method west" + h5, "give no clusters");
+    expect_refused(stage("refine") + " " + in("g1.h5") + " " + in("c1.h5") + " --method west" + h5,
+                   "leave out the clusters");
     expect_refused(stage("refine") + " " + in("g1.h5") + " " + in("c1.h5") + " --epsilon 2" + h5, "--epsilon");
 }
 
@@ -66,7 +67,7 @@ TEST_F(PathGraphChain, subsets_ask_for_what_they_need) {
     expect_refused(gather + in("c1.h5") + " --indirect subset --occlusion" + exr, "--occlusion: needs --scene");
     expect_refused(gather + in("c1.h5") + " --indirect subset" + box + exr, "only --occlusion needs it");
     expect_refused(gather + in("c1.h5") + " --direct subset --occlusion" + box + exr,
-                   "only --indirect subset has rays");
+                   "--occlusion: needs --indirect subset");
     expect_refused(gather + in("c1.h5") + " --indirect subset --occlusion" + box + " -D rho=0.5" + exr,
                    "scenes/cornell-box.xml");
     expect_refused(gather + in("c1.h5") + " --indirect subset --occlusion --scene scenes/cornell-box.xml" + exr,

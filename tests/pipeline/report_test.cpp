@@ -54,7 +54,7 @@ TEST_F(Report, WithoutStepsAndReplicates) {
                             "SPPS=1 METHODS='pt pathgraph'");
     ASSERT_EQ(made.code, 0) << made.err;
     const std::string page = bytes_of(folder / "r/report.html");
-    EXPECT_NE(page.find("No light is refined here"), std::string::npos);
+    EXPECT_NE(page.find("No light is refined"), std::string::npos);
     EXPECT_EQ(page.find("Bias and variance apart"), std::string::npos);
 }
 

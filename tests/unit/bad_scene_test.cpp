@@ -111,7 +111,7 @@ TEST_F(BadScene, EachMessageHasItsPlaceAndSaysWhat) {
         {"<bsdf type='twosided'/>", "2:1", "bsdf 'twosided' needs a bsdf inside"},
         {"<shape type='cube'><bsdf type='diffuse'/><bsdf type='diffuse'/></shape>", "2:42", "takes at most 1 bsdf"},
         {"<bsdf type='diffuse'><texture type='checkerboard'/></bsdf>", "2:22",
-         "bsdf 'diffuse' takes no unnamed texture"},
+         "bsdf 'diffuse' takes no texture without a name"},
         {"<shape type='cube'><emitter type='point'/></shape>", "2:20",
          "emitter 'point' does not belong inside a shape"},
         {"<emitter type='constant'/><emitter type='constant'/>", "2:27",

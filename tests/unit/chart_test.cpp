@@ -114,7 +114,7 @@ TEST(Chart, BadTablesSayWhatIsWrong) {
               "t.tsv: has no column cpu; there are scene, method, samples, cpu_s, relmse");
     table.rows[1][4] = "-0.5";
     EXPECT_EQ(error_of([&] { curves_of(table, "cpu_s", "relmse", "method"); }),
-              "t.tsv: row 2, relmse: -0.5 has no place on a log axis");
+              "t.tsv: row 2, relmse: -0.5 must be above 0 on a log axis");
     table.rows[1][4] = "much";
     EXPECT_EQ(error_of([&] { curves_of(table, "cpu_s", "relmse", "method"); }),
               "t.tsv: row 2, relmse: 'much' is not a number");
@@ -156,7 +156,7 @@ TEST(Chart, PartsOfTheError) {
     EXPECT_NE(files.at("parts.gp").find("every ::3::3 using 4:5 with linespoints lw 2 dt 2 pt 6"), std::string::npos);
     Table unknown = table;
     for (auto& row : unknown.rows) row[3] = row[4] = "nan";
-    EXPECT_NE(error_of([&] { part_files("parts", unknown, {}); }).find("neither variance nor bias2 is known"),
+    EXPECT_NE(error_of([&] { part_files("parts", unknown, {}); }).find("has neither variance nor bias2"),
               std::string::npos);
 }
 

@@ -275,7 +275,8 @@ TEST_F(Emitters, NegativeValuesOfAMapCountAsZeroAndAreNoted) {
     const std::vector<Spectrum>& texels = scene->emitters[0].map->texels;
     EXPECT_EQ(texels[0], Spectrum(2));
     EXPECT_EQ(texels[7], Spectrum(0));
-    EXPECT_EQ(scene->notes.back(), "warning: map.exr: 1 of 8 pixels have negative values (lowest -1); they count as 0");
+    EXPECT_EQ(scene->notes.back(),
+              "warning: map.exr: 1 of 8 pixels have negative values (lowest -1), which are read as 0");
 }
 
 TEST_F(Emitters, ATexturedLightWithNegativeValuesIsAnError) {

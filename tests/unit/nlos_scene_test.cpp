@@ -180,8 +180,8 @@ TEST_F(NlosScene, WhatDoesNotFitIsSaid) {
     const Case cases[] = {
         {[](Parts& p) { p.integrator = R"(<integrator type="path"/>)"; },
          "scene.xml:4:25: sensor 'nlos_capture_meter' needs the integrator 'transient_nlos_path'"},
-        {[](Parts& p) { p.emitter = ""; }, "needs one emitter, a projector, and no other"},
-        {[](Parts& p) { p.emitter += p.emitter; }, "needs one emitter, a projector, and no other"},
+        {[](Parts& p) { p.emitter = ""; }, "needs exactly one emitter, a projector"},
+        {[](Parts& p) { p.emitter += p.emitter; }, "needs exactly one emitter, a projector"},
         {[](Parts& p) { p.wall = R"(<shape type="sphere">)"; },
          "the relay wall must be a rectangle, or a mesh with texture coordinates"},
         {[](Parts& p) { p.film = R"(<film type="hdrfilm">)"; }, "needs a film 'transient_hdr_film'"},

@@ -607,7 +607,7 @@ TEST_F(OldGraphFile, ThatDoesNotFitIsRefused) {
                    "was written by loom-merge");
     expect_refused({wrong([](PathGraphInPieces& g) { g.provenance.inputs[0].hash = "0123456789abcdef"; })},
                    "is a graph of old.xml with content 0123456789abcdef, not of old.xml");
-    expect_refused({wrong([](PathGraphInPieces& g) { g.provenance.inputs.clear(); })}, "of no known scene");
+    expect_refused({wrong([](PathGraphInPieces& g) { g.provenance.inputs.clear(); })}, "of an unknown scene");
     expect_refused({wrong([](PathGraphInPieces& g) { g.sensor.width = 48, g.sensor.height = 12; })},
                    "is of 48 x 12 pixels, but the film of old.xml has 24 x 24");
     expect_refused({wrong([](PathGraphInPieces& g) { g.tracing.roulette = "russian"; })}, "roulette russian");

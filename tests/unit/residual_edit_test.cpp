@@ -191,13 +191,13 @@ TEST_F(FindEdit, AddedAndRemoved) {
 
 TEST_F(FindEdit, WhatIsNotRigidIsRemovedAndAdded) {
     EXPECT_EQ(words({{"<scale value=\"0.2\"/>", "<scale value=\"0.3\"/>"}}),
-              Words{"removed and added anew: box: it is not only turned and shifted"});
+              Words{"removed and added: box: it is moved by more than a rotation and a translation"});
     EXPECT_EQ(words({{"<scale value=\"0.2\"/>", "<scale x=\"-0.2\" y=\"0.2\" z=\"0.2\"/>"}}),
-              Words{"removed and added anew: box: it is not only turned and shifted"});
+              Words{"removed and added: box: it is moved by more than a rotation and a translation"});
     EXPECT_EQ(words({{"name=\"radius\" value=\"0.2\"", "name=\"radius\" value=\"0.3\""}}),
-              Words{"removed and added anew: ball: it is not only turned and shifted"});
+              Words{"removed and added: ball: it is moved by more than a rotation and a translation"});
     const Edit edit = found(base, with({{"<shape type=\"cube\"", "<shape type=\"disk\""}}));
-    EXPECT_EQ(edit.changes, Words{"removed and added anew: box: cube -> disk"});
+    EXPECT_EQ(edit.changes, Words{"removed and added: box: cube -> disk"});
     EXPECT_EQ(changes_of(edit.old_shapes, 1), shape_change::removed);
     EXPECT_EQ(changes_of(edit.new_shapes, 1), shape_change::added);
     EXPECT_EQ(edit.new_shapes[1].partner, ShapeEdit::none);
@@ -212,7 +212,7 @@ TEST_F(FindEdit, AnotherMeshUnderTheSameName) {
         return "<shape type='obj' id='m'><string name='filename' value='" + file + "'/></shape>";
     };
     EXPECT_TRUE(found(mesh("a.obj"), mesh("b.obj")).nothing());
-    EXPECT_EQ(found(mesh("a.obj"), mesh("c.obj")).changes, Words{"removed and added anew: m: it has another form"});
+    EXPECT_EQ(found(mesh("a.obj"), mesh("c.obj")).changes, Words{"removed and added: m: its shape has changed"});
 }
 
 TEST_F(FindEdit, Repainted) {
@@ -327,7 +327,7 @@ TEST_F(FindEdit, WhatCannotBeAResidualIsRefusedWithBothPlaces) {
     const auto refusal = [&](const std::string& a, const std::string& b) {
         const auto before = write("old.xml", a), after = write("new.xml", b);
         const std::string message = error_of([&] { find_edit(read_scene(before), read_scene(after)); });
-        return message.substr(0, message.find(": no residual"));
+        return message.substr(0, message.find(": a residual needs"));
     };
     const auto camera = [](const std::string& x) {
         return "<transform name='to_world'><translate x='" + x + "'/></transform>";
@@ -340,9 +340,9 @@ TEST_F(FindEdit, WhatCannotBeAResidualIsRefusedWithBothPlaces) {
         return "<integrator type='path'><integer name='max_depth' value='" + d + "'/></integrator>";
     };
     EXPECT_EQ(refusal(scene(camera("0")), scene(camera("1"))),
-              "new.xml:4:1: the camera does not stand and look as in the old scene, at old.xml:4:1");
+              "new.xml:4:1: the camera's position or direction is not the same as in the old scene, at old.xml:4:1");
     EXPECT_EQ(refusal(scene("<float name='fov' value='40'/>"), scene("<float name='fov' value='50'/>")),
-              "new.xml:4:26: the camera has not the same field of view as in the old scene, at old.xml:4:26");
+              "new.xml:4:26: the camera's field of view is not the same as in the old scene, at old.xml:4:26");
     EXPECT_EQ(refusal(scene(film("8", "8", "")), scene(film("9", "8", ""))),
               "new.xml:4:51: the film's width is 9, not 8 as in the old scene, at old.xml:4:51");
     EXPECT_EQ(refusal(scene(film("8", "8", "")), scene(film("8", "9", ""))),

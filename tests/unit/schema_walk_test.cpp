@@ -232,7 +232,7 @@ TEST_F(SchemaWalk, UnreadParametersAreNamedWithTheirPlace) {
 </scene>)"));
     std::vector<std::string> unread;
     for (const std::string& note : scene->notes)
-        if (note.find("has no effect beside the others") != std::string::npos) unread.push_back(note);
+        if (note.find("has no effect next to the others") != std::string::npos) unread.push_back(note);
     ASSERT_EQ(unread.size(), 1u) << "an object that nothing uses has no say";
     EXPECT_NE(unread[0].find("scene.xml:2:"), std::string::npos) << unread[0];
     EXPECT_NE(unread[0].find("integrator 'transient_path': parameter 'gaussian_stddev'"), std::string::npos)

@@ -176,7 +176,7 @@ TEST_F(TextureFile, ExrFilesWithoutOneColourAreErrorsThatNameTheirChannels) {
     const std::string two = colour_of({"diffuse.R", "diffuse.G", "diffuse.B", "gloss.R", "gloss.G", "gloss.B"},
                                       {3, 4, 5, 0.2f, 0.5f, 0.8f});
     EXPECT_EQ(two,
-              "colour-5.exr: which of its layers is the colour is not clear: diffuse, gloss; keep one of them, or name "
+              "colour-5.exr: several layers hold a colour: diffuse, gloss; keep one of them, or name "
               "its channels R, G, B");
 }
 

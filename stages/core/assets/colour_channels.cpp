@@ -106,9 +106,8 @@ ColourChannels choose_colour(const std::vector<std::vector<std::string>>& parts)
         if (with_colour.empty()) continue;
         std::vector<std::string> names;
         for (const Layer* layer : with_colour) names.push_back(layer->name);
-        return none(fmt::format(
-            "which of its layers is the colour is not clear: {}; keep one of them, or name its channels R, G, B",
-            fmt::join(names, ", ")));
+        return none(fmt::format("several layers hold a colour: {}; keep one of them, or name its channels R, G, B",
+                                fmt::join(names, ", ")));
     }
     if (const ColourChannels sole = sole_channel(parts); sole.kind != Kind::none) return sole;
     std::vector<std::string> names;

@@ -21,7 +21,7 @@ ImageDecoder* load_decoder() {
         if (symbol) return reinterpret_cast<ImageDecoder*>(symbol);
         tried += fmt::format("\n  {}", ::dlerror());
     }
-    throw std::runtime_error("textures cannot be read, for the module that does it cannot be loaded:" + tried);
+    throw std::runtime_error("textures cannot be read; their decoder cannot be loaded:" + tried);
 }
 
 }  // namespace

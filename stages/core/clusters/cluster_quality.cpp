@@ -106,7 +106,8 @@ std::string text_of(const Clusters::Separation& s) {
         return n.empty() ? fmt::format("{}: not tested", what) : fmt::format("{} {}", n[0], what);
     };
     return fmt::format("{}, {}, {}", count(s.other_media, "in another medium"),
-                       count(s.same_path, "of a path that is there already"), count(s.occluded, "hidden by a surface"));
+                       count(s.same_path, "of a path with another vertex there"),
+                       count(s.occluded, "hidden by a surface"));
 }
 
 std::string text_of(const ClusterSpread& s) {

@@ -58,7 +58,7 @@ void find_unread(const Object& object, std::set<const Object*>& seen, std::set<s
         const PluginSchema* plugin = find_plugin(object.category, object.plugin);
         const Parameter* parameter = plugin ? plugin->find(property.name) : nullptr;
         if (!parameter || (parameter->flags & flag::ignored)) continue;
-        const std::string message = fmt::format("warning: {} '{}': parameter '{}' has no effect beside the others",
+        const std::string message = fmt::format("warning: {} '{}': parameter '{}' has no effect next to the others",
                                                 name(object.category), object.plugin, property.name);
         if (named.insert(message).second) warnings.push_back(locate(property.at, message));
     }

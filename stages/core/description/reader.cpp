@@ -59,7 +59,7 @@ std::string said_of(Category category, std::string_view type) {
             if (type.starts_with("direct")) return "rendered by path tracing with max_depth 2, which has the same mean";
             return "rendered by path tracing with its max_depth, rr_depth and hide_emitters";
         case Category::film:
-            if (type == "phasor_hdr_film") return "its cube is rendered in time, not as phasors";
+            if (type == "phasor_hdr_film") return "rendered as a cube over time, not as phasors";
             return "rendered as an image of R, G, B of its size and filter";
         case Category::rfilter:
             return "rendered as a gaussian of stddev 0.5 pixels";
@@ -326,7 +326,7 @@ class Reader {
         } else {
             std::vector<std::string> allowed;
             for (const ChildRule& rule : plugin.children) allowed.emplace_back(name(rule.category));
-            message = fmt::format("{} '{}' takes no unnamed {}; allowed: {}", name(plugin.category), plugin.type,
+            message = fmt::format("{} '{}' takes no {} without a name; allowed: {}", name(plugin.category), plugin.type,
                                   name(child->category), nearest_first(name(child->category), allowed));
         }
         if (key.empty() || !legacy) fail(at, message);
@@ -391,7 +391,7 @@ class Reader {
             return std::string("beckmann");
         }
         if (key == "filter_type" && (*word == "trilinear" || *word == "ewa")) {
-            note(fmt::format("texture filter '{}' is bilinear here: many samples per pixel do the rest", *word));
+            note(fmt::format("texture filter '{}' is rendered as bilinear; many samples per pixel replace it", *word));
             return std::string("bilinear");
         }
         return value;

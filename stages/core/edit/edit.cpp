@@ -358,13 +358,14 @@ void check_views(const Object& old_root, const Object& new_root, Edit& edit) {
     const View a = read_view(old_root), b = read_view(new_root);
     for (const auto& [root, view] : {std::pair{&old_root, &a}, std::pair{&new_root, &b}})
         if (view->sensor.kind == SensorKind::nlos_capture_meter)
-            root->fail("", "a capture around a corner is no picture: it has no residual");
+            root->fail("", "an NLOS capture is no image and has no residual; render the new scene by itself");
     const auto refuse = [&](bool differs, std::initializer_list<Category> way,
                             std::initializer_list<std::string_view> names, const std::string& what) {
         if (differs)
-            fail(place(new_root, way, names), fmt::format("{} as in the old scene, at {}: no residual leads from one "
-                                                          "picture to the other; render the new scene afresh",
-                                                          what, place(old_root, way, names).where()));
+            fail(place(new_root, way, names),
+                 fmt::format(
+                     "{} as in the old scene, at {}: a residual needs equal views; render the new scene by itself",
+                     what, place(old_root, way, names).where()));
     };
     using enum Category;
     const Sensor &s = a.sensor, &t = b.sensor;
@@ -379,15 +380,16 @@ void check_views(const Object& old_root, const Object& new_root, Edit& edit) {
     Matrix4d camera_a, camera_b;
     camera_a.m = s.world_from_camera;
     camera_b.m = t.world_from_camera;
-    refuse(!same_place(camera_a, camera_b), {sensor}, {"to_world"}, "the camera does not stand and look");
+    refuse(!same_place(camera_a, camera_b), {sensor}, {"to_world"},
+           "the camera's position or direction is not the same");
     refuse(s.kind == SensorKind::perspective && s.tan_half_fov_x != t.tan_half_fov_x, {sensor},
-           {"fov", "focal_length", "fov_axis"}, "the camera has not the same field of view");
-    refuse(s.near_clip != t.near_clip, {sensor}, {"near_clip"}, "the camera has not the same near_clip");
-    refuse(s.far_clip != t.far_clip, {sensor}, {"far_clip"}, "the camera has not the same far_clip");
+           {"fov", "focal_length", "fov_axis"}, "the camera's field of view is not the same");
+    refuse(s.near_clip != t.near_clip, {sensor}, {"near_clip"}, "the camera's near_clip is not the same");
+    refuse(s.far_clip != t.far_clip, {sensor}, {"far_clip"}, "the camera's far_clip is not the same");
     refuse(s.principal_x != t.principal_x, {sensor}, {"principal_point_offset_x"},
-           "the camera has not the same principal point");
+           "the camera's principal point is not the same");
     refuse(s.principal_y != t.principal_y, {sensor}, {"principal_point_offset_y"},
-           "the camera has not the same principal point");
+           "the camera's principal point is not the same");
     refuse(a.max_depth != b.max_depth, {integrator}, {"max_depth"},
            fmt::format("max_depth is {}, not {}", b.max_depth, a.max_depth));
     refuse(a.hides_emitters != b.hides_emitters, {integrator}, {"hide_emitters"},
@@ -532,9 +534,9 @@ Edit find_edit(const SceneDescription& old_scene, const SceneDescription& new_sc
                 const Object& b = *new_shapes[j];
                 const std::string why = a.plugin != b.plugin ? fmt::format("{} -> {}", a.plugin, b.plugin)
                                         : canon.form(a) != canon.form(b)
-                                            ? std::string("it has another form")
-                                            : std::string("it is not only turned and shifted");
-                lines.add("removed and added anew", title(a) + is_light(a), why);
+                                            ? std::string("its shape has changed")
+                                            : std::string("it is moved by more than a rotation and a translation");
+                lines.add("removed and added", title(a) + is_light(a), why);
                 edit.new_shapes[j].changes = shape_change::added;
             } else {
                 lines.add("removed", title(a) + is_light(a), "");
@@ -587,7 +589,7 @@ Edit find_edit(const SceneDescription& old_scene, const SceneDescription& new_sc
                 if ((*edits)[i].changes != 0 && (*shapes)[i]->has_child(Category::emitter))
                     fail((*shapes)[i]->at,
                          "an edit of a light with an area is not supported yet where hide_emitters hides it from the "
-                         "camera; render the new scene afresh");
+                         "camera; render the new scene by itself");
 
     const Pairing lights = pair_emitters(old_emitters, new_emitters, canon);
     for (std::size_t i = 0; i < old_emitters.size(); ++i) {

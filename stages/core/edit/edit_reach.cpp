@@ -202,19 +202,20 @@ EditReach::EditReach(const Scene& old_scene, const Scene& new_scene, const Edit&
     old_places.finish(around);
     new_places.finish(around);
 
-    if (!same_sensor(old_scene.sensor, new_scene.sensor)) everything = "the camera differs in its last digits";
+    if (!same_sensor(old_scene.sensor, new_scene.sensor)) everything = "the cameras differ in their last digits";
     if (old_scene.features.anisotropic != new_scene.features.anisotropic)
-        everything = "the one scene has a surface with a grain, the other has none: frames are turned otherwise";
+        everything = "only one of the scenes has an anisotropic surface, which turns all shading frames";
     const std::size_t n = old_scene.emitters.size();
     if (n != new_scene.emitters.size())
-        everything = fmt::format("{} lights, now {}: the same number picks another", n, new_scene.emitters.size());
+        everything =
+            fmt::format("{} lights, now {}: the same random number picks another light", n, new_scene.emitters.size());
     for (std::uint32_t i = 0; everything.empty() && i < n; ++i) {
         const EmitterEdit& emitter = edit.old_emitters[i];
         const Emitter &before = old_scene.emitters[i], &after = new_scene.emitters[i];
         if (emitter.partner != none && emitter.partner != i)
-            everything = "the lights are in another order: the same number picks another";
+            everything = "the lights are in another order: the same random number picks another light";
         if (n > 1 && old_scene.emitter_pmf.pmf(i) != new_scene.emitter_pmf.pmf(i))
-            everything = "the lights are chosen by other weights";
+            everything = "the lights are chosen with other probabilities";
         bool changed = emitter.changed || emitter.partner == none || !compare.same_emitter(before, after);
         if (!changed && before.kind == EmitterKind::area) {
             const ShapeEdit& shape = edit.old_shapes[before.shape];

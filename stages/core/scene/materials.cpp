@@ -223,9 +223,9 @@ int MaterialBuilder::scalar_texture(const ObjectPtr& description) {
     const int index = texture(description);
     const Texture& t = scene_.textures[std::size_t(index)];
     if (t.kind == TextureKind::checkerboard && t.swaps_numbers && t.color0 != t.color1)
-        scene_.notes.push_back(
-            "texture '" + t.id +
-            "' (checkerboard): as a number it has the value of color1 where its colour is color0, as in Mitsuba 3");
+        scene_.notes.push_back("texture '" + t.id +
+                               "' (checkerboard): read as a number it has the value of color1 where its colour is "
+                               "color0, as in Mitsuba 3");
     return index;
 }
 
@@ -301,7 +301,7 @@ EnvironmentMap load_environment(const Object& o, TextureCache& cache, std::vecto
         }
     if (n_negative > 0)
         notes.push_back(
-            fmt::format("warning: {}: {} of {} pixels have negative values (lowest {:.3g}); they count as 0",
+            fmt::format("warning: {}: {} of {} pixels have negative values (lowest {:.3g}), which are read as 0",
                         o.get_path("filename").filename().string(), n_negative, map.texels.size(), lowest));
     return map;
 }

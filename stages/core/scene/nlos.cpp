@@ -132,8 +132,7 @@ void list_hidden(const Scene& scene, std::uint32_t wall, NlosCapture& capture) {
 
 void read_integrator(const Object& o, NlosCapture& c, bool& includes_wall) {
     if (o.get_bool("camera_unwarp", false))
-        o.fail("camera_unwarp",
-               "in a capture around a corner it is account_first_and_last_bounces that says which lengths count");
+        o.fail("camera_unwarp", "in an NLOS capture account_first_and_last_bounces decides which lengths count");
     const std::string type = o.get_string("capture_type", "single");
     c.type = type == "confocal"     ? CaptureType::confocal
              : type == "exhaustive" ? CaptureType::exhaustive
@@ -192,10 +191,10 @@ void scan(const Object& integrator, const Object& film, const Emitter& projector
             missing += !c.laser_points.back().hit;
         }
     if (missing == c.laser_points.size())
-        integrator.fail("illumination_scan_fov", "no ray of the laser's scan meets the scene");
+        integrator.fail("illumination_scan_fov", "no ray of the laser's scan hits the scene");
     if (missing > 0)
-        notes.push_back(fmt::format("{} of {} laser points lie beside the scene and light nothing", missing,
-                                    c.laser_points.size()));
+        notes.push_back(
+            fmt::format("{} of {} laser points miss the scene and contribute nothing", missing, c.laser_points.size()));
 }
 
 }  // namespace
@@ -262,14 +261,14 @@ void build_nlos(const Object& root, const Object* wall, std::uint32_t relay_wall
                                                      "exhaustive ones need an nlos_capture_meter inside the relay wall",
                                                      sensor->plugin));
     if (scene.emitters.size() != 1 || scene.emitters[0].kind != EmitterKind::projector)
-        fail(sensor->at, "a capture around a corner needs one emitter, a projector, and no other");
+        fail(sensor->at, "an NLOS capture needs exactly one emitter, a projector");
     const Emitter& projector = scene.emitters[0];
 
     if (wall) look_at_grid(*wall, *sensor, scene, c);
     if (c.type == CaptureType::single) {
         c.laser_grid = {1, 1};
         c.laser_points.push_back(aim(scene, projector.position, projector.frame));
-        if (c.laser_sampling && !c.laser_points[0].hit) root.fail("", "the projector aims at nothing");
+        if (c.laser_sampling && !c.laser_points[0].hit) root.fail("", "the beam of the projector hits nothing");
     } else if (c.type == CaptureType::confocal) {
         c.laser_grid = c.sensor_grid;
         for (const NlosCapture::Point& at : c.sensor_points)
@@ -288,7 +287,7 @@ void build_nlos(const Object& root, const Object* wall, std::uint32_t relay_wall
                                                                    : NlosCapture::no_wall;
         list_hidden(scene, includes_wall ? NlosCapture::no_wall : relay_or_lit, c);
         if (c.hidden.empty())
-            integrator->fail("nlos_hidden_geometry_sampling", "there is no geometry but the relay wall");
+            integrator->fail("nlos_hidden_geometry_sampling", "the scene has no geometry but the relay wall");
     }
     scene.nlos = std::move(capture);
 }

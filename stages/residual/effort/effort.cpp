@@ -307,9 +307,8 @@ Effort effort_by_pilot(const DynamicScenes& scenes, const std::vector<Family>& f
         for (std::size_t f = 0; f + 1 < K; ++f)
             if (effort.samples[f] > 0)
                 effort.why += fmt::format(", {} {:.0f} %", families[f].name, 100 * best.x[f] * pilot.cost[f] / budget);
-        effort.why +=
-            fmt::format("{}: {:.1f} times less variance than camera paths alone",
-                        best.first_to_camera ? ", none of what the camera sees directly" : "", M_alone / best.M);
+        effort.why += fmt::format("{}: {:.1f} times less variance than camera paths alone",
+                                  best.first_to_camera ? ", none of what is directly visible" : "", M_alone / best.M);
     } else if (K > 1) {
         effort.why += "; paths from the edit do not pay";
     }

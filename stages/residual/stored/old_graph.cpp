@@ -43,8 +43,9 @@ PathOptions options_of(const PathGraph& graph, const std::string& file) {
     const auto roulette =
         named(graph.tracing.roulette, roulette_name, {Roulette::albedo, Roulette::throughput, Roulette::off});
     if (!sampler || !roulette)
-        throw InputError(fmt::format("{}: was traced with sampler {} and roulette {}, which are not known here", file,
-                                     graph.tracing.sampler, graph.tracing.roulette));
+        throw InputError(
+            fmt::format("{}: was traced with sampler {} and roulette {}, which this build does not support", file,
+                        graph.tracing.sampler, graph.tracing.roulette));
     path.sampler = *sampler;
     path.roulette = *roulette;
     return path;
@@ -61,7 +62,7 @@ void check_pass(const PathGraph& graph, const std::string& file, const Scene& ol
     if (std::none_of(made.inputs.begin(), made.inputs.end(), [&](const InputId& i) { return i.hash == hash; }))
         throw InputError(fmt::format(
             "{}: is a graph of {} with content {}, not of {} with these values, whose content is {}; trace it again",
-            file, made.inputs.empty() ? "no known scene" : made.inputs[0].name,
+            file, made.inputs.empty() ? "an unknown scene" : made.inputs[0].name,
             made.inputs.empty() ? "unknown" : made.inputs[0].hash, scene_name, hash));
     if (graph.sensor.width != old_scene.sensor.width || graph.sensor.height != old_scene.sensor.height)
         throw InputError(fmt::format("{}: is of {} x {} pixels, but the film of {} has {} x {}", file,
@@ -300,9 +301,8 @@ bool same_samples(const Image& old_picture, const std::string& file, const OldGr
         picture->first == first && picture->spp == graph.spp)
         return true;
     throw InputError(
-        fmt::format("{}: has seed {} like {}, but not just the same samples with the same options: its noise and that "
-                    "of the residual are neither the same nor "
-                    "independent; trace the graph with another --seed, or like the picture",
+        fmt::format("{}: has seed {} like {}, but other samples or options: its noise and that of the residual are "
+                    "neither equal nor independent; trace the graph with another --seed, or exactly like the image",
                     file, made.seed, graph.files[0]));
 }
 
