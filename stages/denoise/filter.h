@@ -7,7 +7,7 @@
 namespace loom::denoise {
 
 /// What the filter's result depends on. The defaults are those of the least relative error over the scenes of
-/// README.md.
+/// docs/denoise.md.
 struct FilterParameters {
     int window_radius = 7;   // px; pixels that a centre looks at
     int patch_radius = 2;    // px; what is compared of them

@@ -22,8 +22,8 @@ struct RayEnd {
     float hit_error = 0;  // Shape::hit_error, m
 };
 
-/// Bound of a sum of rounding errors, relative to its terms: twice what was needed by millions of rays (README.md of
-/// loom-trace).
+/// Bound of a sum of rounding errors, relative to its terms: twice what was needed by millions of rays
+/// (docs/trace.md).
 inline constexpr float rounding_bound = 4 * 0x1p-24f;
 
 /// A ray that ends at a surface ends short of it by this part of its length, one that ends at a point of no surface by
