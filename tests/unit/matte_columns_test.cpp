@@ -87,7 +87,7 @@ void expect_plain(const MatteColumns& c, std::size_t n, Roulette roulette, const
         const LightSample light = seen_from(point, here.p);
         const BsdfValue<float> value = f_cos_pdf(here, light.wi);
         const bool asks = light.pdf_w > 0 && !is_black(value.f_cos);
-        ASSERT_EQ(c.asks_shadow(i), asks);
+        ASSERT_EQ(c.needs_shadow_ray(i), asks);
         if (asks) {
             ++asked;
             const Ray ray =

@@ -30,13 +30,13 @@ std::vector<PathState> states_of(const Scene& scene, const PathOptions& options,
         lights.ask = !hit                         ? LightQuery::Ask::environment
                      : depth == options.max_depth ? LightQuery::Ask::nothing
                                                   : LightQuery::Ask::point;
-        lights.u = sampler.pair(dimension(depth, Place::light));
+        lights.u = sampler.pair(dimension(depth, Dimension::light));
         lights.d = path.ray.d;
         look_up_light(scene, lights);
         ShadowRequest shadow;
         const Step step = arrive<false>(scene, options, depth, hit, lights,
-                                        sampler.pair(dimension(depth, Place::direction)), path, shadow, {});
-        if (has(step, Step::asks_shadow)) {
+                                        sampler.pair(dimension(depth, Dimension::direction)), path, shadow, {});
+        if (has(step, Step::needs_shadow_ray)) {
             const Ray* segment = &shadow.ray;
             bool blocked = false;
             scene.rays->occluded(&segment, 1, &blocked);

@@ -53,7 +53,7 @@ class Survey {
                        first = std::find(seen.begin(), seen.end(), at.shape) == seen.end();
             if (entering && seen.empty()) ++outer[model.ext_ior];
             seen.push_back(at.shape);
-            const bool entered = media.cross(at.shape, entering, model.int_ior, model.ext_ior);
+            const bool entered = media.pass(at.shape, entering, model);
             if (!first) continue;
             Votes& votes = shapes[at.shape];
             votes.int_ior = model.int_ior;

@@ -38,6 +38,11 @@ class MediumStack {
 
     /// Starts outside of everything, in a medium of this index.
     void start_outside(float ior) { outside_ = ior; }
+    /// Follows light through the surface of a shape; changes the stack only at an interface.
+    /// out: as cross()
+    bool pass(std::uint32_t shape, bool entering, const BsdfModel& model) {
+        return !is_interface(model) || cross(shape, entering, model.int_ior, model.ext_ior);
+    }
     /// out: false when an object is left that was never entered
     bool cross(std::uint32_t shape, bool entering, float int_ior, float ext_ior) {
         if (entering) {

@@ -25,9 +25,8 @@ class MatteBlock {
             surface.side = shape.flip_normals ? -1.0f : 1.0f;
             surface.hit_error = shape.hit_error;
             surface.reflectance = model.diffuse;
-            surface.vertex.describe(Bsdf<float>(model), scene.features);
-            surface.vertex.shape = std::uint32_t(surfaces_.size() - 1);
-            surface.vertex.material = std::uint16_t(shape.material);
+            surface.vertex.set_surface(std::uint32_t(surfaces_.size() - 1), shape.material, Bsdf<float>(model),
+                                       scene.features);
             surface.vertex.flags =
                 vertex_flag::attempted_bsdf | (scene.emitters.empty() ? 0 : vertex_flag::attempted_nee);
         }
@@ -38,7 +37,6 @@ class MatteBlock {
     void clear() { size_ = 0; }
     /// What `add` was called with for path m of the block.
     std::uint32_t ray(std::size_t m) const { return rays_[m]; }
-    Roulette roulette(int depth) const { return depth >= options_.rr_depth ? options_.roulette : Roulette::off; }
 
     /// Takes a path whose ray, number `ray`, has met `hit`. false: it is one for arrive(), which does all that is not
     /// matte, emits, or is lit by a light that looks at what it lights.
@@ -79,7 +77,7 @@ class MatteBlock {
         return true;
     }
 
-    void shade(int depth) { shade_matte(columns_, size_, roulette(depth)); }
+    void shade(int depth) { shade_matte(columns_, size_, roulette_at(options_, depth)); }
 
     /// What shade() has found for path m of the block; as arrive().
     template <bool recording>
@@ -90,11 +88,13 @@ class MatteBlock {
         if (depth == 1) path.result.first = {c.albedo.get<Spectrum>(m), c.ns.get<Normal3f>(m), hit.t};
         if constexpr (recording) record_vertex(m, depth, hit, path, record);
         Step step = Step::ends;
-        if (c.asks_shadow(m)) {
-            step = Step::asks_shadow;
+        if (c.needs_shadow_ray(m)) {
+            step = Step::needs_shadow_ray;
             shadow.ray = {c.shadow_o.get<Point3f>(m), c.shadow_d.get<Vector3f>(m), 0, c.shadow_t_max[m]};
             shadow.contribution = c.contribution.get<Spectrum>(m);
-            if constexpr (recording) record_light(m, path, record.last_number(), shadow.edge);
+            if constexpr (recording)
+                shadow.edge = light_edge(record.last_number(), LightTechnique::next_event, light(m),
+                                         c.shadow_pdf_bsdf_w[m], path.media.index());
         } else if constexpr (recording) {
             if (!scene_.emitters.empty()) record.miss(emitters_[m]);
         }
@@ -132,28 +132,24 @@ class MatteBlock {
         const MatteColumns& c = columns_;
         if (depth > 1) record.last().flags |= vertex_flag::continued;
         VertexRecord& vertex = record.add(surfaces_[hit.shape].vertex);
-        vertex.p = c.p.get<Point3f>(m);
-        vertex.wo = c.wo.get<Vector3f>(m);
-        vertex.ns = vertex.n_side = normal_code(c.ns.get<Normal3f>(m));
-        if (scene_.features.smooth_normals) vertex.ng = normal_code(c.ng.get<Normal3f>(m));
+        const auto ns = c.ns.get<Normal3f>(m);
+        vertex.set_arrival(c.p.get<Point3f>(m), c.wo.get<Vector3f>(m), ns, c.ng.get<Normal3f>(m), ns,
+                           path.media.index(), scene_.features);
         if (scene_.features.textured_diffuse) vertex.diffuse = half_color(c.reflectance.get<Spectrum>(m));
-        vertex.eta = path.media.index();
         vertex.q = c.q[m];
     }
 
-    void record_light(std::size_t m, const PathState& path, std::uint32_t vertex, LightEdgeRecord& edge) const {
+    /// What a light edge holds of the light point of path m.
+    LightSample light(std::size_t m) const {
         const MatteColumns& c = columns_;
-        edge = {};
-        edge.vertex = vertex;
-        edge.at_infinity = c.light_at_infinity[m] != 0;
-        edge.y = c.light_y.get<Point3f>(m);
-        const auto n = c.light_n.get<Normal3f>(m);
-        edge.n = normal_code(n == Normal3f{} ? Normal3f{0, 0, 1} : n);
-        edge.Li = c.light_Li.get<Spectrum>(m);
-        edge.pdf_nee_w = c.shadow_pdf_w[m];
-        edge.pdf_bsdf_w = c.shadow_pdf_bsdf_w[m];
-        edge.emitter = emitters_[m];
-        edge.eta = path.media.index();
+        LightSample light;
+        light.Li = c.light_Li.get<Spectrum>(m);
+        light.pdf_w = c.shadow_pdf_w[m];
+        light.y = c.light_y.get<Point3f>(m);
+        light.n = c.light_n.get<Normal3f>(m);
+        light.at_infinity = c.light_at_infinity[m] != 0;
+        light.emitter = emitters_[m];
+        return light;
     }
 
     const Scene& scene_;

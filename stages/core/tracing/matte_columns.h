@@ -53,7 +53,7 @@ struct MatteColumns {
     Triples wo_local;  // turned to the front
     Numbers turn;      // -1 where the front is the mirror image of the surface, else 1
     Numbers q;         // survival probability of roulette
-    // out: the shadow ray and what it is worth; asks for none where its pdf or its BSDF value is 0
+    // out: the shadow ray and its contribution; there is no ray where its pdf or its BSDF value is 0
     Triples light_wi;
     Triples shadow_o, shadow_d, contribution;
     Numbers shadow_t_max, shadow_pdf_w, shadow_pdf_bsdf_w, shadow_f;
@@ -61,7 +61,7 @@ struct MatteColumns {
     Triples next_o, next_d, next_beta;
     Numbers next_pdf_w, next_weight;
 
-    bool asks_shadow(std::size_t i) const { return shadow_pdf_w[i] > 0 && shadow_f[i] != 0; }
+    bool needs_shadow_ray(std::size_t i) const { return shadow_pdf_w[i] > 0 && shadow_f[i] != 0; }
     bool roulette_ends(std::size_t i) const { return q[i] < 1 && u_roulette[i] >= q[i]; }
     bool has_next(std::size_t i) const { return next_weight[i] > 0; }
 };

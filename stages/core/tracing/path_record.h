@@ -25,7 +25,7 @@ inline HalfColor half_color(const Spectrum& v) {
     return {half_from_float(v.r), half_from_float(v.g), half_from_float(v.b)};
 }
 
-/// In the types of the columns; those that the scene does not call for stay as they are.
+/// A vertex in the types of the columns; those that the scene does not need keep their defaults.
 struct VertexRecord {
     Point3f p;
     Vector3f wo;
@@ -43,17 +43,22 @@ struct VertexRecord {
     float eta = 1;    // absolute index of the segment that arrives here
 
     void end(Ending ending) { flags = flags_with_ending(flags, ending); }
-    /// What a shading point tells of itself.
-    void describe(const ShadingPoint& at, const SceneFeatures& features) {
-        p = at.p;
-        wo = at.wo;
-        ns = normal_code(at.frame.n);
-        if (features.smooth_normals) ng = normal_code(at.ng);
-        if (features.perturbed_normals) n_side = normal_code(at.n_side);
-        if (features.anisotropic) tangent = normal_code(at.frame.s);
-        describe(at.bsdf, features);
+    /// Fills what depends on the ray that arrives, apart from textures.
+    /// in:  eta_  index of refraction of the segment that arrives
+    void set_arrival(const Point3f& p_, const Vector3f& wo_, const Normal3f& shading, const Normal3f& geometric,
+                     const Normal3f& unperturbed, float eta_, const SceneFeatures& features) {
+        p = p_;
+        wo = wo_;
+        ns = normal_code(shading);
+        if (features.smooth_normals) ng = normal_code(geometric);
+        if (features.perturbed_normals) n_side = unperturbed == shading ? ns : normal_code(unperturbed);
+        eta = eta_;
     }
-    void describe(const Bsdf<float>& bsdf, const SceneFeatures& features) {
+    /// Fills what the shape and its material determine.
+    void set_surface(std::uint32_t shape_, std::uint32_t material_, const Bsdf<float>& bsdf,
+                     const SceneFeatures& features) {
+        shape = shape_;
+        material = std::uint16_t(material_);
         if (features.textured_diffuse) diffuse = half_color(bsdf.diffuse);
         if (features.textured_specular) specular = half_color(bsdf.specular);
         if (features.textured_transmittance) transmittance = half_color(bsdf.transmittance);
@@ -65,7 +70,7 @@ struct VertexRecord {
 };
 
 struct LightEdgeRecord {
-    std::uint32_t path = 0, vertex = 0;  // within the path
+    std::uint32_t path = 0, vertex = 0;  // vertex: within the path
     LightTechnique technique = LightTechnique::next_event;
     bool at_infinity = false;
     std::uint16_t emitter = 0;
@@ -76,22 +81,42 @@ struct LightEdgeRecord {
     float eta = 1;
 };
 
-/// What a vertex asked for and did not get: a light sample that was not seen, a BSDF sample that met no light.
+/// A light edge of vertex number `vertex` of a path.
+/// in:  light       point, normal, emitter and Li; pdf_w: of next-event estimation, 0 where it does not find the point
+///      pdf_bsdf_w  of BSDF sampling, roulette folded in
+///      eta         index of refraction of the edge
+inline LightEdgeRecord light_edge(std::uint32_t vertex, LightTechnique technique, const LightSample& light,
+                                  float pdf_bsdf_w, float eta) {
+    LightEdgeRecord edge;
+    edge.vertex = vertex;
+    edge.technique = technique;
+    edge.at_infinity = light.at_infinity;
+    edge.emitter = light.emitter;
+    edge.y = light.y;
+    edge.n = normal_code(light.n == Normal3f{} ? Normal3f{0, 0, 1} : light.n);
+    edge.Li = light.Li;
+    edge.pdf_nee_w = light.pdf_w;
+    edge.pdf_bsdf_w = pdf_bsdf_w;
+    edge.eta = eta;
+    return edge;
+}
+
+/// A sample of a vertex that found no light: an occluded light sample, a BSDF sample that hit no emitter.
 struct MissRecord {
-    std::uint32_t path = 0, vertex = 0;  // within the path
+    std::uint32_t path = 0, vertex = 0;  // vertex: within the path
     LightTechnique technique = LightTechnique::next_event;
     std::uint16_t emitter = 0;
     bool at_infinity = false;
-    // where a shadow ray was to arrive, or its direction; the direction of the BSDF sample; the vertex: no ray
+    // end of the shadow ray, or its direction; direction of the BSDF sample; the vertex itself where no ray was traced
     Point3f y;
 };
 
 struct PathRecords {
     struct Path {
         Point3f origin;
-        Spectrum Le;  // seen directly
+        Spectrum Le;  // of the directly visible emitter
         std::uint32_t n_vertices = 0, n_light_edges = 0, n_misses = 0;
-        std::uint32_t last = 0;  // vertex so far
+        std::uint32_t last = 0;  // latest vertex, among those of all paths
     };
     std::vector<Path> paths;
     std::vector<VertexRecord> vertices;
@@ -107,7 +132,7 @@ struct PathRecords {
     }
 };
 
-/// One path's part of the records.
+/// Appends to the records of one path.
 class PathRecorder {
   public:
     PathRecorder() = default;
@@ -117,6 +142,15 @@ class PathRecorder {
     VertexRecord& last() const { return records_->vertices[path().last]; }
     std::uint32_t last_number() const { return path().n_vertices - 1; }
 
+    /// Adds a vertex on a surface.
+    /// in:  eta  index of refraction of the segment that arrives
+    VertexRecord& add(const Scene& scene, const SurfacePoint& at, const ShadingPoint& here, float eta) const {
+        VertexRecord& vertex = add(VertexRecord{});
+        vertex.set_arrival(here.p, here.wo, here.frame.n, here.ng, here.n_side, eta, scene.features);
+        if (scene.features.anisotropic) vertex.tangent = normal_code(here.frame.s);
+        vertex.set_surface(at.shape, at.material, here.bsdf, scene.features);
+        return vertex;
+    }
     VertexRecord& add(const VertexRecord& like) const {
         PathRecords::Path& mine = path();
         mine.last = std::uint32_t(records_->vertices.size());
@@ -129,13 +163,13 @@ class PathRecorder {
         ++path().n_light_edges;
         records_->light_edges.emplace_back(edge).path = path_;
     }
-    /// A light sample without a shadow ray: nothing would arrive.
+    /// A light sample without a shadow ray, as it contributes zero.
     void miss(std::uint16_t emitter) const { keep({.vertex = last_number(), .emitter = emitter, .y = last().p}); }
-    /// A shadow ray that was blocked.
+    /// An occluded light sample.
     void miss(const LightEdgeRecord& edge) const {
         keep({.vertex = edge.vertex, .emitter = edge.emitter, .at_infinity = edge.at_infinity, .y = edge.y});
     }
-    /// A BSDF sample that met no light.
+    /// A BSDF sample that hit no emitter.
     void miss(const Vector3f& d) const {
         keep({.vertex = last_number(), .technique = LightTechnique::bsdf_hit, .at_infinity = true, .y = Point3f(d)});
     }

@@ -39,12 +39,12 @@ PathResult trace_path(const Scene& scene, const PathOptions& options, PathId id,
         const Hit hit = depth == 1 ? scene.intersect_from_camera(path.ray) : scene.intersect(path.ray);
         ++path.result.n_rays;
         ShadowRequest shadow;
-        LightQuery lights =
-            light_query(hit, path.ray, path.sampler.pair(dimension(depth, Place::light)), depth == options.max_depth);
+        LightQuery lights = light_query(hit, path.ray, path.sampler.pair(dimension(depth, Dimension::light)),
+                                        depth == options.max_depth);
         look_up_light(scene, lights);
         const Step step = arrive<true>(scene, options, depth, hit, lights,
-                                       path.sampler.pair(dimension(depth, Place::direction)), path, shadow, record);
-        if (has(step, Step::asks_shadow)) {
+                                       path.sampler.pair(dimension(depth, Dimension::direction)), path, shadow, record);
+        if (has(step, Step::needs_shadow_ray)) {
             ++path.result.n_rays;
             end_next_event<true>(path, shadow, scene.occluded(shadow.ray), record);
         }
@@ -192,13 +192,13 @@ struct PathBatch::Impl {
             const std::size_t n = active.size();
             for (std::size_t k = 0; k < n; ++k) rays[k] = &paths[active[k]].ray;
             (depth == 1 ? scene.camera_rays : scene.rays)->intersect(rays.data(), n, hits.data(), depth == 1);
-            sampler_pairs(options.sampler, key_lo.data(), key_hi.data(), index.data(), dimension(depth, Place::light),
-                          n, light_x.data(), light_y.data());
             sampler_pairs(options.sampler, key_lo.data(), key_hi.data(), index.data(),
-                          dimension(depth, Place::direction), n, direction_x.data(), direction_y.data());
-            if (matte.roulette(depth) != Roulette::off)
+                          dimension(depth, Dimension::light), n, light_x.data(), light_y.data());
+            sampler_pairs(options.sampler, key_lo.data(), key_hi.data(), index.data(),
+                          dimension(depth, Dimension::direction), n, direction_x.data(), direction_y.data());
+            if (roulette_at(options, depth) != Roulette::off)
                 sampler_pairs(options.sampler, key_lo.data(), key_hi.data(), index.data(),
-                              dimension(depth, Place::roulette), n, roulette_x.data(), unused.data());
+                              dimension(depth, Dimension::roulette), n, roulette_x.data(), unused.data());
             const auto ask = [&](void (Scene::*prefetch)(const Hit&) const) {
                 if (prefetches)
                     for (std::size_t k = 0; k < n; ++k) (scene.*prefetch)(hits[k]);
@@ -241,7 +241,7 @@ struct PathBatch::Impl {
             for (std::size_t k = 0; k < n; ++k) {
                 const std::uint32_t i = active[k];
                 const Step step = steps[k];
-                if (has(step, Step::asks_shadow)) {
+                if (has(step, Step::needs_shadow_ray)) {
                     rays[waiting.size()] = &shadows[i].ray;
                     waiting.push_back(i);
                 }

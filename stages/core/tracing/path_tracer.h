@@ -14,7 +14,7 @@
 namespace loom {
 
 class RayEngine;
-struct PathState;  // path_step.h
+struct PathState;  // path_state.h
 
 /// Survival probability of Russian roulette from `rr_depth` on.
 enum class Roulette : std::uint8_t {

@@ -35,10 +35,6 @@ Segment segment_to_light(const DynamicScene& side, const Vertex& v, const LightE
     return {std::abs(dot(v.at.ng, direction_to(light, v.at.p))), 1, first, side.cross(shadow_ray(v, light), crossings)};
 }
 
-double survival(const ShadingPoint& here) {
-    return std::min(max_channel(albedo(here.bsdf, here.wo_local)), max_survival);
-}
-
 bool scatters_on_both_sides(const Scene& scene, const ShadingPoint& here, const Vertex& vertex) {
     const BsdfModel& model = *here.bsdf.model;
     return model.two_sided || scene.materials[scene.shapes[vertex.hit.shape].material].back >= 0 ||
@@ -102,7 +98,7 @@ Evaluation evaluate(const DynamicScenes& scenes, const DynamicScene& side, const
     for (std::size_t i = 0; i < m; ++i) {
         const Interaction& x = path.vertices[i];
         e.F *= x.f_cos;
-        const bool roulette = options.roulette != Roulette::off && int(i) + 1 >= options.rr_depth;
+        const bool roulette = roulette_at(options, int(i) + 1) != Roulette::off;
         const double p = x.pdf_light * (roulette ? x.q_light : 1);
         if (i + 1 < m) nee *= p;
         hit *= p;

@@ -27,7 +27,7 @@
 #include <array>
 #include <vector>
 
-#include "stages/core/tracing/path_step.h"
+#include "stages/core/tracing/vertex_rules.h"
 #include "stages/residual/dynamic/dynamic_scene.h"
 
 namespace loom::residual {
@@ -163,8 +163,6 @@ double light_pdf(const Scene& scene, const LightEnd& light, const Point3f& from)
 Evaluation evaluate(const DynamicScenes& scenes, const DynamicScene& side, const SampleCounts& counts,
                     const PathOptions& options, const FullPath& path, std::vector<Term>* terms);
 
-/// Survival of a walk at a vertex, by its albedo alone: a density that can be worked out from either end.
-double survival(const ShadingPoint& here);
 /// Density of technique 3's direction towards the light: cosine, on the side or sides that reflect.
 double pdf_towards_light(const ShadingPoint& here, const Vector3f& towards_light);
 bool scatters_on_both_sides(const Scene& scene, const ShadingPoint& here, const Vertex& vertex);

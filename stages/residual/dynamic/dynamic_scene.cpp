@@ -1,7 +1,7 @@
 #include "stages/residual/dynamic/dynamic_scene.h"
 
 #include "stages/core/sampling/warp.h"
-#include "stages/core/tracing/path_step.h"
+#include "stages/core/tracing/vertex_rules.h"
 
 namespace loom::residual {
 namespace {

@@ -379,7 +379,7 @@ bool PathFinder::find_from_camera(PathId id, const Sampler& numbers, const Visit
         stop.v = side_.vertex(ray, hit);
         stop.back = -ray.d;
         touched = touched || stop.v.site != no_site;
-        if (depth == 1) first_hit = {albedo(stop.v.here.bsdf, stop.v.here.wo_local), stop.v.here.frame.n, hit.t};
+        if (depth == 1) first_hit = loom::first_hit(stop.v.here, hit.t);
         if (const int emitter = scene.shapes[hit.shape].emitter; emitter >= 0) {
             stop.met.Le = Radiance(emitted(scene, stop.v.at, stop.back));
             stop.met.y = stop.v.at.p;
@@ -397,7 +397,7 @@ bool PathFinder::find_from_camera(PathId id, const Sampler& numbers, const Visit
         ++n_vertices;
         const ShadingPoint& here = stop.v.here;
         if (!scene.emitters.empty() && has_smooth_lobe(here.bsdf)) {
-            const LightSample s = sample_light(scene, here.p, numbers.pair(dimension(depth, Place::light)));
+            const LightSample s = sample_light(scene, here.p, numbers.pair(dimension(depth, Dimension::light)));
             touched = touched || side_.changed_emitter[s.emitter];
             if (s.pdf_w > 0 && !is_black(f_cos_pdf(here, s.wi).f_cos)) {
                 stop.light = light_end(s);
@@ -406,19 +406,16 @@ bool PathFinder::find_from_camera(PathId id, const Sampler& numbers, const Visit
                 touched = touched || crosses(shadow);
             }
         }
-        const float q = options_.roulette != Roulette::off && depth >= options_.rr_depth ? float(survival(here)) : 1.0f;
-        bool goes_on = !(q < 1 && numbers.pair(dimension(depth, Place::roulette)).x >= q);
+        const float q = roulette_at(options_, depth) != Roulette::off ? survival(here) : 1.0f;
+        bool goes_on = !roulette_ends(q, numbers, depth);
         if (goes_on) {
-            const BsdfModel& model = *here.bsdf.model;
-            const bool one_lobe = model.kind == BsdfKind::diffuse && here.bsdf.opacity == 1;
-            const float u_lobe = one_lobe ? 0.0f : numbers.pair(dimension(depth, Place::lobe)).x;
             const BsdfSample<float> s =
-                sample(here.bsdf, here.wo_local, u_lobe, numbers.pair(dimension(depth, Place::direction)));
+                draw_unshadowed(here, numbers, depth, numbers.pair(dimension(depth, Dimension::direction)));
             goes_on = s.lobe != Lobe::none && !is_black(s.weight);
             if (goes_on) {
                 stop.ahead = here.frame.to_world(s.wi);
                 stop.lobe = s.lobe;
-                is_straight &= goes_straight_on(s.lobe, model.kind);
+                is_straight &= goes_straight_on(s.lobe, here.bsdf.model->kind);
                 ray = spawn_ray(here.end(), stop.ahead);
             }
         }

@@ -45,7 +45,7 @@ ShadingPoint ResumedPaths::repainted(const ShadingPoint& here, std::uint32_t sha
 bool ResumedPaths::sample_light_again(const ShadingPoint& here, std::uint32_t shape, float q, int depth,
                                       const PathState& path, ShadowRequest& shadow) const {
     LightQuery lights;
-    lights.u = path.sampler.pair(dimension(depth, Place::light));
+    lights.u = path.sampler.pair(dimension(depth, Dimension::light));
     look_up_light(scene_, lights);
     return sample_next_event<false>(scene_, path, here, shape, q, lights, shadow, 0);
 }
@@ -88,8 +88,7 @@ void ResumedPaths::add(const StoredPaths& paths, const PathChange& change, std::
         const bool ask_again = along && !again.empty() && again.front() == j;
         const bool repaint = along && reach_.repainted[v.shape[j]] >= 0;
         // Roulette goes by the throughput of the path.
-        const bool other_survival =
-            other_weight && options_.roulette == Roulette::throughput && depth >= options_.rr_depth;
+        const bool other_survival = other_weight && roulette_at(options_, depth) == Roulette::throughput;
         const bool step_again = along && (repaint || other_survival) && depth != options_.max_depth;
         if (ask_again) again = again.subspan(1);
         if (along) ++path.result.n_vertices;
@@ -113,12 +112,12 @@ void ResumedPaths::add(const StoredPaths& paths, const PathChange& change, std::
             const ShadingPoint there = repaint ? repainted(here, v.shape[j]) : here;
             if (repaint && depth == 1) pair.first.albedo = albedo(there.bsdf, there.wo_local);
             LightQuery lights;
-            lights.u = sampler.pair(dimension(depth, Place::light));
+            lights.u = sampler.pair(dimension(depth, Dimension::light));
             look_up_light(scene_, lights);
             ShadowRequest shadow;
             const Step step = leave<false>(scene_, options_, depth, there, v.shape[j], lights,
-                                           sampler.pair(dimension(depth, Place::direction)), path, shadow, {});
-            if (has(step, Step::asks_shadow)) {
+                                           sampler.pair(dimension(depth, Dimension::direction)), path, shadow, {});
+            if (has(step, Step::needs_shadow_ray)) {
                 const auto was_asked = [&] {
                     return !is_black(f_cos_pdf(here, sample_light(scene_, here.p, lights).wi).f_cos);
                 };
@@ -136,19 +135,14 @@ void ResumedPaths::add(const StoredPaths& paths, const PathChange& change, std::
         } else if (along) {
             ShadowRequest shadow;
             if (ask_again && sample_light_again(vertex.whole(), v.shape[j], q, depth, path, shadow)) ask(pair, shadow);
-            path.beta *= s.weight * (1 / q);
-            if (s.lobe == Lobe::delta_transmission || s.lobe == Lobe::glossy_transmission) path.eta_scale *= sqr(s.eta);
-            path.pdf_w = v.pdf_w[j];
-            path.lobe = Lobe(v.lobe[j]);
-            path.is_straight &= goes_straight_on(path.lobe, paths.reader().model(v.material[j]).kind);
-            path.from = p;
+            pass_vertex(path, p, paths.reader().model(v.material[j]), v.shape[j], s, q, v.pdf_w[j]);
         }
         if (along && std::uint32_t(depth) == change.cut) {
             along = false;
             resumes = true;
             path.ray = spawn_ray(paths.end(j), wi());
         }
-        beta *= s.weight * (1 / q);
+        beta = continued(beta, s.weight, q);
         for (; k < e.vertex.size() && e.vertex[k] == j; ++k) {
             const Spectrum Li = rgb(e.Li, k);
             pair.before += beta * Li * power_heuristic(e.pdf_bsdf_w[k], e.pdf_nee_w[k]);

@@ -6,6 +6,7 @@
 #include <span>
 #include <vector>
 
+#include "stages/core/tracing/path_step.h"
 #include "stages/core/tracing/pixel_loop.h"
 #include "stages/residual/stored/touched_paths.h"
 

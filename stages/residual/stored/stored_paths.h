@@ -6,7 +6,7 @@
 #include <vector>
 
 #include "stages/core/graph/graph_reader.h"
-#include "stages/core/tracing/path_step.h"
+#include "stages/core/tracing/vertex_rules.h"
 
 namespace loom::residual {
 
@@ -74,7 +74,7 @@ class StoredPaths {
     }
     float survival(std::size_t vertex) const { return graph().vertices.q.empty() ? 1.0f : graph().vertices.q[vertex]; }
     BsdfSample<float> redraw(const ShadingPoint& here, const Sampler& sampler, int depth) const {
-        return draw(here, sampler, depth, sampler.pair(dimension(depth, Place::direction)));
+        return draw(here, sampler, depth, sampler.pair(dimension(depth, Dimension::direction)));
     }
     /// From a vertex along its BSDF sample.
     Ray sampled_ray(std::size_t path, std::size_t vertex) const {
@@ -115,13 +115,13 @@ class StoredVertex {
         return matte_ ? DiffuseFamily::f_cos_pdf(bsdf_, wo_, {0, 0, dot(wi, n_)}).f_cos : f_cos_pdf(whole(), wi).f_cos;
     }
     /// What the tracer has drawn. in:  depth  number of the vertex within its path
-    /// out: of a matte vertex only its weight
+    /// out: of a diffuse vertex only weight and lobe
     BsdfSample<float> redraw(const Sampler& sampler, int depth) {
-        const Point2f u = sampler.pair(dimension(depth, Place::direction));
+        const Point2f u = sampler.pair(dimension(depth, Dimension::direction));
         if (!matte_) return draw(whole(), sampler, depth, u);
         const BsdfValue<float> value = DiffuseFamily::f_cos_pdf(bsdf_, wo_, sample_cosine_hemisphere(u));
         BsdfSample<float> s;
-        if (value.pdf_w > 0) s.weight = value.f_cos / value.pdf_w;
+        if (value.pdf_w > 0) s.weight = value.f_cos / value.pdf_w, s.lobe = Lobe::diffuse;
         return s;
     }
     /// Its direction.

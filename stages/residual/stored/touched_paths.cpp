@@ -48,7 +48,7 @@ TouchedPaths::FailedLight TouchedPaths::failed_light(std::size_t path, std::size
         return {m.emitter[k], y, at_infinity, at_infinity || !(y == p)};
     }
     const LightSample light =
-        sample_light(paths_.scene(), p, paths_.sampler(path).pair(dimension(paths_.depth(path, j), Place::light)));
+        sample_light(paths_.scene(), p, paths_.sampler(path).pair(dimension(paths_.depth(path, j), Dimension::light)));
     return {light.emitter, light.at_infinity ? Point3f(light.wi) : light.y, light.at_infinity, light.pdf_w > 0};
 }
 

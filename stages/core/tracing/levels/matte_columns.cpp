@@ -1,7 +1,7 @@
 // The step at a matte surface, compiled once per x86-64 level (LOOM_LEVEL is v2, v3 or v4). `flatten` inlines all
 // that is called, so nothing else of a level leaks into the program.
-#include "stages/core/scene/shading.h"
 #include "stages/core/tracing/matte_levels.h"
+#include "stages/core/tracing/vertex_rules.h"
 
 namespace loom::LOOM_LEVEL {
 namespace {
@@ -41,8 +41,7 @@ void find_albedo(MatteColumns& c, std::size_t i) {
 
 void find_survival(MatteColumns& c, std::size_t i, bool may_end, bool by_throughput) {
     const Spectrum beta = c.beta.get<Spectrum>(i) * c.eta_scale[i];
-    const Spectrum survival = c.albedo.get<Spectrum>(i) * select(by_throughput, beta, Spectrum(1));
-    c.q[i] = select(may_end, std::min(max_channel(survival), max_survival), 1.0f);
+    c.q[i] = select(may_end, survival(c.albedo.get<Spectrum>(i), select(by_throughput, beta, Spectrum(1))), 1.0f);
 }
 
 void see_light(MatteColumns& c, std::size_t i) {
@@ -93,7 +92,7 @@ void scatter(MatteColumns& c, std::size_t i) {
     const Spectrum weight = value.f_cos / value.pdf_w;
     const float q = c.q[i];
     c.next_d.set(i, Framef(c.ns.get<Normal3f>(i)).to_world(times_z(wi, c.turn[i])));
-    c.next_beta.set(i, c.beta.get<Spectrum>(i) * (weight * (1 / q)));
+    c.next_beta.set(i, continued(c.beta.get<Spectrum>(i), weight, q));
     c.next_pdf_w[i] = value.pdf_w * q;
     c.next_weight[i] = sum(weight);
 }

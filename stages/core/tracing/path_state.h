@@ -1,0 +1,48 @@
+#pragma once
+// A path while it is being traced, and which random numbers each of its vertices draws.
+
+#include "stages/core/scene/media.h"
+#include "stages/core/scene/shading.h"
+#include "stages/core/tracing/path_tracer.h"
+
+namespace loom {
+
+// Dimensions of a path's random stream, in pairs of numbers. Each decision has its own pair, used or not, so that an
+// edit which skips one leaves all others as they were.
+inline constexpr std::uint32_t film_pair = 0;
+enum class Dimension : std::uint32_t { light = 1, direction = 2, lobe = 3, roulette = 4 };
+/// in: depth  number of the vertex that decides, from 1
+constexpr std::uint32_t dimension(int depth, Dimension of) {
+    return std::uint32_t(depth - 1) * 4 + std::uint32_t(of);
+}
+
+/// The ray that is about to arrive, and all that led to it. What every step touches comes first; what only dielectrics
+/// touch comes last.
+struct alignas(64) PathState {
+    Ray ray;
+    Spectrum beta{1};     // throughput up to the ray: includes the last BSDF sample and roulette
+    float eta_scale = 1;  // product of squared relative indices: undoes radiance scaling for roulette
+    float pdf_w = 0;      // of the ray's direction, roulette folded in; for a delta lobe its pmf
+    Point3f from;         // vertex that it left
+    Lobe lobe = Lobe::none;
+    bool is_straight = true;  // only lobes that go_straight_on() since the camera
+    PathResult result;
+    Sampler sampler;
+    MediumStack media;
+
+    /// A path that starts at the camera.
+    /// in:  u_film  sampler.pair(film_pair)
+    PathState(const Scene& scene, const Sampler& sampler_, PathId id, Point2f u_film)
+        : ray(scene.sensor.sample_ray(std::uint32_t(id.pixel % scene.sensor.width),
+                                      std::uint32_t(id.pixel / scene.sensor.width), u_film)),
+          sampler(sampler_) {
+        if (!scene.sensor_media.vacuum) media = scene.sensor_media.at(scene, ray.o);
+    }
+    /// An empty state; the caller fills it in.
+    explicit PathState(const Sampler& sampler_) : sampler(sampler_) {}
+
+    /// Number of the edge that its ray is about to make.
+    int depth() const { return int(result.n_vertices) + 1; }
+};
+
+}  // namespace loom

@@ -1,0 +1,130 @@
+#pragma once
+// Rules of transport at one vertex of a path. Every walker calls them: the batch and its structure-of-arrays twin, the
+// replay, NLOS captures, and what loom-residual traces, finds or resumes.
+
+#include "stages/core/scene/scene.h"
+#include "stages/core/tracing/path_state.h"
+
+namespace loom {
+
+/// Roulette that applies at vertex number `depth` of a path, from 1.
+constexpr Roulette roulette_at(const PathOptions& options, int depth) {
+    return depth >= options.rr_depth ? options.roulette : Roulette::off;
+}
+
+/// Survival probability of Russian roulette.
+/// in:  throughput  with Roulette::throughput that of the path times its eta_scale, else 1
+inline float survival(const Spectrum& albedo, const Spectrum& throughput = Spectrum(1)) {
+    return std::min(max_channel(albedo * throughput), max_survival);
+}
+
+/// Survival probability by the albedo alone, which can be evaluated from either end of a path.
+inline float survival(const ShadingPoint& here) {
+    return survival(albedo(here.bsdf, here.wo_local));
+}
+
+/// Survival probability of a path at a vertex; 1 without roulette.
+inline float survival(Roulette roulette, const ShadingPoint& here, const PathState& path) {
+    switch (roulette) {
+        case Roulette::off:
+            return 1;
+        case Roulette::albedo:
+            return survival(here);
+        case Roulette::throughput:
+            return survival(albedo(here.bsdf, here.wo_local), path.beta * path.eta_scale);
+    }
+    return 1;
+}
+
+/// Whether roulette ends a path at its vertex number `depth`.
+/// in:  q  survival probability
+inline bool roulette_ends(float q, const Sampler& sampler, int depth) {
+    return q < 1 && sampler.pair(dimension(depth, Dimension::roulette)).x >= q;
+}
+
+/// False for a BSDF of one lobe, whose sample() ignores u_lobe.
+inline bool needs_lobe_sample(const Bsdf<float>& bsdf) {
+    return bsdf.model->kind != BsdfKind::diffuse || bsdf.opacity != 1;
+}
+
+/// BSDF sample of a path at its vertex number `depth`, without the shadowing of bumps.
+[[gnu::always_inline]] inline BsdfSample<float> draw_unshadowed(const ShadingPoint& here, const Sampler& sampler,
+                                                                int depth, Point2f u_direction) {
+    const float u_lobe = needs_lobe_sample(here.bsdf) ? sampler.pair(dimension(depth, Dimension::lobe)).x : 0.0f;
+    return sample(here.bsdf, here.wo_local, u_lobe, u_direction);
+}
+
+/// BSDF sample of a path at its vertex number `depth`, the shadowing of bumps in its weight.
+[[gnu::always_inline]] inline BsdfSample<float> draw(const ShadingPoint& here, const Sampler& sampler, int depth,
+                                                     Point2f u_direction) {
+    BsdfSample<float> s = draw_unshadowed(here, sampler, depth, u_direction);
+    if (here.perturbed && s.lobe != Lobe::none && s.lobe != Lobe::null)
+        s.weight *= bump_shadowing(here, here.frame.to_world(s.wi), s.wi.z);
+    return s;
+}
+
+/// Throughput after a BSDF sample of this weight that has survived roulette with probability q.
+inline Spectrum continued(const Spectrum& beta, const Spectrum& weight, float q) {
+    return beta * (weight * (1 / q));
+}
+
+/// A lobe that keeps a ray's direction: of a mask, a null surface or a thin pane.
+constexpr bool goes_straight_on(Lobe lobe, BsdfKind kind) {
+    return lobe == Lobe::null || (lobe == Lobe::delta_transmission && kind == BsdfKind::thin_dielectric);
+}
+
+/// Moves the state of a path past a vertex; the caller sets its next ray.
+/// in:  s      direction that continues the path
+///      q      probability to continue; s.weight is divided by it
+///      pdf_w  density of the direction, roulette folded in
+[[gnu::always_inline]] inline void pass_vertex(PathState& path, const Point3f& p, const BsdfModel& model,
+                                               std::uint32_t shape, const BsdfSample<float>& s, float q, float pdf_w) {
+    path.lobe = s.lobe;
+    path.is_straight &= goes_straight_on(s.lobe, model.kind);
+    path.pdf_w = pdf_w;
+    path.from = p;
+    path.beta = continued(path.beta, s.weight, q);
+    if (s.lobe == Lobe::delta_transmission || s.lobe == Lobe::glossy_transmission) {
+        path.eta_scale *= sqr(s.eta);
+        path.media.pass(shape, s.wi.z < 0, model);
+    }
+}
+
+/// Index of refraction of the segment from a vertex towards wi.
+/// in:  media  of the segment that arrives there
+inline float index_towards(const MediumStack& media, const ShadingPoint& here, std::uint32_t shape,
+                           const Vector3f& wi) {
+    const BsdfModel& model = *here.bsdf.model;
+    const float side = dot(here.n_side, wi);
+    if (!is_interface(model) || side * dot(here.n_side, here.wo) >= 0) return media.index();
+    MediumStack beyond = media;
+    beyond.pass(shape, side < 0, model);
+    return beyond.index();
+}
+
+/// Whether a ray that leaves the scene finds the sky black: that of a camera, in a scene that hides its emitters.
+inline bool hides_sky(const Scene& scene, bool is_straight) {
+    return scene.hides_emitters && is_straight;
+}
+
+/// A point on a surface as light that leaves along wo sees it.
+inline ShadingPoint shading_point(const Scene& scene, const SurfacePoint& at, const Vector3f& wo) {
+    ShadingPoint here;
+    here.p = at.p;
+    here.wo = wo;
+    here.frame = at.frame;
+    here.wo_local = at.frame.to_local(wo);
+    here.ng = at.ng;
+    here.hit_error = at.hit_error;
+    here.n_side = at.ns_smooth;
+    here.perturbed = at.perturbed;
+    here.bsdf = scene.bsdf(at);
+    return here;
+}
+
+/// in:  distance  from the origin of the camera ray, m
+inline FirstHit first_hit(const ShadingPoint& here, float distance) {
+    return {albedo(here.bsdf, here.wo_local), here.frame.n, distance};
+}
+
+}  // namespace loom
