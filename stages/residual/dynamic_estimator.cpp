@@ -157,7 +157,7 @@ struct CameraWorker {
             for (std::size_t k = 0; k < ids.size(); ++k) values[k] = cameras.difference(k);
             return;
         }
-        cameras.watch(ids);
+        cameras.trace_new(ids);
         if (!wanted) return;
         for (std::size_t k = 0; k < ids.size(); ++k) {
             if (!cameras.touched(k)) continue;

@@ -6,8 +6,8 @@
 #include "stages/core/scene/embree.h"
 #include "stages/core/tracing/matte_block.h"
 #include "stages/core/tracing/nlos_tracer.h"
+#include "stages/core/tracing/path_observer.h"
 #include "stages/core/tracing/path_step.h"
-#include "stages/core/tracing/segment_columns.h"
 
 namespace loom {
 
@@ -57,12 +57,12 @@ struct PathBatch::Impl {
     PathOptions options;
     std::vector<Sampler> samplers;
     std::vector<PathState> started;
-    std::span<PathState> paths;  // those, or those to be resumed
+    std::span<PathState> paths;  // `started`, or the paths to resume
     std::vector<ShadowRequest> shadows;
     std::vector<Hit> hits;
     std::vector<LightQuery> lights;
     std::vector<const Ray*> rays;
-    std::vector<std::uint32_t> active, waiting;  // paths under way; paths whose shadow ray is asked for
+    std::vector<std::uint32_t> active, waiting;  // paths under way; paths that need a shadow ray
     std::vector<std::uint32_t> joining;          // paths that begin at a later depth, the deepest first
     std::unique_ptr<bool[]> blocked{new bool[capacity]};
     // Columns of random numbers, in the order of `active`.
@@ -71,20 +71,12 @@ struct PathBatch::Impl {
     std::vector<Step> steps;
     MatteBlock matte;
     bool prefetches;
-    const Watch* watch;
-    std::vector<Ray> segments;  // of the paths in `unmet`, which have met nothing of the watch so far
-    SegmentColumns columns;     // of the same
-    std::vector<std::uint32_t> unmet;
+    PathObserver* observer;
 
     static constexpr std::size_t cache_bytes = std::size_t(1) << 20;  // of the second level
 
-    Impl(const Scene& s, const PathOptions& o, const Watch* w)
-        : scene(s),
-          options(o),
-          matte(s, o),
-          prefetches(s.table_bytes() > cache_bytes),
-          watch(w),
-          columns(w ? capacity : 0) {
+    Impl(const Scene& s, const PathOptions& o, PathObserver* watcher)
+        : scene(s), options(o), matte(s, o), prefetches(s.table_bytes() > cache_bytes), observer(watcher) {
         samplers.reserve(capacity);
         started.reserve(capacity);
         shadows.resize(capacity);
@@ -95,45 +87,6 @@ struct PathBatch::Impl {
         for (auto* column : {&light_x, &light_y, &direction_x, &direction_y, &roulette_x, &unused})
             column->resize(capacity);
         steps.resize(capacity);
-        segments.reserve(watch ? capacity : 0);
-    }
-
-    /// What a path meets where its ray arrives; the segment up to there waits for watch_segments().
-    void watch_arrival(std::uint32_t i, const Hit& hit, const LightQuery& query) {
-        bool& touched = paths[i].result.touched;
-        if (touched) return;
-        if (hit) {
-            const int emitter = scene.shapes[hit.shape].emitter;
-            touched = watch->shapes[hit.shape] || (emitter >= 0 && watch->emitters[std::size_t(emitter)]) ||
-                      (query.ask == LightQuery::Ask::point && !scene.emitters.empty() &&
-                       watch->emitters[query.point.emitter]);
-        } else {
-            touched = watch->environment;
-        }
-        if (touched) return;
-        Ray segment = paths[i].ray;
-        if (hit) segment.t_max = hit.t * (1 - point_epsilon);
-        watch_segment(i, segment);
-    }
-    void watch_segment(std::uint32_t i, const Ray& segment) {
-        columns.set(unmet.size(), segment);
-        unmet.push_back(i);
-        segments.push_back(segment);
-    }
-    /// in: rays, blocked  overwritten
-    void watch_segments() {
-        find_met(columns, unmet.size(), watch->boxes.data(), watch->boxes.size());
-        std::size_t n = 0;
-        for (std::size_t k = 0; k < unmet.size(); ++k) {
-            if (!columns.met[k]) continue;
-            rays[n] = &segments[k];
-            unmet[n++] = unmet[k];
-        }
-        if (n > 0) watch->passed->occluded(rays.data(), n, blocked.get());
-        for (std::size_t k = 0; k < n; ++k)
-            if (blocked[k]) paths[unmet[k]].result.touched = true;
-        unmet.clear();
-        segments.clear();
     }
 
     template <bool recording>
@@ -153,10 +106,10 @@ struct PathBatch::Impl {
         for (std::size_t i = 0; i < ids.size(); ++i) {
             PathState& path = started.emplace_back(scene, samplers[i], ids[i], Point2f{light_x[i], light_y[i]});
             active.push_back(std::uint32_t(i));
-            if (watch) path.result.touched = false;
             if constexpr (recording) records->paths[i].origin = path.ray.o;
         }
         paths = started;
+        if (observer) observer->start(ids.size());
         follow<recording>(records);
         for (std::size_t i = 0; i < ids.size(); ++i) results[i] = paths[i].result;
     }
@@ -209,10 +162,7 @@ struct PathBatch::Impl {
             ask(&Scene::prefetch_corners);
             look_up_lights(scene, {lights.data(), n});
             ask(&Scene::prefetch_texels);
-            if (watch) {
-                for (std::size_t k = 0; k < n; ++k) watch_arrival(active[k], hits[k], lights[k]);
-                watch_segments();
-            }
+            if (observer) observer->arrive(active, {rays.data(), n}, {hits.data(), n}, {lights.data(), n});
             // Matte surfaces by column, a block at a time; all else vertex by vertex.
             const bool by_column = options.max_depth < 0 || depth < options.max_depth;
             const auto shade = [&] {
@@ -259,18 +209,14 @@ struct PathBatch::Impl {
                 ++paths[i].result.n_rays;
                 end_next_event<recording>(paths[i], shadows[i], blocked[k], recorder(i));
             }
-            if (watch) {
-                for (const std::uint32_t i : waiting)
-                    if (!paths[i].result.touched) watch_segment(i, shadows[i].ray);
-                watch_segments();
-            }
+            if (observer) observer->trace_shadow_rays(waiting, {rays.data(), waiting.size()});
             active.resize(going);
         }
     }
 };
 
-PathBatch::PathBatch(const Scene& scene, const PathOptions& options, const Watch* watch)
-    : impl_(std::make_unique<Impl>(scene, options, watch)) {}
+PathBatch::PathBatch(const Scene& scene, const PathOptions& options, PathObserver* observer)
+    : impl_(std::make_unique<Impl>(scene, options, observer)) {}
 PathBatch::~PathBatch() = default;
 PathBatch::PathBatch(PathBatch&&) noexcept = default;
 

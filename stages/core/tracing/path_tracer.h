@@ -6,14 +6,13 @@
 #include <span>
 #include <vector>
 
-#include "stages/core/math/box.h"
 #include "stages/core/sampling/sampler.h"
 #include "stages/core/scene/scene.h"
 #include "stages/core/tracing/path_record.h"
 
 namespace loom {
 
-class RayEngine;
+class PathObserver;
 struct PathState;  // path_state.h
 
 /// Survival probability of Russian roulette from `rr_depth` on.
@@ -23,10 +22,10 @@ enum class Roulette : std::uint8_t {
     off
 };
 
-/// How large the spot of a laser is taken for by laser sampling.
+/// Area of the laser spot that laser sampling assumes.
 enum class LaserSpot : std::uint8_t {
-    unit_area,  // one point of 1 m^2, as mitransient has it: the answer is per area of the spot
-    true_area   // the section of the beam, so that the answer is that of next-event estimation
+    unit_area,  // a point of 1 m^2, as in mitransient: the result is per area of the spot
+    true_area   // the section of the beam: the result is that of next-event estimation
 };
 
 struct PathOptions {
@@ -35,13 +34,13 @@ struct PathOptions {
     Roulette roulette = Roulette::albedo;
     int rr_depth = 5;                             // first vertex (camera ray: 1) at which roulette may end a path
     int max_depth = -1;                           // longest path in edges, -1: no limit
-    LaserSpot laser_spot = LaserSpot::unit_area;  // of a capture around a corner
+    LaserSpot laser_spot = LaserSpot::unit_area;  // of an NLOS capture
 };
 
 /// Never survive with certainty, so that paths in a lossless enclosure end.
 inline constexpr float max_survival = 0.95f;
 
-/// What later stages look at in the first surface that a camera ray meets.
+/// What later stages need of the first surface that a camera ray hits.
 struct FirstHit {
     Spectrum albedo;  // 0 where the ray escapes
     Normal3f n;       // shading normal, (0, 0, 0) where the ray escapes
@@ -53,19 +52,6 @@ struct PathResult {
     FirstHit first;
     std::uint32_t n_vertices = 0;
     std::uint32_t n_rays = 0;
-    bool touched = true;  // false: it was watched, and met nothing of what it was watched for
-};
-
-/// What paths are watched for: a path that meets none of it would be the same without it. Shadow rays count, whether
-/// they reach their light or not.
-struct Watch {
-    // shapes that need not be in the scene: a segment that goes through one touches it
-    const RayEngine* passed = nullptr;
-    std::vector<Box3f> boxes;          // around them: a segment that meets none of the boxes is not asked for
-    std::vector<std::uint8_t> shapes;  // by shape of the scene: a vertex on it touches it
-    // by emitter of the scene: choosing it for next-event estimation, or hitting it
-    std::vector<std::uint8_t> emitters;
-    bool environment = false;  // escaping from the scene
 };
 
 /// One camera sample; pixel = y * width + x.
@@ -73,29 +59,27 @@ struct PathId {
     std::uint64_t pixel = 0, sample = 0;
 };
 
-/// Traces many paths side by side: rays sixteen at a time, random numbers by column. One batch belongs to one
-/// thread; the results do not depend on what else is in a batch, apart from ties of two surfaces at one place.
+/// Traces many paths at once: rays sixteen at a time, random numbers as a structure of arrays. One batch belongs to one
+/// thread. A result does not depend on what else is in the batch, apart from ties of two surfaces at one point.
 ///   L = Le(x1) + sum_j beta_j [ w_nee f cos Li / p_nee + w_bsdf f cos Li / (q p_bsdf) ],  power-heuristic
 /// weights over the density of next-event estimation and that of BSDF sampling with roulette folded in.
 class PathBatch {
   public:
-    /// in: watch  null, or what paths are watched for; not of captures around a corner, all of whose paths count as
-    ///     touched
-    PathBatch(const Scene& scene, const PathOptions& options, const Watch* watch = nullptr);
+    /// in:  observer  null, or watches all paths of trace(); borrowed. Not for NLOS captures.
+    PathBatch(const Scene& scene, const PathOptions& options, PathObserver* observer = nullptr);
     ~PathBatch();
     PathBatch(PathBatch&&) noexcept;
 
     /// in: ids, at most `capacity`; out: results, of the same length
     void trace(std::span<const PathId> ids, std::span<PathResult> results);
-    /// The same paths, with all of their vertices and light edges.
+    /// Traces the same paths and records all of their vertices and light edges.
     void trace(std::span<const PathId> ids, std::span<PathResult> results, PathRecords& records);
 
-    /// Takes paths that are under way to their ends, from whatever depth each has come to; as tracing them whole would
-    /// have.
-    /// in:      under_way  which of the paths, at most `capacity`; the others are left as they are
-    ///          paths      each with its ray, what led to it, and the light and vertices so far
+    /// Traces started paths to their ends, each from its own depth; the result is that of tracing them whole.
+    /// in:      under_way  indices of the paths to trace, at most `capacity`; the others stay as they are
+    ///          paths      each with its ray, the state that led to it, and the light and vertices so far
     /// out:     paths      the result of each; n_rays counts on
-    /// needs:   no watch, no capture around a corner
+    /// needs:   no observer, no NLOS capture
     void resume(std::span<PathState> paths, std::span<const std::uint32_t> under_way);
 
     static constexpr std::size_t capacity = 1024;
@@ -105,7 +89,7 @@ class PathBatch {
     std::unique_ptr<Impl> impl_;
 };
 
-/// One path alone, ray by ray: the plain twin of PathBatch, and what a replay runs.
+/// Traces one path ray by ray. A replay runs it; it is the plain twin of PathBatch.
 PathResult trace_path(const Scene& scene, const PathOptions& options, PathId id, PathRecords& records);
 
 }  // namespace loom

@@ -1,28 +1,29 @@
 #pragma once
-// Pairs of camera paths, many at a time, of which the old one is traced only where it may differ.
+// Pairs of camera paths, many at a time; the old one of a pair is traced only where it may differ.
 
 #include <memory>
 #include <vector>
 
 #include "stages/core/tracing/pixel_loop.h"
 #include "stages/residual/dynamic/dynamic_scene.h"
+#include "stages/residual/dynamic/touch_observer.h"
 
 namespace loom::residual {
 
-/// One thread's.
+/// Belongs to one thread.
 class CameraPaths {
   public:
     CameraPaths(const DynamicScenes& scenes, const PathOptions& path);
 
     /// Traces paths of the new scene, at most PathBatch::capacity, and finds those that the edit may have changed.
-    void watch(std::span<const PathId> ids);
-    /// watch(), and the old twins of those that were touched.
+    void trace_new(std::span<const PathId> ids);
+    /// Calls trace_new(), then traces the old twins of the touched paths.
     void trace(std::span<const PathId> ids);
 
     bool touched(std::size_t k) const { return old_of_[k] != none; }
     const FirstHit& first(std::size_t k) const { return new_[k].first; }
     const Spectrum& L_new(std::size_t k) const { return new_[k].L; }
-    /// Of the last trace(): new minus old, 0 where nothing was touched; rays of both.
+    /// After trace(): new minus old, 0 where nothing was touched; number of rays of both.
     Spectrum difference(std::size_t k) const { return touched(k) ? new_[k].L - old_[old_of_[k]].L : Spectrum(); }
     std::uint32_t rays(std::size_t k) const { return new_[k].n_rays + (touched(k) ? old_[old_of_[k]].n_rays : 0); }
 
@@ -32,11 +33,11 @@ class CameraPaths {
   private:
     static constexpr std::uint32_t none = ~0u;
 
-    std::unique_ptr<Watch> watch_;
+    std::unique_ptr<TouchObserver> observer_;
     bool all_touched_;
     PathBatch new_batch_, old_batch_;
     std::vector<PathResult> new_, old_;
-    std::vector<std::uint32_t> old_of_;  // which of old_ belongs to a path
+    std::vector<std::uint32_t> old_of_;  // by path: its twin's index in old_, or `none`
     std::vector<PathId> touched_;
 };
 

@@ -184,14 +184,14 @@ DynamicScenes::DynamicScenes(const Scene& old_, const Scene& new_, const Edit& e
     if (!movers.empty()) mover_rays = std::make_unique<RayEngine>(movers);
 }
 
-Watch DynamicScenes::watch(const DynamicScene& side) const {
-    Watch watch;
-    watch.passed = mover_rays.get();
-    watch.boxes = boxes_around(movers, 1e-4f * side.scene.radius);
-    for (const std::uint8_t site : side.site_of) watch.shapes.push_back(site != no_site);
-    watch.emitters.assign(side.changed_emitter.begin(), side.changed_emitter.end());
-    watch.environment = side.scene.environment >= 0 && side.changed_emitter[std::size_t(side.scene.environment)];
-    return watch;
+EditTargets DynamicScenes::targets(const DynamicScene& side) const {
+    EditTargets targets;
+    targets.passed = mover_rays.get();
+    targets.boxes = boxes_around(movers, 1e-4f * side.scene.radius);
+    for (const std::uint8_t site : side.site_of) targets.shapes.push_back(site != no_site);
+    targets.emitters.assign(side.changed_emitter.begin(), side.changed_emitter.end());
+    targets.environment = side.scene.environment >= 0 && side.changed_emitter[std::size_t(side.scene.environment)];
+    return targets;
 }
 
 }  // namespace loom::residual

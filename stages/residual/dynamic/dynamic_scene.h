@@ -12,7 +12,7 @@
 #include "stages/core/scene/embree.h"
 #include "stages/core/scene/scene.h"
 #include "stages/core/scene/shading.h"
-#include "stages/core/tracing/path_tracer.h"
+#include "stages/residual/dynamic/touch_observer.h"
 
 namespace loom::residual {
 
@@ -137,8 +137,9 @@ struct DynamicScenes {
     bool lights_changed = false;
     bool same_choice_of_lights = true;  // the same random number chooses the same light in both
 
-    /// What a path of one of the scenes meets when it may be another one in the other. needs: same_choice_of_lights
-    Watch watch(const DynamicScene& side) const;
+    /// What a path of one scene touches where it may differ in the other.
+    /// needs: same_choice_of_lights
+    EditTargets targets(const DynamicScene& side) const;
     const SiteShapes& at(Site site) const { return sites[std::size_t(site)]; }
 };
 
