@@ -48,6 +48,14 @@ void write_cost(const Cost& cost, const std::filesystem::path& output) {
     write_text_file(cost_path(output), json.str());
 }
 
+void write_cost_of(const std::filesystem::path& output, Cost cost, const std::vector<std::string>& parents) {
+    cost.bytes_written = std::filesystem::file_size(output);
+    for (std::string& source : cost.sources) source = std::filesystem::path(source).filename();
+    for (const std::string& parent : parents)
+        if (!parent.empty()) cost.parents.push_back(parent_of(output, parent));
+    write_cost(cost, output);
+}
+
 Cost read_cost(const std::filesystem::path& output) {
     const std::string file = cost_path(output).native();
     const MappedFile mapped(file);

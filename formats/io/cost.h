@@ -28,6 +28,10 @@ std::string parent_of(const std::filesystem::path& output, const std::filesystem
 /// "x.h5" -> "x.h5.cost.json"
 std::filesystem::path cost_path(const std::filesystem::path& output);
 void write_cost(const Cost& cost, const std::filesystem::path& output);
+/// Completes the cost of a written output and writes it beside the output.
+/// in:      cost     without bytes_written and parents; sources may have folders, which are dropped
+///          parents  inputs that stages made, as paths from the working folder; empty ones are skipped
+void write_cost_of(const std::filesystem::path& output, Cost cost, const std::vector<std::string>& parents);
 /// The cost of an output.
 /// throws:  InputError when there is none, or it is damaged
 Cost read_cost(const std::filesystem::path& output);

@@ -128,9 +128,8 @@ class Maker {
         if (!joint) {
             Clusters clusters = make_clusters(graph, settings_, workspace_);
             write(clusters, graph, output, id, {id});
-            cost = report_.cost();
+            cost = report_.cost(plan_);
             cost.rays = workspace_.n_rays;
-            cost.parents = {parent_of(output, file)};
             report_.done("{}", text_of_done(clusters));
         } else {
             const InputId with_id = identify(with_file);
@@ -138,36 +137,28 @@ class Maker {
             JointClusters clusters = make_joint_clusters(graph, with, settings_);
             write(clusters.first, graph, output, id, {id, with_id});
             write(clusters.second, with, with_output, with_id, {with_id, id});
-            cost = report_.cost();
+            cost = report_.cost(plan_);
             cost.rays = clusters.n_rays;
-            cost.parents = {parent_of(output, file), parent_of(output, with_file)};
             // What both cost together is counted once, with the first.
             Cost second;
             second.stage = report_.name();
             second.command = cost.command;
             second.plan = plan_;
-            second.bytes_written = std::filesystem::file_size(with_output);
-            second.parents = {parent_of(with_output, output)};
-            write_cost(second, with_output);
+            write_cost_of(with_output, second, {output});
             report_.done("{}; {}", text_of_done(clusters.first), text_of_done(clusters.second));
         }
         cost.wall_s += loading.wall_s - before.wall_s;
         cost.cpu_s += loading.cpu_s - before.cpu_s;
         cost.load_s = loading.load_s;
-        cost.plan = plan_;
-        cost.bytes_written = std::filesystem::file_size(output);
-        write_cost(cost, output);
+        write_cost_of(output, cost, {file, with_file});
     }
 
   private:
     void write(Clusters& clusters, const PathGraph& of, const std::string& output, const InputId& own,
                const std::vector<InputId>& inputs) const {
         clusters.graph = own.hash;
-        clusters.provenance.stage = report_.name();
+        clusters.provenance = report_.provenance(settings_.seed, inputs, plan_);
         clusters.provenance.command = command_;
-        clusters.provenance.seed = settings_.seed;
-        clusters.provenance.inputs = inputs;
-        clusters.provenance.plan = plan_;
         write_clusters(clusters, output);
         report_.info("{}", text_of(cluster_sizes(clusters)));
         report_.info("{}", text_of(cluster_spread(of, clusters, clusters_to_measure)));

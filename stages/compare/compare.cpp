@@ -434,9 +434,7 @@ int run(const Options& options, app::Report& report) {
         throw InputError(fmt::format("{}: the difference must end in .exr", options.difference));
 
     const Picture reference = read_reference(options, reference_file);
-    Provenance provenance;
-    provenance.stage = report.name();
-    provenance.command = report.command();
+    Provenance provenance = report.provenance(0, {}, {});
     Comparison comparison{
         options.scene, reference_file, reference.width, reference.height, reference.cube.time.n_bins, {}};
     if (reference.is_cube() && reference.var_mean.empty())

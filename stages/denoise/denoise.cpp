@@ -188,19 +188,11 @@ void run(const Options& options, app::Report& report) {
     };
     for (auto& channel : image.channels)
         if (clean.find(channel.name).empty() && !of_noisy(channel.name)) clean.channels.push_back(std::move(channel));
-    clean.provenance.stage = report.name();
-    clean.provenance.command = report.command();
-    clean.provenance.seed = image.provenance.seed;
-    clean.provenance.inputs = {identify(options.image)};
-    clean.provenance.plan = plan;
+    clean.provenance = report.provenance(image.provenance.seed, {identify(options.image)}, plan);
     write_image(clean, options.output);
     if (!options.png.empty()) write_png(clean, options.png, options.exposure_ev);
 
-    Cost cost = report.cost();
-    cost.plan = plan;
-    cost.bytes_written = std::filesystem::file_size(options.output);
-    cost.parents = {std::filesystem::path(options.image).filename()};
-    write_cost(cost, options.output);
+    write_cost_of(options.output, report.cost(plan), {options.image});
     report.done("{}: {} x {} pixels by {}", options.output, clean.width, clean.height,
                 oidn ? "Open Image Denoise" : fmt::format("the built-in filter, {} outliers bounded", n_outliers));
 }

@@ -166,10 +166,7 @@ void run(const Options& options, app::Report& report) {
         app::Progress progress(report, "frames", cube.time.n_bins);
         for (std::size_t bin = 0; bin < cube.time.n_bins; ++bin) {
             Image image = frame_of(cube, bin);
-            image.provenance.stage = report.name();
-            image.provenance.command = report.command();
-            image.provenance.seed = cube.provenance.seed;
-            image.provenance.inputs = {input};
+            image.provenance = report.provenance(cube.provenance.seed, {input}, image.provenance.plan);
             // Hundreds of files, and soon made again: none waits for the disk.
             if (options.exr) write_image(image, frame_path(frames, bin, ".exr"), Compression::zip, Sync::no);
             if (options.png || !options.movie.empty())

@@ -228,12 +228,9 @@ void run(const Options& options, app::Report& report) {
         image = gathered_image(graph, radiance, options.gather, options.threads,
                                {&clusters, scene.get(), graph.provenance.seed}, &rays);
     }
-    image.provenance.stage = report.name();
-    image.provenance.command = report.command();
-    image.provenance.seed = graph.provenance.seed;
-    image.provenance.inputs = {graph_id};
+    image.provenance =
+        report.provenance(graph.provenance.seed, {graph_id}, "on: own paths only; off: neighbours (no radiance given)");
     if (!graph.provenance.inputs.empty()) image.scene = graph.provenance.inputs[0];
-    image.provenance.plan = "on: own paths only; off: neighbours (no radiance given)";
     if (!options.radiance.empty()) {
         const auto name = [&](Source source) {
             return source == Source::own       ? "own samples"
@@ -252,17 +249,12 @@ void run(const Options& options, app::Report& report) {
     write_image(image, options.output);
     if (!options.png.empty()) write_png(image, options.png, options.exposure_ev);
 
-    Cost cost = report.cost();
-    cost.plan = image.provenance.plan;
+    Cost cost = report.cost(image.provenance.plan);
     cost.samples = graph.n_paths();
-    cost.bytes_written = std::filesystem::file_size(options.output);
-    cost.parents = {parent_of(options.output, options.graph)};
-    if (!options.radiance.empty()) cost.parents.push_back(parent_of(options.output, options.radiance));
-    if (subsets) cost.parents.push_back(parent_of(options.output, options.clusters));
-    if (occlusion) cost.sources = {std::filesystem::path(options.scene).filename()};
+    if (occlusion) cost.sources = {options.scene};
     cost.rays = rays;
     cost.load_s = load_s;
-    write_cost(cost, options.output);
+    write_cost_of(options.output, cost, {options.graph, options.radiance, subsets ? options.clusters : ""});
     report.done("{} paths, {} vertices", graph.n_paths(), graph.n_vertices());
 }
 

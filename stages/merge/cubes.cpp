@@ -31,7 +31,7 @@ void run_cubes(const Options& options, app::Report& report) {
     using Cube = TransientCube;
     TransientCubeHeader header;
     std::vector<Cube> cubes;
-    header.provenance.inputs = identify_parts(options.parts);
+    std::vector<InputId> inputs = identify_parts(options.parts);
     std::uint64_t samples = 0;
     for (const std::string& file : options.parts) {
         cubes.push_back(read_transient_cube(file));
@@ -42,15 +42,9 @@ void run_cubes(const Options& options, app::Report& report) {
         if (const std::string why = difference_in_words(cubes.back(), cubes[0]); !why.empty())
             throw InputError(fmt::format("{}: {} (of {})", file, why, options.parts[0]));
     }
-    const std::vector<InputId> inputs = std::move(header.provenance.inputs);
     header = cubes[0];
     header.film.samples_per_pixel = samples;
-    header.provenance = {};
-    header.provenance.inputs = inputs;
-    header.provenance.stage = report.name();
-    header.provenance.command = report.command();
-    header.provenance.seed = cubes[0].provenance.seed;
-    header.provenance.plan = cubes[0].provenance.plan;
+    header.provenance = report.provenance(cubes[0].provenance.seed, std::move(inputs), cubes[0].provenance.plan);
 
     TransientCubeWriter writer(options.output, header);
     const std::size_t bins = header.row_size(), pixels = 3 * std::size_t(header.film.width);
@@ -66,11 +60,7 @@ void run_cubes(const Options& options, app::Report& report) {
     }
     writer.commit();
 
-    Cost cost = report.cost();
-    cost.plan = header.provenance.plan;
-    cost.bytes_written = std::filesystem::file_size(options.output);
-    for (const std::string& part : options.parts) cost.parents.push_back(parent_of(options.output, part));
-    write_cost(cost, options.output);
+    write_cost_of(options.output, report.cost(header.provenance.plan), options.parts);
     report.done("{}: {} parts, {} samples per pixel", options.output, options.parts.size(), samples);
 }
 

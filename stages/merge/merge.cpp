@@ -243,10 +243,9 @@ void run(const Options& options, app::Report& report) {
     const bool differences = !options.minus.empty();
     if (differences && options.minus.size() != options.parts.size())
         throw InputError(fmt::format("--minus: {} images for {} parts", options.minus.size(), options.parts.size()));
-    Provenance provenance;
-    provenance.inputs = identify_parts(options.parts);
+    std::vector<InputId> inputs = identify_parts(options.parts);
     if (differences)
-        for (InputId& id : identify_parts(options.minus)) provenance.inputs.push_back(std::move(id));
+        for (InputId& id : identify_parts(options.minus)) inputs.push_back(std::move(id));
     std::vector<Labels> labels(options.parts.size());
     const auto read_part = [&](std::size_t i) {
         Image image = read_image(options.parts[i]);
@@ -284,7 +283,7 @@ void run(const Options& options, app::Report& report) {
         if (direct.find("VarMean.R").empty() || direct.samples < 2)
             throw InputError(
                 fmt::format("{}: has no variance (VarMean, from two samples per pixel or more)", options.direct));
-        provenance.inputs.push_back(identify(options.direct));
+        inputs.push_back(identify(options.direct));
     }
     if ((estimates || differences) && options.parts.size() > 1) {
         const auto part = [&](std::size_t i) {
@@ -325,12 +324,9 @@ void run(const Options& options, app::Report& report) {
             ? "off: blend with the paths' own estimates (--no-blend)"
             : fmt::format("off: blend with the paths' own estimates (fewer than {} parts)", min_blend_parts);
     if (!why.empty()) report.info("plan: {}", why);
-    provenance.stage = report.name();
-    provenance.command = report.command();
-    provenance.seed = first.provenance.seed;
-    provenance.plan =
-        (why.empty() ? first.provenance.plan : why) + (differences ? "; differences of pairs, new minus old" : "");
-    merged.provenance = std::move(provenance);
+    merged.provenance = report.provenance(
+        first.provenance.seed, std::move(inputs),
+        (why.empty() ? first.provenance.plan : why) + (differences ? "; differences of pairs, new minus old" : ""));
     const InputId scene = common_scene(labels);
     if (!differences) {
         merged.scene = !options.direct.empty() && direct.scene.hash != scene.hash ? InputId() : scene;
@@ -345,13 +341,10 @@ void run(const Options& options, app::Report& report) {
     }
     write_image(merged, options.output, options.zip ? Compression::zip : Compression::none);
 
-    Cost cost = report.cost();
-    cost.plan = merged.provenance.plan;
-    cost.bytes_written = std::filesystem::file_size(options.output);
-    for (const std::string& part : options.parts) cost.parents.push_back(parent_of(options.output, part));
-    for (const std::string& part : options.minus) cost.parents.push_back(parent_of(options.output, part));
-    if (!options.direct.empty()) cost.parents.push_back(parent_of(options.output, options.direct));
-    write_cost(cost, options.output);
+    std::vector<std::string> parents = options.parts;
+    parents.insert(parents.end(), options.minus.begin(), options.minus.end());
+    parents.push_back(options.direct);
+    write_cost_of(options.output, report.cost(merged.provenance.plan), parents);
     report.done("{}: {} parts, {} samples per pixel", options.output, options.parts.size(), merged.samples);
 }
 

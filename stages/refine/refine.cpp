@@ -200,12 +200,12 @@ void run(const Options& options, app::Report& report) {
     }
     report.info("plan: {}", plan);
     const InputId graph_id = identify(options.graph);
+    std::vector<InputId> inputs{graph_id};
     Radiance radiance;
     if (west) {
         if (!options.clusters.empty())
             throw InputError(options.clusters + ": --method west finds its own neighbours; leave out the clusters");
         radiance = west_radiance(graph, options);
-        radiance.provenance.inputs = {graph_id};
     } else {
         if (options.clusters.empty()) throw InputError("clusters: missing (made by loom-cluster)");
         const Clusters clusters = read_clusters(options.clusters);
@@ -215,23 +215,16 @@ void run(const Options& options, app::Report& report) {
                                          options.clusters, clusters.settings.max_size, max_lanes));
         report.info("clusters: separated, of {} vertices: {}", clusters.n_members(), text_of(clusters.separation));
         radiance = refine_radiance(graph, clusters, options, report);
-        radiance.provenance.inputs = {graph_id, identify(options.clusters)};
-        radiance.clusters = radiance.provenance.inputs[1].hash;
+        inputs.push_back(identify(options.clusters));
+        radiance.clusters = inputs[1].hash;
     }
     radiance.graph = graph_id.hash;
-    radiance.provenance.stage = report.name();
-    radiance.provenance.command = report.command();
-    radiance.provenance.seed = graph.provenance.seed;
-    radiance.provenance.plan = plan;
+    radiance.provenance = report.provenance(graph.provenance.seed, std::move(inputs), plan);
     write_radiance(radiance, options.output);
 
-    Cost cost = report.cost();
-    cost.plan = plan;
+    Cost cost = report.cost(plan);
     cost.samples = graph.n_paths();
-    cost.bytes_written = std::filesystem::file_size(options.output);
-    cost.parents = {parent_of(options.output, options.graph)};
-    if (!options.clusters.empty()) cost.parents.push_back(parent_of(options.output, options.clusters));
-    write_cost(cost, options.output);
+    write_cost_of(options.output, cost, {options.graph, options.clusters});
     report.done("{} vertices, {} iterations", graph.n_vertices(), radiance.residual.size());
 }
 

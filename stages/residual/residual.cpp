@@ -400,36 +400,31 @@ void run(const Options& options, app::Report& report) {
                                          {options.first_sample, options.spp, options.threads}, report, counts);
     }
     const std::string how = made ? residual.provenance.plan : plan;
-    residual.provenance.stage = report.name();
-    residual.provenance.command = report.command();
-    if (!made) residual.provenance.seed = stored ? path.seed : options.seed;
+    const std::uint64_t seed = made ? residual.provenance.seed : stored ? path.seed : options.seed;
     const std::string in_words = edit.nothing() ? "nothing differs" : fmt::format("{}", fmt::join(edit.changes, "; "));
-    residual.provenance.plan = how.starts_with("edit: ") ? how : fmt::format("edit: {}; {}", in_words, how);
-    residual.provenance.inputs = {{old_name, content_hash_text(old_scene->content_hash)},
-                                  {new_name, content_hash_text(new_scene->content_hash)}};
+    std::vector<InputId> inputs{{old_name, content_hash_text(old_scene->content_hash)},
+                                {new_name, content_hash_text(new_scene->content_hash)}};
     for (std::size_t i = 0; i < graph.passes.size(); ++i)
-        residual.provenance.inputs.push_back(identify_by_header(graph.passes[i], graph.files[i]));
+        inputs.push_back(identify_by_header(graph.passes[i], graph.files[i]));
+    residual.provenance = report.provenance(
+        seed, std::move(inputs), how.starts_with("edit: ") ? how : fmt::format("edit: {}; {}", in_words, how));
     residual.ledger.back().what = in_words;
     residual.ledger.back().scene = residual.provenance.inputs[1];
 
-    Cost cost = report.cost();
+    Cost cost = report.cost(residual.provenance.plan);
     cost.load_s = loading.cpu_s;
     cost.rays = counts.rays;
     cost.samples = made ? 0 : stored ? of_graph.touched : new_scene->sensor.n_pixels() * options.spp;
-    cost.plan = residual.provenance.plan;
     cost.sources = {old_name};
     if (new_name != old_name) cost.sources.push_back(new_name);
     std::string last_output;
-    const auto write = [&](const Image& image, const std::string& file) {
+    const auto write = [&](const Image& image, const std::string& file, std::vector<std::string> parents) {
         write_image(image, file);
-        cost.bytes_written = std::filesystem::file_size(file);
-        write_cost(cost, file);
+        parents.insert(parents.end(), options.old_graph.begin(), options.old_graph.end());
+        write_cost_of(file, cost, parents);
         last_output = file;
     };
-    if (!options.output.empty()) {
-        for (const std::string& file : options.old_graph) cost.parents.push_back(parent_of(options.output, file));
-        write(residual, options.output);
-    }
+    if (!options.output.empty()) write(residual, options.output, {});
     if (!options.residual_png.empty()) write_png(false_colours(residual, "", 0), options.residual_png);
     if (!options.new_picture.empty()) {
         Image sum = controlled ? take_controlled(old_picture, residual, std::move(*controlled))
@@ -438,11 +433,8 @@ void run(const Options& options, app::Report& report) {
         sum.provenance.inputs.push_back(identify(options.old_picture));
         if (made) sum.provenance.inputs.push_back(identify(options.residual));
         if (!sum.ledger.empty()) say_standing(sum.ledger, options, report);
-        // All that this run cost is the new picture's, whether the residual is kept or not.
-        cost.parents = {parent_of(options.new_picture, options.old_picture)};
-        if (made) cost.parents.push_back(parent_of(options.new_picture, options.residual));
-        for (const std::string& file : options.old_graph) cost.parents.push_back(parent_of(options.new_picture, file));
-        write(sum, options.new_picture);
+        // The new image carries the cost of this run, whether the residual is kept or not.
+        write(sum, options.new_picture, {options.old_picture, made ? options.residual : ""});
         if (!options.png.empty()) write_png(sum, options.png);
     }
     report.done("{}: {} pairs of paths, {} vertices, {} rays, {} samples not finite", file_name(last_output),

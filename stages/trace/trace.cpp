@@ -264,13 +264,9 @@ void run(const Options& options, app::Report& report) {
     for (std::uint64_t pass = 0; pass < options.passes; ++pass) {
         const Cost before = report.cost();
         const std::string output = output_of_pass(options, pass);
-        Provenance provenance;
-        provenance.stage = report.name();
+        Provenance provenance = report.provenance(
+            options.seed, {{app::base_name(options.scene), content_hash_text(scene->content_hash)}}, planned);
         provenance.command = command_of_pass(options, report.command(), pass);
-        provenance.seed = options.seed;
-        provenance.plan = planned;
-        provenance.inputs.push_back(
-            {std::filesystem::path(options.scene).filename(), content_hash_text(scene->content_hash)});
         const Work work{options.first_sample + pass * options.spp, options.spp, options.threads};
         Counts counts;
         try {
@@ -297,16 +293,14 @@ void run(const Options& options, app::Report& report) {
             continue;
         }
         const std::uint64_t samples = scene->sensor.n_pixels() * options.spp;
-        Cost cost = report.cost();
+        Cost cost = report.cost(planned);
         cost.wall_s += loading.wall_s / double(options.passes) - before.wall_s;
         cost.cpu_s += loading.cpu_s / double(options.passes) - before.cpu_s;
         cost.load_s = loading.cpu_s / double(options.passes);
         cost.rays = counts.rays;
         cost.samples = samples;
-        cost.bytes_written = std::filesystem::file_size(output);
-        cost.sources = {std::filesystem::path(options.scene).filename()};
-        cost.plan = planned;
-        write_cost(cost, output);
+        cost.sources = {options.scene};
+        write_cost_of(output, cost, {});
         report.done("{}: {} paths, {} vertices, {} rays, {} samples not finite",
                     std::filesystem::path(output).filename().string(), samples, counts.vertices, counts.rays,
                     counts.nonfinite);

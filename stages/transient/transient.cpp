@@ -257,15 +257,13 @@ void run(const Options& options, app::Report& report) {
                    options.unit == Unit::ns ? "ns" : "opl",
                    options.metres_per_unit,
                    timing.camera_segment};
-    header.provenance.stage = report.name();
-    header.provenance.command = report.command();
-    header.provenance.seed = graphs[0].provenance.seed;
-    header.provenance.plan =
+    header.provenance = report.provenance(
+        graphs[0].provenance.seed, std::move(header.provenance.inputs),
         fmt::format("on: {}{} pulse, {}; off: {}", clusters.empty() ? "" : "light shared by clusters at first hits, ",
                     header.response.pulse, timing.camera_segment ? "camera segment" : "lengths from the first hit",
                     response.pulse.is_delta() && response.modulation == Modulation::none
                         ? "derivatives by interior terms alone (the response jumps at borders of bins)"
-                        : "nothing");
+                        : "nothing"));
     const std::uint64_t cube_bytes = 2 * sizeof(float) * header.row_size() * header.film.height,
                         max_bytes = options.memory_MiB << 20;
     report.info("{} x {} pixels, {} bins of {:.6g} {} from {:.6g}: {}, of which {} in memory", header.film.width,
@@ -304,13 +302,11 @@ void run(const Options& options, app::Report& report) {
     };
     if (!std::isfinite(luminance(steady))) report.warn("the sums hold light that is not finite");
 
-    Cost cost = report.cost();
-    cost.plan = header.provenance.plan;
+    Cost cost = report.cost(header.provenance.plan);
     for (const PathGraph& g : graphs) cost.samples += g.n_paths();
-    cost.bytes_written = std::filesystem::file_size(options.output);
-    for (const std::string& file : options.graphs) cost.parents.push_back(parent_of(options.output, file));
-    for (const std::string& file : options.clusters) cost.parents.push_back(parent_of(options.output, file));
-    write_cost(cost, options.output);
+    std::vector<std::string> parents = options.graphs;
+    parents.insert(parents.end(), options.clusters.begin(), options.clusters.end());
+    write_cost_of(options.output, cost, parents);
     report.done("{} paths; light: {:.4g} % in the bins, {:.3g} % before, {:.3g} % after, {:.3g} % never", cost.samples,
                 share(inside), share(before), share(after), share(never));
 }

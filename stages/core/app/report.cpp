@@ -113,7 +113,7 @@ void Report::flush_answers() {
     if (std::fflush(stdout) != 0) refuse_stdout();
 }
 
-Cost Report::cost() const {
+Cost Report::cost(std::string plan) const {
     const Usage used = usage();
     Cost cost;
     cost.stage = name_;
@@ -121,7 +121,18 @@ Cost Report::cost() const {
     cost.cpu_s = used.cpu_s;
     cost.peak_memory_bytes = used.peak_memory_bytes;
     cost.command = command_;
+    cost.plan = std::move(plan);
     return cost;
+}
+
+Provenance Report::provenance(std::uint64_t seed, std::vector<InputId> inputs, std::string plan) const {
+    Provenance provenance;
+    provenance.stage = name_;
+    provenance.command = command_;
+    provenance.seed = seed;
+    provenance.inputs = std::move(inputs);
+    provenance.plan = std::move(plan);
+    return provenance;
 }
 
 void Report::close(const std::string& counts) {

@@ -12,8 +12,10 @@
 #include <string>
 #include <string_view>
 #include <utility>
+#include <vector>
 
 #include "formats/io/cost.h"
+#include "formats/io/provenance.h"
 
 namespace spdlog {
 class logger;
@@ -100,8 +102,10 @@ class Report {
 
     std::uint64_t warnings() const { return warnings_.load(std::memory_order_relaxed); }
     Usage usage() const { return usage_since(start_, cpu_start_s_); }
-    /// What the stage has cost so far; rays, samples, bytes and parents are the stage's to fill.
-    Cost cost() const;
+    /// Cost of the stage so far; the caller fills in rays, samples, load_s and sources (see write_cost_of()).
+    Cost cost(std::string plan = {}) const;
+    /// Provenance of an output of this stage.
+    Provenance provenance(std::uint64_t seed, std::vector<InputId> inputs, std::string plan) const;
 
   private:
     friend class Progress;
