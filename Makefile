@@ -3,9 +3,9 @@
 
 .DEFAULT_GOAL := demo
 .DELETE_ON_ERROR:
-pipelines := image edit edit-techniques edit-images transient chart chart-all chart-transient chart-edit-graph chart-edit-cost report \
+pipelines := demo image edit edit-techniques edit-images transient chart chart-all chart-transient chart-edit-graph chart-edit-cost report \
 	table table-edit choices peers peers-transient
-.PHONY: $(pipelines) edit-pictures demo oidn format tools build stages test test-full stability asan bench clean help
+.PHONY: $(pipelines) edit-pictures oidn format tools build stages test test-full stability asan bench clean help
 SHELL := /bin/sh
 include pipelines/variables.mk
 
@@ -36,10 +36,8 @@ compile = unset MAKEFLAGS MFLAGS; \
 
 ##@ Images
 
-demo: stages ## (default) install, build, and render two small scenes
-	@$(MAKE) --no-print-directory -f pipelines/still.mk demo
-	@$(MAKE) --no-print-directory -f pipelines/transient.mk demo SCENE=scenes/flash.xml DEFINES= TRACE= SPP=8 PASSES=4 \
-		$(if $(OUT),OUT=$(OUT)/flash)
+demo: stages ## (default) install, build, and make a page of examples, out/demo/index.html
+	@$(MAKE) --no-print-directory -f pipelines/demo.mk demo
 
 image: stages ## image of SCENE, OUT/image.exr
 	@$(MAKE) --no-print-directory -f pipelines/still.mk image

@@ -17,8 +17,6 @@ include pipelines/chart.mk
 page := $(BUILD)/bin/loom-report
 LONGEST_SIDE ?= 512
 shown = $(OUT)/$(1)-$(lastword $(SPPS))-0/image.exr
-# As it may be typed again: quotes only where they are needed.
-typed = $(if $(or $(word 2,$(1)),$(call any_of,$(signs_of_make),$(1))),$(call quote,$(1)),$(1))
 again = make report SCENE=$(call typed,$(SCENE)) METHODS=$(call typed,$(METHODS)) SPPS=$(call typed,$(SPPS)) REPLICATES=$(REPLICATES)$(if \
 	$(DEFINES), DEFINES=$(call typed,$(DEFINES)))$(if $(REFERENCE), REFERENCE=$(call typed,$(REFERENCE)))
 

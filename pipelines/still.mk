@@ -11,7 +11,7 @@
 ## make image SCENE=scenes/cornell-box.xml METHOD=pt SPP=64 DEFINES="resx=320 resy=320"
 
 .DELETE_ON_ERROR:
-.PHONY: image demo
+.PHONY: image
 .DEFAULT_GOAL := image
 include pipelines/variables.mk
 
@@ -69,14 +69,6 @@ clean := $(if $(filter-out 0,$(DENOISE)),$(OUT)/clean.exr $(OUT)/clean.png)
 
 image: $(OUT)/image.exr $(OUT)/image.png $(clean)
 	@echo $<
-
-demo: $(OUT)/image.exr $(OUT)/image.png $(clean)
-	@echo
-	@echo 'image    $(OUT)/image.exr'
-	@echo 'preview  $(OUT)/image.png'
-	@$(if $(clean),echo 'denoised $(OUT)/clean.exr')
-	@$(if $(filter-out pt,$(METHOD)),echo 'graph    $(work)/pass-$(last).h5')
-	@echo 'look     $(inspect) $(lastword $(traced))'
 
 # A graph is as large as its image is small: once gathered it goes, but for the last, which stays to be
 # inspected. Secondary: a missing graph is not traced again.

@@ -11,7 +11,7 @@
 ## make transient SCENE=scenes/flash.xml PULSE=gaussian LENGTH=0.1 UNIT=ns START=14 WIDTH=0.1
 
 .DELETE_ON_ERROR:
-.PHONY: transient cube demo
+.PHONY: transient cube
 .DEFAULT_GOAL := transient
 include pipelines/variables.mk
 
@@ -66,11 +66,6 @@ transient: $(OUT)/cube.h5 $(OUT)/strip.png
 
 cube: $(OUT)/cube.h5 # without images
 	@echo $<
-
-demo: $(OUT)/cube.h5 $(OUT)/strip.png
-	@echo 'cube     $<'
-	@echo 'frames   $(OUT)/strip.png, beside it streak-x.png streak-y.png peak.png curves.png'
-	@echo 'look     $(inspect) $<'
 
 cube_parameters = $(strip $(if $(UNIT),--unit $(UNIT)) $(if $(BINS),--bins $(BINS)) $(if $(START),--start $(START)) \
 	$(if $(WIDTH),--width $(WIDTH)) $(if $(PULSE),--pulse $(PULSE)) $(if $(LENGTH),--pulse-length $(LENGTH)) $(TRANSIENT))

@@ -7,6 +7,8 @@ scene_name = $(shell realpath -s $(call quote,$(1)) | sed -E \
 	's/[.]xml$$//; s,.*/([^/]+)/scene_?([^/]*)$$,\1-\2,; s,-$$,,; s,.*/,,' | tr -c 'A-Za-z0-9._+\n-' _)
 # $(call row_name,FILE): as scene_name, in tables of scenes of version 3: scenes/cornell-box/scene_glossy_v3.xml is called cornell-box_glossy.
 row_name = $(shell printf '%s' $(call quote,$(1)) | sed -E 's/[.]xml$$//; s,.*/([^/]+)/scene(_[a-z]+)?_v3$$,\1\2,; s,.*/,,')
+# $(call typed,TEXT): as it may be typed again: quotes only where they are needed.
+typed = $(if $(or $(word 2,$(1)),$(call any_of,$(signs_of_make),$(1))),$(call quote,$(1)),$(1))
 # $(call exists,FILE)
 exists = $(shell test -f $(call quote,$(1)) && echo there)
 # $(call defines,FLAG,VALUES): a blank and FLAG before each of NAME=VALUE ...

@@ -20,6 +20,7 @@
 #include "stages/core/table/table.h"
 #include "stages/report/html.h"
 #include "stages/report/pixels.h"
+#include "stages/report/tour.h"
 
 namespace loom::report {
 namespace {
@@ -487,8 +488,10 @@ std::string page_of(const Options& options) {
 }
 
 void declare(app::Command& command, Options& options) {
-    command.labelled_files("images", options.pictures, "images (EXR) with their .cost.json, one per method").required();
-    command.file("-r,--reference", options.reference, "reference image (EXR)").required();
+    command.labelled_files("images", options.pictures, "images (EXR) with their .cost.json, one per method");
+    command.file("-r,--reference", options.reference, "reference image (EXR)");
+    command.file("--tour", options.tour,
+                 "table of figures for a page without a reference: section, text, figure, caption, output, command");
     command.output("-o,--output", options.output, "output page (.html)").required();
     command.file("--errors", options.errors, "table of loom-compare --reference R --cost --tsv");
     command.file("--equal-cost", options.equal_cost,
@@ -508,7 +511,15 @@ void declare(app::Command& command, Options& options) {
 void run(const Options& options, app::Report& report) {
     if (fs::path(options.output).extension() != ".html")
         throw InputError(fmt::format("{}: the output must end in .html", options.output));
+    if (options.tour.empty() && (options.pictures.empty() || options.reference.empty()))
+        throw InputError("images and --reference: missing; only a page of a --tour needs none");
     check_output_path(options.output);
+    if (!options.tour.empty()) {
+        const std::string page = tour_page(options.tour, options.title);
+        write_text_file(options.output, page);
+        report.done("{}: {}", options.output, app::bytes_text(page.size()));
+        return;
+    }
     const std::string page = page_of(options);
     write_text_file(options.output, page);
     report.done("{}: {} images, {}", options.output, options.pictures.size(), app::bytes_text(page.size()));

@@ -23,6 +23,7 @@ struct Options {
     std::string title;                    // the scene
     std::string made_by;                  // what makes the page again
     int longest_side = 512;               // px; larger pictures are shown reduced by a whole number
+    std::string tour;                     // TSV of figures to show instead, see tour_page()
     std::string output;                   // .html
 };
 

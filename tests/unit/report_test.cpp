@@ -10,6 +10,7 @@
 #include "formats/io/error.h"
 #include "stages/report/html.h"
 #include "stages/report/pixels.h"
+#include "stages/report/tour.h"
 
 namespace loom::report {
 namespace {
@@ -221,6 +222,51 @@ TEST_F(Page, WrongInputsAreRefused) {
     o.equal_cost = o.errors;
     fs::copy_file(folder / "a/graph/pass-1.h5.cost.json", folder / "b/graph/pass-1.h5.cost.json");
     EXPECT_NE(error_of([&] { page_of(o); }).find("is no table of equal costs"), std::string::npos);
+}
+
+// Two figures of one section share a heading and a command; times are those of all ancestors, each once.
+TEST(Tour, ShowsFiguresWithWhatTheyTook) {
+    const fs::path folder = fs::temp_directory_path() / "loom-tour";
+    fs::remove_all(folder);
+    fs::create_directories(folder);
+    const auto file = [&](const char* name) { return (folder / name).string(); };
+    write_png(picture(2, 2, 0.1f), file("a.png"));
+    std::ofstream(file("b.svg")) << "<svg><path id='a'/></svg>";
+    std::ofstream(file("c.txt")) << "text";
+    const auto cost = [&](const char* name, double wall_s, std::vector<std::string> parents) {
+        Cost made;
+        made.stage = "loom-trace", made.wall_s = wall_s, made.cpu_s = 2 * wall_s, made.parents = std::move(parents);
+        write_cost(made, file(name));
+    };
+    cost("graph.h5", 10, {});
+    cost("a.exr", 1, {"graph.h5"});
+    cost("b.exr", 2, {"graph.h5"});
+    const auto page = [&](const std::string& rows) {
+        std::ofstream(file("tour.tsv")) << "section\ttext\tfigure\tcaption\toutput\tcommand\n" << rows;
+        return tour_page(file("tour.tsv"), "Title");
+    };
+    const std::string a = file("a.png"), b = file("b.svg"), both = file("a.exr") + " " + file("b.exr");
+    const std::string html = page("One\tText <1>\t" + a + "\tFirst\t" + file("a.exr") + "\tmake 'a'\n" + "One\t\t" + b +
+                                  "\tSecond\t" + both + "\tmake 'a'\n" + "Two\t\t" + a + "\tThird\t\t\n");
+    const auto count = [&](const std::string& text) {
+        std::size_t n = 0;
+        for (std::size_t at = 0; (at = html.find(text, at)) != std::string::npos; ++at) ++n;
+        return n;
+    };
+    EXPECT_EQ(count("<section>"), 2u);
+    EXPECT_EQ(count("Text &lt;1&gt;"), 1u);
+    EXPECT_EQ(count("make &#39;a&#39;"), 1u);
+    EXPECT_EQ(count("data:image/png;base64,iVBORw0KGgo"), 2u);
+    EXPECT_EQ(count("chart1-a"), 1u);
+    EXPECT_EQ(count("11.0 s (22.0 s of CPU time)"), 1u);
+    EXPECT_EQ(count("13.0 s (26.0 s of CPU time)"), 1u);
+
+    EXPECT_NE(error_of([&] { page("One\t\t" + file("c.txt") + "\t\t\t\n"); }).find("c.txt: is neither"),
+              std::string::npos);
+    EXPECT_NE(error_of([&] { page(""); }).find("tour.tsv"), std::string::npos);
+    EXPECT_NE(error_of([&] { page("One\t\t" + a + "\t\t" + file("none.exr") + "\t\n"); }).find("none.exr"),
+              std::string::npos);
+    fs::remove_all(folder);
 }
 
 }  // namespace

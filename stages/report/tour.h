@@ -1,0 +1,20 @@
+#pragma once
+#include <string>
+
+namespace loom::report {
+
+/// A page that shows what was just made: sections of figures, each with the command that made it and what it took.
+/// in:      file   tab-separated table, a row per figure, columns
+///                   section  heading; rows of one section follow one another
+///                   text     paragraph under the heading, from the section's first row
+///                   figure   image to show (PNG or SVG)
+///                   caption  below the figure
+///                   output   files, separated by blanks, whose costs are summed with those of their ancestors
+///                            (.cost.json); may be empty
+///                   command  that makes it again
+///          title  of the page
+/// The page depends on these files only: it needs no network, and opens from disk.
+/// throws:  InputError when a column is missing, a figure is no image or a cost is missing
+std::string tour_page(const std::string& file, const std::string& title);
+
+}  // namespace loom::report
