@@ -28,20 +28,23 @@ endif
 page := $(BUILD)/bin/loom-report
 # The parts, one after the other since the page tells their times: goal and variables of each, for make and for the page.
 .NOTPARALLEL:
-parts := raw image edit transient chart
+parts := raw image edit $(if $(shell command -v gnuplot),transient chart,without-gnuplot)
+without-gnuplot:
+	@echo 'demo: no gnuplot (Debian: apt install gnuplot-nox), so the page has no transient and no chart' >&2
 scene_variables = SCENE=$(call typed,$(SCENE))$(if $(DEFINES), DEFINES=$(call typed,$(DEFINES)))
 raw = image $(scene_variables) METHOD=pt SPP=$(shell echo $$((4 * $(SPP))))
 image = image $(scene_variables) SPP=$(SPP) DENOISE=1
 edit = edit OLD=scenes/edits.xml DEFINES='x=-0.78 size=0.2 turn=0' NEW_DEFINES=across=100
 transient = transient SCENE=scenes/flash.xml$(if $(DEFINES), DEFINES=) BINS=75 WIDTH=0.12 SPP=48 K=32
 chart = chart $(scene_variables) METHODS='pt pathgraph' SPPS='4 16 64' REPLICATES=1 REFERENCE_SPP=1024
-.PHONY: $(parts)
-$(parts):
+.PHONY: without-gnuplot raw image edit transient chart
+raw image edit transient chart:
 	@echo 'make' $(call quote,$($@)) >&2
 	@$(MAKE) --no-print-directory -s -f Makefile BUILD=$(BUILD) $($@) OUT=$(OUT)/$@ BASE=$(OUT)/$@/old >/dev/null
 
-# $(call figure,PART,FIGURE,OUTPUTS): a row of the page, whose heading, text and caption stand in variables.
-figure = printf '%s\t%s\t%s\t%s\t%s\t%s\n' $(call quote,$($(1)_heading)) $(call quote,$($(1)_text)) $(OUT)/$(1)/$(2) \
+# $(call figure,PART,FIGURE,OUTPUTS): a row of the page, whose heading, text and caption stand in variables; none where there is no
+# figure.
+figure = [ ! -e $(OUT)/$(1)/$(2) ] || printf '%s\t%s\t%s\t%s\t%s\t%s\n' $(call quote,$($(1)_heading)) $(call quote,$($(1)_text)) $(OUT)/$(1)/$(2) \
 	$(call quote,$($(1)/$(2))) $(call quote,$(patsubst %,$(OUT)/$(1)/%,$(3))) $(call quote,$(subst $(tab),$(space),make $($(1))))
 raw_heading := A clean image
 image_heading := $(raw_heading)
