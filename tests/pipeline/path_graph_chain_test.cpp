@@ -44,7 +44,7 @@ TEST_F(PathGraphChain, files_of_different_graphs_are_refused) {
 
 TEST_F(PathGraphChain, files_of_another_kind_are_refused) {
     const std::string h5 = " -o " + in("x.h5"), exr = " -o " + in("x.exr");
-    expect_refused(stage("refine") + " " + in("g1.h5") + h5, "clusters: missing (made by loom-cluster)");
+    expect_refused(stage("refine") + " " + in("g1.h5") + h5, "clusters: missing; a subset is drawn from them");
     expect_refused(stage("refine") + " " + in("g1.h5") + " " + in("r1.h5") + h5, "is a radiance, expected a clusters");
     expect_refused(stage("refine") + " " + in("c1.h5") + " " + in("c1.h5") + h5,
                    "is a clusters, expected a path_graph");
@@ -61,7 +61,7 @@ TEST_F(PathGraphChain, subsets_ask_for_what_they_need) {
     const std::string gather = stage("gather") + " " + in("g1.h5") + " " + in("r1.h5") + " ",
                       exr = " -o " + in("x.exr");
     const std::string box = " --scene scenes/cornell-box.xml -D resx=12 -D resy=9";
-    expect_refused(gather + "--indirect subset" + exr, "clusters: missing (made by loom-cluster)");
+    expect_refused(gather + "--indirect subset" + exr, "clusters: missing; a subset is drawn from them");
     expect_refused(gather + in("c1.h5") + exr, "only subsets need clusters");
     expect_refused(gather + in("c2.h5") + " --direct subset" + exr, in("c2.h5") + ": made from g2.h5 (content ");
     expect_refused(gather + in("c1.h5") + " --indirect subset --occlusion" + exr, "--occlusion: needs --scene");

@@ -3,6 +3,7 @@
 //
 // Seen to fail: "picture" in an option of loom-trace, in an error of loom-merge and in the `## ` text of a variable.
 
+#include <fmt/format.h>
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -72,7 +73,7 @@ std::vector<Text> literals(const std::string& source, const std::string& name) {
             skip_to(i, std::min(source.find('\n', i), source.size()));
         } else if (source.compare(i, 2, "R\"") == 0) {
             const std::size_t open = source.find('(', i);
-            const std::string close = ")" + source.substr(i + 2, open - i - 2) + "\"";
+            const std::string close = fmt::format("){}\"", source.substr(i + 2, open - i - 2));
             const std::size_t end = source.find(close, open);
             found.push_back({source.substr(open + 1, end - open - 1), name + ":" + std::to_string(line)});
             skip_to(i, end + close.size());
