@@ -5,7 +5,7 @@
 .DELETE_ON_ERROR:
 pipelines := demo image edit edit-techniques edit-images transient chart chart-all chart-transient chart-edit-graph chart-edit-cost report \
 	table table-edit choices peers peers-transient
-.PHONY: $(pipelines) edit-pictures oidn format tools build stages test test-full stability asan bench clean help
+.PHONY: $(pipelines) edit-pictures oidn format lint tools build stages test test-full stability asan bench clean help
 SHELL := /bin/sh
 include pipelines/variables.mk
 
@@ -100,6 +100,13 @@ peers-transient: stages ## mitransient on SCENE, compared with our cube (from Py
 	@$(MAKE) --no-print-directory -f pipelines/peers-transient.mk peers-transient PYTHON=$(if $(PEERS_PYTHON),$(python),$(BUILD)/peers/bin/python)
 
 ##@ Build and test
+
+lint: ## check all sources with clang-tidy 16, a line per finding
+	@$(call packages,install,build lint)
+	@cmake -S . -B $(BUILD)/lint -DCMAKE_DISABLE_PRECOMPILE_HEADERS=ON -DCMAKE_COMPILE_WARNING_AS_ERROR=OFF >$(BUILD)/lint.log || \
+		{ cat $(BUILD)/lint.log; exit 1; }
+	@run-clang-tidy-16 -quiet -j $(JOBS) -p $(BUILD)/lint >$(BUILD)/lint.log 2>&1 && echo 'lint: clean' || \
+		{ grep -E ' (warning|error): ' $(BUILD)/lint.log | sort -u | grep . || tail $(BUILD)/lint.log; exit 1; }
 
 tools: ## install the missing Debian packages
 	@$(call packages,install,build convenience)

@@ -30,6 +30,7 @@ build libgtest-dev tests
 convenience ninja-build faster builds
 convenience ccache faster builds again
 convenience gnuplot-nox charts and images of cubes
+lint clang-tidy-16 make lint
 peers python3-venv an environment for programs from PyPI
 mitsuba libllvm16 the llvm variants of Mitsuba
 browser chromium the test of the report in a browser

@@ -82,7 +82,7 @@ Command::Option Command::declare(const std::string& names, const std::string& he
                                  std::function<void(const std::string&)> set,
                                  std::function<std::vector<std::string>()> get) {
     const std::string shown = names.substr(names.rfind(',') + 1);
-    const auto callback = [set, shown](const CLI::results_t& texts) {
+    const auto callback = [set = std::move(set), shown](const CLI::results_t& texts) {
         for (const std::string& text : texts) {
             try {
                 set(text);

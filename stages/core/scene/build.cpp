@@ -493,7 +493,7 @@ std::unique_ptr<Scene> build_scene(SceneDescription description) {
     scene->notes.insert(scene->notes.end(), unread.begin(), unread.end());
 
     std::string identity;
-    for (const auto& [name, value] : description.parameters) identity += name + "=" + value + "\n";
+    for (const auto& [name, value] : description.parameters) identity += fmt::format("{}={}\n", name, value);
     if (description.sensor > 0) identity += fmt::format("sensor {}\n", description.sensor);
     for (const std::string& name : description.files) identity += file_content_hash(name) + "\n";
     scene->content_hash = content_hash(std::as_bytes(std::span(identity)));

@@ -339,8 +339,8 @@ void bake_sun(const Sunsky& s, EnvironmentMap& map) {
     const std::vector<double> shares = disk_shares(theta, phi, radius, s.width, s.height);
     const auto profile = [&](std::size_t texel) {
         if (!s.limb_darkening) return Rgb<double>(1);
-        const double at_theta = double(texel / std::size_t(s.width)) * row_rad,
-                     at_phi = (double(texel % std::size_t(s.width)) + 0.5) * column_rad;
+        const std::size_t row = texel / std::size_t(s.width), column = texel % std::size_t(s.width);
+        const double at_theta = double(row) * row_rad, at_phi = (double(column) + 0.5) * column_rad;
         const double cos_gamma =
             std::cos(theta) * std::cos(at_theta) + std::sin(theta) * std::sin(at_theta) * std::cos(at_phi - phi);
         const double from_centre =
