@@ -18,17 +18,14 @@
 #include "stages/core/scene/build.h"
 #include "stages/core/scene/embree.h"
 #include "stages/core/tracing/film.h"
+#include "stages/core/tracing/vertex_rules.h"
 #include "stages/gather/subset.h"
 
 namespace loom::gather {
 namespace {
 
 FirstHit first_hit(const PathGraph& g, std::size_t path, const ShadingPoint& at) {
-    const Point3f origin =
-        g.paths.origin.empty()
-            ? Point3f{float(g.sensor.origin[0]), float(g.sensor.origin[1]), float(g.sensor.origin[2])}
-            : Point3f{g.paths.origin[3 * path], g.paths.origin[3 * path + 1], g.paths.origin[3 * path + 2]};
-    return {albedo(at.bsdf, at.wo_local), at.frame.n, length(at.p - origin)};
+    return loom::first_hit(at, length(at.p - camera_origin(g, path)));
 }
 
 /// in: first light edge of the path; out: that of the next path
@@ -36,7 +33,7 @@ Spectrum path_radiance(const GraphReader& reader, std::size_t path, std::size_t&
     const PathGraph& g = reader.graph();
     Spectrum L = rgb(g.paths.Le, path);
     walk_path(
-        reader, path, edge,
+        OwnSamples(reader), path, edge,
         [&](std::size_t j, const ShadingPoint& at) {
             if (j == g.paths.first_vertex[path]) first = first_hit(g, path, at);
         },
@@ -44,38 +41,36 @@ Spectrum path_radiance(const GraphReader& reader, std::size_t path, std::size_t&
     return L;
 }
 
-/// What is known of the light along one path, in parts.
+/// Light along one path, by source.
 struct Estimates {
     Spectrum Le, direct_own, direct_cluster, indirect_path, indirect_own, indirect_cluster;
 };
 
 /// in: first light edge of the path; out: that of the next path
-/// paths:   also what the path alone says: as it was stored, else by a walk along all of it
+/// paths:   also the path's own estimate of indirect light: as it was stored, else by a walk along the whole path
 Estimates estimates_of(const GraphReader& reader, const Radiance& radiance, bool paths, std::size_t path,
                        std::size_t& edge, FirstHit& first) {
     const PathGraph& g = reader.graph();
     const auto& e = g.light_edges;
     Estimates L;
     L.Le = rgb(g.paths.Le, path);
-    const std::uint64_t begin = g.paths.first_vertex[path], end = g.paths.first_vertex[path + 1];
+    const auto [begin, end] = vertices_of(g, path);
     if (begin < end) {
-        const ShadingPoint at = reader.vertex(begin);
-        first = first_hit(g, path, at);
         L.direct_cluster = rgb(radiance.direct, path);
         L.indirect_cluster = rgb(radiance.L, begin) - L.direct_cluster;
-        for (; edge < e.vertex.size() && e.vertex[edge] == begin; ++edge)
-            L.direct_own += own_light(reader, at, begin, edge);
+        const OwnSamples samples(reader);
+        const Spectrum beta = walk_vertices<float>(
+            samples, {begin, begin + 1}, end, Spectrum(1), edge,
+            [&](std::size_t, const ShadingPoint& at) { first = first_hit(g, path, at); },
+            [&](std::size_t, std::size_t, const Spectrum& light) { L.direct_own += light; });
         if (begin + 1 < end) {
-            Spectrum beta = own_continuation(reader, at, begin, continuation_direction(g, begin));
             L.indirect_own = beta * rgb(radiance.L, begin + 1);
             const bool stored = !radiance.indirect_path.empty();
             if (paths && stored) L.indirect_path = rgb(radiance.indirect_path, path);
-            for (std::uint64_t j = begin + 1; paths && !stored && j < end; ++j) {
-                const ShadingPoint here = reader.vertex(j);
-                for (; edge < e.vertex.size() && e.vertex[edge] == j; ++edge)
-                    L.indirect_path += beta * own_light(reader, here, j, edge);
-                if (j + 1 < end) beta *= own_continuation(reader, here, j, continuation_direction(g, j));
-            }
+            if (paths && !stored)
+                walk_vertices<float>(
+                    samples, {begin + 1, end}, end, beta, edge, [](std::size_t, const ShadingPoint&) {},
+                    [&](std::size_t, std::size_t, const Spectrum& light) { L.indirect_path += light; });
         }
     }
     while (edge < e.vertex.size() && e.vertex[edge] < end) ++edge;

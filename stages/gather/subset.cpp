@@ -8,17 +8,6 @@
 #include "stages/core/scene/scene.h"
 
 namespace loom::gather {
-namespace {
-
-Point3f position(const PathGraph& g, std::size_t j) {
-    return {g.vertices.p[3 * j], g.vertices.p[3 * j + 1], g.vertices.p[3 * j + 2]};
-}
-
-Normal3f geometric_normal(const PathGraph& g, std::size_t j) {
-    return unit_vector<Normal3f>(g.vertices.ng.empty() ? g.vertices.ns : g.vertices.ng, j);
-}
-
-}  // namespace
 
 SubsetGather::SubsetGather(const GraphReader& reader, const Clusters& clusters, const Radiance& radiance,
                            const SubsetOptions& options)

@@ -399,6 +399,7 @@ HugeArray<Light> path_radiance(System& system, const PathGraph& g, int threads) 
 
 HugeArray<Light> path_radiance(const GraphReader& reader, int threads, Heuristic heuristic) {
     const PathGraph& g = reader.graph();
+    const OwnSamples samples(reader, heuristic);
     HugeArray<Light> X(g.n_vertices());
     parallel_chunks(g.n_paths(), 4096, threads, [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
         const std::uint64_t first = g.paths.first_vertex[begin];
@@ -406,12 +407,9 @@ HugeArray<Light> path_radiance(const GraphReader& reader, int threads, Heuristic
         Spectrum L(0);
         std::uint64_t j = g.paths.first_vertex[end];
         while (j-- > first) {
-            const ShadingPoint at = reader.vertex(j);
-            if (g.vertices.flags[j] & vertex_flag::continued)
-                L = own_continuation(reader, at, j, continuation_direction(g, j)) * L;
-            else
-                L = Spectrum(0);
-            while (edge > 0 && g.light_edges.vertex[edge - 1] == j) L += own_light(reader, at, j, --edge, heuristic);
+            const ShadingPoint at = samples.vertex(j);
+            L = g.vertices.flags[j] & vertex_flag::continued ? samples.continuation(j, at) * L : Spectrum(0);
+            while (edge > 0 && g.light_edges.vertex[edge - 1] == j) L += samples.light(j, at, --edge);
             X[j] = {L.r, L.g, L.b};
         }
     });

@@ -119,7 +119,7 @@ System build_system(const PathGraph& graph, const Clusters& clusters, const Syst
 /// needs:   to be called once
 HugeArray<Light> path_radiance(System& system, const PathGraph& graph, int threads);
 
-/// The same by vertex, evaluated path by path.
+/// What each vertex reflects along its path by that path's own samples, by vertex: the plain twin of the above.
 HugeArray<Light> path_radiance(const GraphReader& reader, int threads, Heuristic heuristic = Heuristic::power);
 
 }  // namespace loom::refine

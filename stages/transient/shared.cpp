@@ -24,7 +24,7 @@ SharedArrivals::SharedArrivals(const PathGraph& graph, const Clusters& clusters,
     parallel_chunks(graph.n_vertices(), 4096, threads, [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
         for (std::size_t j = begin; j < end; ++j) {
             const ShadingPoint at = reader_.vertex(j);
-            const Point3<double> x = position(graph, j);
+            const Point3<double> x = position<double>(graph, j);
             for (std::uint32_t e = first_edge_[j]; e < first_edge_[j + 1]; ++e)
                 light_[e] = {own_light(reader_, at, j, e), lengths_.to_light(e, x)};
             if (graph.vertices.flags[j] & vertex_flag::continued)

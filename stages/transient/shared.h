@@ -84,7 +84,7 @@ void SharedArrivals::walk(std::size_t path, OnLight&& on_light) const {
         if (!is_black(Le)) on_light(Le, double(INFINITY));
         return;
     }
-    const Point3<double> x = position(g, j);
+    const Point3<double> x = position<double>(g, j);
     const double opl = lengths_.from_camera(path);
     if (!is_black(Le)) on_light(Le, opl);
     if (cluster_of_[j] == no_cluster) {

@@ -5,24 +5,14 @@
 #include <algorithm>
 #include <vector>
 
-#include "formats/io/octahedral.h"
-#include "stages/core/math/vector.h"
+#include "stages/core/graph/graph_reader.h"
 
 namespace loom {
 namespace {
 
-struct Place {
-    Vector3f p, n;
+struct Member {
+    Vector3f p, n;  // n: shading normal on the side of wo
 };
-
-Place place_of(const PathGraph& graph, std::size_t j) {
-    const auto& v = graph.vertices;
-    const auto unit = unit_from_octahedral(v.ns[2 * j], v.ns[2 * j + 1]);
-    Vector3f n{unit[0], unit[1], unit[2]};
-    const Vector3f wo{v.wo[3 * j], v.wo[3 * j + 1], v.wo[3 * j + 2]};
-    if (dot(n, wo) < 0) n = -n;
-    return {{v.p[3 * j], v.p[3 * j + 1], v.p[3 * j + 2]}, n};
-}
 
 }  // namespace
 
@@ -66,21 +56,23 @@ ClusterSpread cluster_spread(const PathGraph& graph, const Clusters& clusters, s
     radii.reserve(n_seen);
     double sum_distance = 0;
     std::size_t n_off = 0, n_opposed = 0;
-    std::vector<Place> places;
+    std::vector<Member> members;
     constexpr float cos_26_deg = 0.898794f;
     for (std::size_t seen = 0; seen < n_seen; ++seen) {
         const std::size_t i = seen * n / n_seen;
-        places.clear();
+        members.clear();
         Vector3f p{}, normal{};
         for (std::uint32_t row = clusters.first[i]; row < clusters.first[i + 1]; ++row) {
-            places.push_back(place_of(graph, clusters.member[row]));
-            p = p + places.back().p - places.front().p;
-            normal = normal + places.back().n;
+            const std::size_t j = clusters.member[row];
+            members.push_back(
+                {Vector3f(position(graph, j)), Vector3f(facing(shading_normal(graph, j), outgoing(graph, j)))});
+            p = p + members.back().p - members.front().p;
+            normal = normal + members.back().n;
         }
-        const Vector3f centroid = places.front().p + p * (1 / float(places.size()));
+        const Vector3f centroid = members.front().p + p * (1 / float(members.size()));
         const float length_n = length(normal);
         double squares = 0;
-        for (const Place& at : places) {
+        for (const Member& at : members) {
             const double d = length(at.p - centroid);
             sum_distance += d;
             squares += d * d;
@@ -88,8 +80,8 @@ ClusterSpread cluster_spread(const PathGraph& graph, const Clusters& clusters, s
             if (cos < cos_26_deg * length_n) ++n_off;
             if (cos < 0) ++n_opposed;
         }
-        radii.push_back(std::sqrt(squares / double(places.size())));
-        s.n_members += places.size();
+        radii.push_back(std::sqrt(squares / double(members.size())));
+        s.n_members += members.size();
     }
     if (n_seen == 0) return s;
     const auto middle = radii.begin() + std::ptrdiff_t(radii.size() / 2);

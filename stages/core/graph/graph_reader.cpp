@@ -85,9 +85,9 @@ Bsdf<float> GraphReader::bsdf(std::size_t j) const {
 ShadingPoint GraphReader::vertex(std::size_t j) const {
     const auto& v = graph_.vertices;
     ShadingPoint at;
-    at.p = {v.p[3 * j], v.p[3 * j + 1], v.p[3 * j + 2]};
-    at.wo = {v.wo[3 * j], v.wo[3 * j + 1], v.wo[3 * j + 2]};
-    const auto n = unit_vector<Normal3f>(v.ns, j);
+    at.p = position(graph_, j);
+    at.wo = outgoing(graph_, j);
+    const Normal3f n = shading_normal(graph_, j);
     at.ng = v.ng.empty() ? n : unit_vector<Normal3f>(v.ng, j);
     at.n_side = v.n_side.empty() ? n : unit_vector<Normal3f>(v.n_side, j);
     at.perturbed = !v.n_side.empty() && !(at.n_side == n);

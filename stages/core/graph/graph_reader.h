@@ -27,7 +27,42 @@ V unit_vector(const Column<std::int16_t>& column, std::size_t i) {
     return {unit[0], unit[1], unit[2]};
 }
 
-/// Vertices of a path graph as shading points, the very ones that the tracer had. The graph is borrowed.
+/// Position of vertex j as it is stored.
+template <class T = float>
+Point3<T> position(const PathGraph& graph, std::size_t j) {
+    const float* p = graph.vertices.p.data() + 3 * j;
+    return {p[0], p[1], p[2]};
+}
+
+/// Direction in which light leaves vertex j towards the camera.
+inline Vector3f outgoing(const PathGraph& graph, std::size_t j) {
+    const float* wo = graph.vertices.wo.data() + 3 * j;
+    return {wo[0], wo[1], wo[2]};
+}
+
+inline Normal3f shading_normal(const PathGraph& graph, std::size_t j) {
+    return unit_vector<Normal3f>(graph.vertices.ns, j);
+}
+
+inline Normal3f geometric_normal(const PathGraph& graph, std::size_t j) {
+    return unit_vector<Normal3f>(graph.vertices.ng.empty() ? graph.vertices.ns : graph.vertices.ng, j);
+}
+
+/// The normal or its opposite, whichever is on the side of wo.
+inline Normal3f facing(const Normal3f& n, const Vector3f& wo) {
+    return dot(n, wo) < 0 ? -n : n;
+}
+
+/// Origin of the camera ray of a path: the pinhole, or a point on an orthographic sensor; never on the near plane.
+template <class T = float>
+Point3<T> camera_origin(const PathGraph& graph, std::size_t path) {
+    if (graph.paths.origin.empty())
+        return {T(graph.sensor.origin[0]), T(graph.sensor.origin[1]), T(graph.sensor.origin[2])};
+    const float* o = graph.paths.origin.data() + 3 * path;
+    return {o[0], o[1], o[2]};
+}
+
+/// Reads vertices of a path graph as shading points, exactly those that the tracer had. The graph is borrowed.
 class GraphReader {
   public:
     explicit GraphReader(const PathGraph& graph);
@@ -36,7 +71,7 @@ class GraphReader {
 
     const PathGraph& graph() const { return graph_; }
     ShadingPoint vertex(std::size_t j) const;
-    /// Its BSDF alone.
+    /// BSDF of a vertex.
     Bsdf<float> bsdf(std::size_t j) const;
     /// Unit direction from vertex position p to light point k.
     Vector3f light_direction(const Point3f& p, std::size_t k) const;

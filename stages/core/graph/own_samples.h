@@ -1,12 +1,14 @@
 #pragma once
-// What a vertex of a path graph estimates from its own samples alone, as path tracing does; shared by the
-// stages that start from that estimate, compare with it, or fall back on it.
+// What a stored path contributes by its own samples alone, as in path tracing. Stages start from this estimate, compare
+// with it, or fall back on it.
+
+#include <concepts>
 
 #include "stages/core/graph/graph_reader.h"
 
 namespace loom {
 
-/// How next-event estimation and BSDF sampling are weighted against each other.       [Veach1995]
+/// Weights of next-event estimation and BSDF sampling against each other.       [Veach1995]
 enum class Heuristic { power, balance };
 
 /// f cos / pdf of the BSDF sample that leads from vertex j (`at`) along wi, roulette folded in.
@@ -16,18 +18,11 @@ Spectrum own_continuation(const GraphReader& reader, const ShadingPoint& at, std
 Spectrum own_light(const GraphReader& reader, const ShadingPoint& at, std::size_t j, std::size_t k,
                    Heuristic heuristic = Heuristic::power);
 
-/// The same, everything given.
-/// in:      pdf_w  of the BSDF sample that may have found the light, for what is not found by next-event estimation
+/// f cos Li w / pdf of a light edge, given its numbers.
+/// in:      pdf_w  density of the vertex's BSDF sample; used unless next-event estimation found the light
 /// needs:   the edge was not found by a delta lobe
 Spectrum own_light(const Spectrum& f_cos, const Spectrum& Li, bool next_event, float pdf_nee_w, float pdf_bsdf_w,
                    float pdf_w, Heuristic heuristic);
-
-/// Walks along a path: on_vertex(j, at) at each of its vertices, then on_light(j, k, L) for each light edge k of that
-/// vertex, with the radiance that the camera gets along it. What is seen directly (paths/Le) is not among it.
-/// in: first light edge of the path; out: that of the next path
-template <class OnVertex, class OnLight>
-void walk_path(const GraphReader& reader, std::size_t path, std::size_t& edge, OnVertex&& on_vertex,
-               OnLight&& on_light);
 
 /// First light edge at or after vertex j.
 std::size_t first_light_edge(const PathGraph& graph, std::size_t j);
@@ -35,24 +30,74 @@ std::size_t first_light_edge(const PathGraph& graph, std::size_t j);
 /// Unit direction in which vertex j continues.
 /// needs:   the vertex is continued
 inline Vector3f continuation_direction(const PathGraph& graph, std::size_t j) {
-    const float* wo = graph.vertices.wo.data() + 3 * (j + 1);
-    return {-wo[0], -wo[1], -wo[2]};
+    return -outgoing(graph, j + 1);
 }
 
-template <class OnVertex, class OnLight>
-void walk_path(const GraphReader& reader, std::size_t path, std::size_t& edge, OnVertex&& on_vertex,
-               OnLight&& on_light) {
-    const PathGraph& g = reader.graph();
-    const auto& e = g.light_edges;
-    Spectrum beta(1);
-    const std::uint64_t begin = g.paths.first_vertex[path], end = g.paths.first_vertex[path + 1];
-    for (std::uint64_t j = begin; j < end; ++j) {
-        const ShadingPoint at = reader.vertex(j);
-        on_vertex(j, at);
-        for (; edge < e.vertex.size() && e.vertex[edge] == j; ++edge)
-            on_light(j, edge, beta * own_light(reader, at, j, edge));
-        if (j + 1 < end) beta *= own_continuation(reader, at, j, continuation_direction(g, j));
+/// What walk_vertices() reads of stored paths. Vertices and light edges are rows of graph(); a weight is an Rgb<T>.
+///   vertex(j)           what the two weights of a vertex share, evaluated once
+///   continuation(j, v)  f cos / pdf of the BSDF sample that leads to vertex j + 1
+///   light(j, v, k)      f cos Li w / pdf of light edge k
+template <class Source, class T>
+concept PathSource = requires(const Source& source, std::size_t row) {
+    { source.graph() } -> std::same_as<const PathGraph&>;
+    Rgb<T>(source.continuation(row, source.vertex(row)));
+    Rgb<T>(source.light(row, source.vertex(row), row));
+};
+
+/// Paths as they were traced, each by its own samples.
+class OwnSamples {
+  public:
+    explicit OwnSamples(const GraphReader& reader, Heuristic heuristic = Heuristic::power)
+        : reader_(reader), heuristic_(heuristic) {}
+    const PathGraph& graph() const { return reader_.graph(); }
+    ShadingPoint vertex(std::size_t j) const { return reader_.vertex(j); }
+    Spectrum continuation(std::size_t j, const ShadingPoint& at) const {
+        return own_continuation(reader_, at, j, continuation_direction(graph(), j));
     }
+    Spectrum light(std::size_t j, const ShadingPoint& at, std::size_t k) const {
+        return own_light(reader_, at, j, k, heuristic_);
+    }
+
+  private:
+    const GraphReader& reader_;
+    Heuristic heuristic_;
+};
+
+/// Rows of one path, or a piece of it.
+struct VertexRange {
+    std::size_t begin, end;
+};
+inline VertexRange vertices_of(const PathGraph& graph, std::size_t path) {
+    return {graph.paths.first_vertex[path], graph.paths.first_vertex[path + 1]};
+}
+
+/// Walks along vertices of one path: calls on_vertex(j, vertex) at each, then on_light(j, k, beta * light) for each of
+/// its light edges k. T is the number of weights: float, double or Dual.
+///   beta_(j+1) = beta_j continuation_j
+/// in:      beta  throughput from the camera, or from where else the walk counts, to the first vertex
+///          edge  first light edge of the first vertex
+/// out:     throughput to the vertex behind the last, if the path has one; edge: first one behind those of the walk
+template <class T, PathSource<T> Source, class OnVertex, class OnLight>
+Rgb<T> walk_vertices(const Source& source, VertexRange rows, std::size_t path_end, Rgb<T> beta, std::size_t& edge,
+                     OnVertex&& on_vertex, OnLight&& on_light) {
+    const auto& edges = source.graph().light_edges.vertex;
+    for (std::size_t j = rows.begin; j < rows.end; ++j) {
+        const auto at = source.vertex(j);
+        on_vertex(j, at);
+        for (; edge < edges.size() && edges[edge] == j; ++edge)
+            on_light(j, edge, beta * Rgb<T>(source.light(j, at, edge)));
+        if (j + 1 < path_end) beta *= Rgb<T>(source.continuation(j, at));
+    }
+    return beta;
+}
+
+/// Walks along a whole path; on_light gets the radiance that reaches the camera. The directly visible emitter
+/// (paths/Le) is not among it.
+/// in:      edge  first light edge of the path; out: that of the next path
+template <class T = float, PathSource<T> Source, class OnVertex, class OnLight>
+void walk_path(const Source& source, std::size_t path, std::size_t& edge, OnVertex&& on_vertex, OnLight&& on_light) {
+    const VertexRange rows = vertices_of(source.graph(), path);
+    walk_vertices<T>(source, rows, rows.end, Rgb<T>(T(1)), edge, on_vertex, on_light);
 }
 
 }  // namespace loom

@@ -5,7 +5,7 @@
 
 namespace loom {
 
-/// What counts, and how fast light is.
+/// Which lengths count, and the speed of light.
 struct Timing {
     // counts; of captures around a corner the segment from the laser to where it lights, too
     bool camera_segment = true;
@@ -19,18 +19,6 @@ struct Timing {
     }
 };
 
-inline Point3<double> position(const PathGraph& graph, std::size_t j) {
-    const float* p = graph.vertices.p.data() + 3 * j;
-    return {p[0], p[1], p[2]};
-}
-
-/// Where the camera ray of a path starts: the pinhole, or its place on an orthographic sensor; never the near plane.
-inline Point3<double> camera_point(const PathGraph& graph, std::size_t path) {
-    if (graph.paths.origin.empty()) return {graph.sensor.origin[0], graph.sensor.origin[1], graph.sensor.origin[2]};
-    const float* o = graph.paths.origin.data() + 3 * path;
-    return {o[0], o[1], o[2]};
-}
-
 /// Optical path lengths (m) along the positions as they are stored, in double precision. The graph is borrowed.
 ///   opl = sum_i eta_i |x_i - x_(i-1)|, infinite for lights at infinity               [TR eq. 4, with absolute indices]
 class OpticalLengths {
@@ -42,11 +30,12 @@ class OpticalLengths {
 
     /// From the camera to the first vertex of a path; 0 where that does not count.
     double from_camera(std::size_t path) const {
-        return timing_.camera_segment ? to_vertex(graph_.paths.first_vertex[path], camera_point(graph_, path)) : 0.0;
+        return timing_.camera_segment ? to_vertex(graph_.paths.first_vertex[path], camera_origin<double>(graph_, path))
+                                      : 0.0;
     }
     /// From a point to vertex j, in the medium of the segment that arrives there.
     double to_vertex(std::size_t j, const Point3<double>& from) const {
-        return index_of(graph_.vertices.eta, j) * length(position(graph_, j) - from);
+        return index_of(graph_.vertices.eta, j) * length(position<double>(graph_, j) - from);
     }
     /// Along light edge k from a point, and on to where the light starts if that is elsewhere (a lit spot, which
     /// reflects: the laser is in the medium of the edge).
@@ -75,7 +64,8 @@ class OpticalLengths {
     bool laser_segment_;
 };
 
-/// Walks along a path: on_light(L, opl) for each light that reaches the camera, what is seen directly included.
+/// Walks along a path and calls on_light(L, opl) for each light that reaches the camera, the directly visible emitter
+/// included.
 /// in: edge  first light edge of the path; out: that of the next path
 template <class OnLight>
 void walk_in_time(const GraphReader& reader, const OpticalLengths& lengths, std::size_t path, std::size_t& edge,
@@ -90,10 +80,10 @@ void walk_in_time(const GraphReader& reader, const OpticalLengths& lengths, std:
         return;
     }
     walk_path(
-        reader, path, edge,
+        OwnSamples(reader), path, edge,
         [&](std::size_t j, const ShadingPoint&) {
             opl += j == begin ? lengths.from_camera(path) : lengths.to_vertex(j, x);
-            x = position(g, j);
+            x = position<double>(g, j);
             if (j == begin && !is_black(Le)) on_light(Le, opl);
         },
         [&](std::size_t, std::size_t k, const Spectrum& L) { on_light(L, opl + lengths.to_light(k, x)); });

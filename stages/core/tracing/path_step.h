@@ -29,7 +29,7 @@ constexpr Step operator|(Step a, Step b) {
 template <bool recording>
 void add_arrived_light(PathState& path, PathRecorder record, const Spectrum& Li, float pdf_nee, int emitter,
                        const SurfacePoint* at) {
-    path.result.L += path.beta * Li * power_heuristic(path.pdf_w, pdf_nee);
+    path.result.L += light_hit_contribution(path.beta, Li, path.pdf_w, pdf_nee);
     if constexpr (recording) {
         LightSample light;
         light.Li = Li;
@@ -55,8 +55,7 @@ bool sample_next_event(const Scene& scene, const PathState& path, const ShadingP
     const BsdfValue<float> value = f_cos_pdf(here, light.wi);
     if (is_black(value.f_cos)) return false;
     const float pdf_bsdf = light.delta ? 0.0f : value.pdf_w * q;
-    const float weight = power_heuristic(light.pdf_w, pdf_bsdf) / light.pdf_w;
-    shadow.contribution = path.beta * value.f_cos * light.Li * weight;
+    shadow.contribution = light_sample_contribution(path.beta, value.f_cos, light.Li, light.pdf_w, pdf_bsdf);
     shadow.ray = light.at_infinity ? spawn_ray(here.end(), light.wi) : spawn_segment(here.end(), light.end());
     if constexpr (recording)
         shadow.edge = light_edge(vertex, LightTechnique::next_event, light, pdf_bsdf,

@@ -68,6 +68,21 @@ inline Spectrum continued(const Spectrum& beta, const Spectrum& weight, float q)
     return beta * (weight * (1 / q));
 }
 
+/// What a path gains by a light sample that is not occluded, weighted against BSDF sampling.
+/// in:  pdf_bsdf_w  roulette folded in; 0 where BSDF sampling does not find the light
+inline Spectrum light_sample_contribution(const Spectrum& beta, const Spectrum& f_cos, const Spectrum& Li,
+                                          float pdf_nee_w, float pdf_bsdf_w) {
+    const float weight = power_heuristic(pdf_nee_w, pdf_bsdf_w) / pdf_nee_w;
+    return beta * f_cos * Li * weight;
+}
+
+/// What a path gains by light that its ray hits, weighted against next-event estimation.
+/// in:  pdf_bsdf_w  of the ray, roulette folded in
+///      pdf_nee_w   0 where next-event estimation does not find the light
+inline Spectrum light_hit_contribution(const Spectrum& beta, const Spectrum& Li, float pdf_bsdf_w, float pdf_nee_w) {
+    return beta * Li * power_heuristic(pdf_bsdf_w, pdf_nee_w);
+}
+
 /// A lobe that keeps a ray's direction: of a mask, a null surface or a thin pane.
 constexpr bool goes_straight_on(Lobe lobe, BsdfKind kind) {
     return lobe == Lobe::null || (lobe == Lobe::delta_transmission && kind == BsdfKind::thin_dielectric);

@@ -96,11 +96,11 @@ void ResumedPaths::add(const StoredPaths& paths, const PathChange& change, std::
         bool seen = false;
         for (; k < e.vertex.size() && e.vertex[k] == j && e.technique[k] == std::uint8_t(LightTechnique::next_event);
              ++k) {
-            const float weight = power_heuristic(e.pdf_nee_w[k], e.pdf_bsdf_w[k]) / e.pdf_nee_w[k];
-            const Spectrum f_cos = vertex.f_cos(paths.reader().light_direction(p, k));
-            pair.before += beta * f_cos * rgb(e.Li, k) * weight;
+            const Spectrum f_cos = vertex.f_cos(paths.reader().light_direction(p, k)), Li = rgb(e.Li, k);
+            pair.before += light_sample_contribution(beta, f_cos, Li, e.pdf_nee_w[k], e.pdf_bsdf_w[k]);
             if (along && !ask_again && !step_again)
-                add_light(pair, path.beta * f_cos * new_light(e.emitter[k], rgb(e.Li, k)) * weight);
+                add_light(pair, light_sample_contribution(path.beta, f_cos, new_light(e.emitter[k], Li), e.pdf_nee_w[k],
+                                                          e.pdf_bsdf_w[k]));
             seen = true;
         }
         if (done()) break;
@@ -145,9 +145,10 @@ void ResumedPaths::add(const StoredPaths& paths, const PathChange& change, std::
         beta = continued(beta, s.weight, q);
         for (; k < e.vertex.size() && e.vertex[k] == j; ++k) {
             const Spectrum Li = rgb(e.Li, k);
-            pair.before += beta * Li * power_heuristic(e.pdf_bsdf_w[k], e.pdf_nee_w[k]);
+            pair.before += light_hit_contribution(beta, Li, e.pdf_bsdf_w[k], e.pdf_nee_w[k]);
             if (along)
-                add_light(pair, path.beta * new_light(e.emitter[k], Li) * power_heuristic(path.pdf_w, e.pdf_nee_w[k]));
+                add_light(pair,
+                          light_hit_contribution(path.beta, new_light(e.emitter[k], Li), path.pdf_w, e.pdf_nee_w[k]));
         }
     }
     if (!resumes) return;

@@ -36,11 +36,7 @@ class StoredPaths {
         return scene_.sensor.sample_ray(std::uint32_t(pixel % graph().sensor.width),
                                         std::uint32_t(pixel / graph().sensor.width), sampler(path).pair(film_pair));
     }
-    Point3f camera(std::size_t path) const {
-        const auto& origin = graph().paths.origin;
-        return origin.empty() ? scene_.sensor.origin
-                              : Point3f{origin[3 * path], origin[3 * path + 1], origin[3 * path + 2]};
-    }
+    Point3f camera(std::size_t path) const { return camera_origin(graph(), path); }
     /// Emitter that the camera has seen; -1: none.
     int seen_emitter(std::size_t path) const {
         const PathGraph& g = graph();
@@ -50,14 +46,8 @@ class StoredPaths {
     }
     /// Number of a vertex within its path, from 1: that of the edge which leads to it.
     int depth(std::size_t path, std::size_t vertex) const { return int(vertex - graph().paths.first_vertex[path]) + 1; }
-    Point3f position(std::size_t vertex) const {
-        const float* p = graph().vertices.p.data() + 3 * vertex;
-        return {p[0], p[1], p[2]};
-    }
-    Normal3f ng(std::size_t vertex) const {
-        const auto& v = graph().vertices;
-        return unit_vector<Normal3f>(v.ng.empty() ? v.ns : v.ng, vertex);
-    }
+    Point3f position(std::size_t vertex) const { return loom::position(graph(), vertex); }
+    Normal3f ng(std::size_t vertex) const { return geometric_normal(graph(), vertex); }
     RayEnd end(std::size_t vertex) const {
         return {position(vertex), ng(vertex), scene_.shapes[graph().vertices.shape[vertex]].hit_error};
     }
@@ -68,10 +58,7 @@ class StoredPaths {
         return here;
     }
     /// Direction of the ray that found a vertex.
-    Vector3f arrival(std::size_t vertex) const {
-        const float* wo = graph().vertices.wo.data() + 3 * vertex;
-        return {-wo[0], -wo[1], -wo[2]};
-    }
+    Vector3f arrival(std::size_t vertex) const { return -outgoing(graph(), vertex); }
     float survival(std::size_t vertex) const { return graph().vertices.q.empty() ? 1.0f : graph().vertices.q[vertex]; }
     BsdfSample<float> redraw(const ShadingPoint& here, const Sampler& sampler, int depth) const {
         return draw(here, sampler, depth, sampler.pair(dimension(depth, Dimension::direction)));
@@ -101,7 +88,7 @@ class StoredVertex {
                  g.vertices.n_side.empty();
         if (!matte_) return;
         bsdf_.diffuse = textured & textured_parameter::diffuse ? paths.reader().bsdf(vertex).diffuse : model.diffuse;
-        n_ = unit_vector<Normal3f>(g.vertices.ns, vertex);
+        n_ = shading_normal(g, vertex);
         wo_.z = dot(-paths.arrival(vertex), n_);
         if (model.two_sided && wo_.z < 0) n_ = -n_, wo_.z = -wo_.z;
     }
@@ -154,7 +141,7 @@ class FirstHits {
         if (j == g.paths.first_vertex[path + 1]) return {};
         const std::int16_t* const code = g.vertices.ns.data() + 2 * j;
         if (code[0] != last_code_[0] || code[1] != last_code_[1]) {
-            last_normal_ = unit_vector<Normal3f>(g.vertices.ns, j);
+            last_normal_ = shading_normal(g, j);
             std::copy(code, code + 2, last_code_);
         }
         const Vector3f v = paths_.position(j) - paths_.camera(path);

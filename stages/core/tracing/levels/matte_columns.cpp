@@ -63,8 +63,8 @@ void reflect_light(MatteColumns& c, std::size_t i) {
     const Vector3f wi = times_z(frame.to_local(c.light_wi.get<Vector3f>(i)), c.turn[i]);
     const BsdfValue<float> value = DiffuseFamily::f_cos_pdf(matte(c, i), c.wo_local.get<Vector3f>(i), wi);
     const float pdf = c.shadow_pdf_w[i], pdf_bsdf = value.pdf_w * c.q[i];
-    const float weight = power_heuristic(pdf, pdf_bsdf) / pdf;
-    c.contribution.set(i, c.beta.get<Spectrum>(i) * value.f_cos * c.light_Li.get<Spectrum>(i) * weight);
+    c.contribution.set(
+        i, light_sample_contribution(c.beta.get<Spectrum>(i), value.f_cos, c.light_Li.get<Spectrum>(i), pdf, pdf_bsdf));
     c.shadow_f[i] = sum(value.f_cos);
     c.shadow_pdf_bsdf_w[i] = pdf_bsdf;
 }
