@@ -1,3 +1,5 @@
+## make demo SCENE=scenes/cornell-box.xml OUT=out/demo
+#
 # What `make` alone ends with: OUT/index.html, one page of what Pathloom does, made here within two minutes on two cores.
 #
 #   image      SCENE by path tracing, by path graphs, and denoised, of equally many samples

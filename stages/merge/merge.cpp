@@ -224,6 +224,162 @@ void say_direct(const Options& options, app::Report& report) {
     report.answer(fmt::format("{}\n", plan.samples));
 }
 
+/// Merges the images of one run.
+class ImageMerger {
+  public:
+    ImageMerger(const Options& options, app::Report& report)
+        : options_(options),
+          report_(report),
+          differences_(!options.minus.empty()),
+          two_levels_(options.unbiased > 0),
+          labels_(options.parts.size()) {}
+
+    void run() {
+        if (differences_ && options_.minus.size() != options_.parts.size())
+            throw InputError(
+                fmt::format("--minus: {} images for {} parts", options_.minus.size(), options_.parts.size()));
+        // Read the first part: it decides how the parts are merged.
+        std::vector<InputId> inputs = identify_parts(options_.parts);
+        if (differences_)
+            for (InputId& id : identify_parts(options_.minus)) inputs.push_back(std::move(id));
+        first_ = read_part(0);
+        estimates_ = has_estimates(first_);
+        blend_ = estimates_ && !options_.no_blend && !two_levels_ && options_.parts.size() >= min_blend_parts;
+        if (two_levels_) check_unbiased();
+        if (!options_.direct.empty()) {
+            read_direct();
+            inputs.push_back(identify(options_.direct));
+        }
+
+        // Merge.
+        Image merged = merge();
+        report_distrust(merged);
+        const std::string how = plan();
+        if (!how.empty()) report_.info("plan: {}", how);
+        merged.provenance = report_.provenance(first_.provenance.seed, std::move(inputs),
+                                               (how.empty() ? first_.provenance.plan : how) +
+                                                   (differences_ ? "; differences of pairs, new minus old" : ""));
+        set_origin(merged);
+
+        // Write.
+        write_image(merged, options_.output, options_.zip ? Compression::zip : Compression::none);
+        std::vector<std::string> parents = options_.parts;
+        parents.insert(parents.end(), options_.minus.begin(), options_.minus.end());
+        parents.push_back(options_.direct);
+        write_cost_of(options_.output, report_.cost(merged.provenance.plan), parents);
+        report_.done("{}: {} parts, {} samples per pixel", options_.output, options_.parts.size(), merged.samples);
+    }
+
+  private:
+    /// Part i, with --minus its difference from the image before the edit.
+    Image read_part(std::size_t i) {
+        const std::string& file = options_.parts[i];
+        Image image = read_image(file);
+        labels_[i] = {image.scene, image.ledger, image.samples};
+        if (!differences_) return image;
+        const Image before = read_image(options_.minus[i]);
+        if (image.provenance.seed != before.provenance.seed)
+            throw InputError(
+                fmt::format("{}: was made with seed {}, but {} with {}; trace both with the same --seed, so that their "
+                            "noise cancels",
+                            options_.minus[i], before.provenance.seed, file, image.provenance.seed));
+        return difference_of(image, before, file, options_.minus[i]);
+    }
+
+    void check_unbiased() const {
+        if (!estimates_)
+            throw InputError(
+                fmt::format("--unbiased: {} has no estimates of its own paths; make it with loom-gather --estimates",
+                            options_.parts[0]));
+        check_two_levels(options_.unbiased, options_.parts.size());
+    }
+
+    void read_direct() {
+        const std::string& file = options_.direct;
+        if (!blend_ || differences_)
+            throw InputError(
+                fmt::format("{}: only a blend uses --direct; give {} or more parts made with loom-gather --estimates, "
+                            "and no --minus",
+                            file, min_blend_parts));
+        direct_ = read_image(file);
+        if (direct_.width != first_.width || direct_.height != first_.height)
+            throw InputError(fmt::format("{}: is {} x {}, but {} is {} x {}", file, direct_.width, direct_.height,
+                                         options_.parts[0], first_.width, first_.height));
+        if (direct_.find("VarMean.R").empty() || direct_.samples < 2)
+            throw InputError(fmt::format("{}: has no variance (VarMean, from two samples per pixel or more)", file));
+    }
+
+    Image merge() {
+        const std::size_t n = options_.parts.size();
+        if ((estimates_ || differences_) && n > 1) {
+            const auto part = [&](std::size_t i) {
+                Image image = read_part(i);
+                check_fit(first_, image, options_.parts[0], options_.parts[i]);
+                return image;
+            };
+            if (two_levels_) return two_level_image(n, options_.unbiased, part);
+            if (blend_) return blend_images(n, part, options_.direct.empty() ? nullptr : &direct_, !differences_);
+            return average_images(n, part);
+        }
+        std::vector<Image> parts;
+        parts.push_back(first_);
+        for (std::size_t i = 1; i < n; ++i) parts.push_back(read_part(i));
+        if (differences_)
+            report_.warn("{}: one difference has no spread, so the result has no VarMean; give two or more",
+                         options_.output);
+        return merge_images(parts, options_.parts);
+    }
+
+    void report_distrust(const Image& merged) {
+        const auto distrust = merged.find("Blend.Distrust");
+        if (distrust.empty()) return;
+        const double share = std::accumulate(distrust.begin(), distrust.end(), 0.0) / double(distrust.size());
+        const std::string text = fmt::format(
+            "clusters look biased in {:.2f} % of the pixels (layer Blend.Distrust), which use the paths' own estimates "
+            "alone",
+            100 * share);
+        if (share >= distrust_to_warn)
+            report_.warn("{}", text);
+        else
+            report_.info("{}", text);
+    }
+
+    /// Empty where the parts have no estimates.
+    std::string plan() const {
+        if (two_levels_)
+            return fmt::format("on: {} parts, corrected by the own paths of {}; off: blend", options_.parts.size(),
+                               options_.unbiased);
+        if (blend_)
+            return fmt::format("on: blend with the paths' own estimates; off: {}",
+                               options_.direct.empty() ? "further direct light (none given)" : "nothing");
+        if (!estimates_) return "";
+        if (options_.no_blend) return "off: blend with the paths' own estimates (--no-blend)";
+        return fmt::format("off: blend with the paths' own estimates (fewer than {} parts)", min_blend_parts);
+    }
+
+    /// Scene and ledger of the merged image.
+    void set_origin(Image& merged) const {
+        const InputId scene = common_scene(labels_);
+        if (!differences_) {
+            merged.scene = !options_.direct.empty() && direct_.scene.hash != scene.hash ? InputId() : scene;
+            merged.ledger = link_of_passes(labels_, merged);
+        } else if (!merged.find("VarMean.R").empty()) {
+            LedgerLink& link = merged.ledger.emplace_back();
+            link.scene = scene;
+            link.method = differences_method;
+            link.samples = merged.samples;
+            link.seed = merged.provenance.seed;
+            link.var_mean = mean_var_mean(merged);
+        }
+    }
+
+    const Options& options_;
+    app::Report& report_;
+    bool differences_, two_levels_, estimates_ = false, blend_ = false;
+    std::vector<Labels> labels_;  // by part
+    Image first_, direct_;
+};
+
 }  // namespace
 
 void run(const Options& options, app::Report& report) {
@@ -233,119 +389,13 @@ void run(const Options& options, app::Report& report) {
     }
     if (options.output.empty()) throw InputError("--output: missing (an .exr file, or .h5 for cubes)");
     if (options.parts.empty()) throw InputError("no input: give images (.exr) or transient cubes (.h5)");
-    if (std::filesystem::path(options.parts[0]).extension() == ".h5") {
-        if (options.zip || options.no_blend || !options.direct.empty() || !options.minus.empty() ||
-            options.unbiased > 0)
-            throw InputError("--zip, --direct, --minus, --unbiased, --no-blend: are for images, not for cubes");
-        run_cubes(options, report);
+    if (std::filesystem::path(options.parts[0]).extension() != ".h5") {
+        ImageMerger(options, report).run();
         return;
     }
-    const bool differences = !options.minus.empty();
-    if (differences && options.minus.size() != options.parts.size())
-        throw InputError(fmt::format("--minus: {} images for {} parts", options.minus.size(), options.parts.size()));
-    std::vector<InputId> inputs = identify_parts(options.parts);
-    if (differences)
-        for (InputId& id : identify_parts(options.minus)) inputs.push_back(std::move(id));
-    std::vector<Labels> labels(options.parts.size());
-    const auto read_part = [&](std::size_t i) {
-        Image image = read_image(options.parts[i]);
-        labels[i] = {image.scene, image.ledger, image.samples};
-        if (!differences) return image;
-        const Image before = read_image(options.minus[i]);
-        if (image.provenance.seed != before.provenance.seed)
-            throw InputError(
-                fmt::format("{}: was made with seed {}, but {} with {}; trace both with the same --seed, so that their "
-                            "noise cancels",
-                            options.minus[i], before.provenance.seed, options.parts[i], image.provenance.seed));
-        return difference_of(image, before, options.parts[i], options.minus[i]);
-    };
-    const Image first = read_part(0);
-    const bool estimates = has_estimates(first), two_levels = options.unbiased > 0;
-    const bool blend = estimates && !options.no_blend && !two_levels && options.parts.size() >= min_blend_parts;
-    if (two_levels) {
-        if (!estimates)
-            throw InputError(
-                fmt::format("--unbiased: {} has no estimates of its own paths; make it with loom-gather --estimates",
-                            options.parts[0]));
-        check_two_levels(options.unbiased, options.parts.size());
-    }
-    Image merged, direct;
-    if (!options.direct.empty()) {
-        if (!blend || differences)
-            throw InputError(
-                fmt::format("{}: only a blend uses --direct; give {} or more parts made with loom-gather --estimates, "
-                            "and no --minus",
-                            options.direct, min_blend_parts));
-        direct = read_image(options.direct);
-        if (direct.width != first.width || direct.height != first.height)
-            throw InputError(fmt::format("{}: is {} x {}, but {} is {} x {}", options.direct, direct.width,
-                                         direct.height, options.parts[0], first.width, first.height));
-        if (direct.find("VarMean.R").empty() || direct.samples < 2)
-            throw InputError(
-                fmt::format("{}: has no variance (VarMean, from two samples per pixel or more)", options.direct));
-        inputs.push_back(identify(options.direct));
-    }
-    if ((estimates || differences) && options.parts.size() > 1) {
-        const auto part = [&](std::size_t i) {
-            Image image = read_part(i);
-            check_fit(first, image, options.parts[0], options.parts[i]);
-            return image;
-        };
-        merged =
-            two_levels ? two_level_image(options.parts.size(), options.unbiased, part)
-            : blend ? blend_images(options.parts.size(), part, options.direct.empty() ? nullptr : &direct, !differences)
-                    : average_images(options.parts.size(), part);
-    } else {
-        std::vector<Image> parts{first};
-        for (std::size_t i = 1; i < options.parts.size(); ++i) parts.push_back(read_part(i));
-        merged = merge_images(parts, options.parts);
-        if (differences)
-            report.warn("{}: one difference has no spread, so the result has no VarMean; give two or more",
-                        options.output);
-    }
-    if (const auto distrust = merged.find("Blend.Distrust"); !distrust.empty()) {
-        const double share = std::accumulate(distrust.begin(), distrust.end(), 0.0) / double(distrust.size());
-        const std::string text = fmt::format(
-            "clusters look biased in {:.2f} % of the pixels (layer Blend.Distrust), which use the paths' own estimates "
-            "alone",
-            100 * share);
-        if (share >= distrust_to_warn)
-            report.warn("{}", text);
-        else
-            report.info("{}", text);
-    }
-    const std::string why =
-        two_levels   ? fmt::format("on: {} parts, corrected by the own paths of {}; off: blend", options.parts.size(),
-                                   options.unbiased)
-        : blend      ? fmt::format("on: blend with the paths' own estimates; off: {}",
-                              options.direct.empty() ? "further direct light (none given)" : "nothing")
-        : !estimates ? ""
-        : options.no_blend
-            ? "off: blend with the paths' own estimates (--no-blend)"
-            : fmt::format("off: blend with the paths' own estimates (fewer than {} parts)", min_blend_parts);
-    if (!why.empty()) report.info("plan: {}", why);
-    merged.provenance = report.provenance(
-        first.provenance.seed, std::move(inputs),
-        (why.empty() ? first.provenance.plan : why) + (differences ? "; differences of pairs, new minus old" : ""));
-    const InputId scene = common_scene(labels);
-    if (!differences) {
-        merged.scene = !options.direct.empty() && direct.scene.hash != scene.hash ? InputId() : scene;
-        merged.ledger = link_of_passes(labels, merged);
-    } else if (!merged.find("VarMean.R").empty()) {
-        LedgerLink& link = merged.ledger.emplace_back();
-        link.scene = scene;
-        link.method = differences_method;
-        link.samples = merged.samples;
-        link.seed = merged.provenance.seed;
-        link.var_mean = mean_var_mean(merged);
-    }
-    write_image(merged, options.output, options.zip ? Compression::zip : Compression::none);
-
-    std::vector<std::string> parents = options.parts;
-    parents.insert(parents.end(), options.minus.begin(), options.minus.end());
-    parents.push_back(options.direct);
-    write_cost_of(options.output, report.cost(merged.provenance.plan), parents);
-    report.done("{}: {} parts, {} samples per pixel", options.output, options.parts.size(), merged.samples);
+    if (options.zip || options.no_blend || !options.direct.empty() || !options.minus.empty() || options.unbiased > 0)
+        throw InputError("--zip, --direct, --minus, --unbiased, --no-blend: are for images, not for cubes");
+    run_cubes(options, report);
 }
 
 }  // namespace loom::merge

@@ -378,10 +378,8 @@ std::string subsection(const std::string& title, const std::string& text, const 
     return fmt::format("<h3>{}</h3>\n<p>{}</p>\n{}", title, text, body);
 }
 
-}  // namespace
-
-std::string page_of(const Options& options) {
-    Picture reference = read_picture("Reference", options.reference, options);
+/// The images of the page, all of the reference's size, with their lineage.
+std::vector<Picture> read_pictures(const Options& options, const Picture& reference) {
     std::vector<Picture> pictures;
     for (const std::string& text : options.pictures) {
         const auto [label, file] = app::split_label(text);
@@ -393,36 +391,43 @@ std::string page_of(const Options& options) {
         }
         pictures.back().lineage = lineage_of(file);
     }
-    if (fs::exists(cost_path(options.reference))) reference.lineage = lineage_of(options.reference);
+    return pictures;
+}
 
+/// relMSE of each image, by the table of errors.
+void set_errors(const Table& errors, std::vector<Picture>& pictures) {
+    for (const Group& group : groups_of(errors))
+        for (Picture& picture : pictures)
+            if (picture.label == group.method && std::to_string(picture.samples) == group.samples)
+                picture.relmse = estimate(errors, group, "relmse").mean;
+}
+
+std::string tables_of_errors(const Table& errors) {
     std::string tables;
-    if (!options.errors.empty()) {
-        const Table errors = read_tables({options.errors});
-        for (const Group& group : groups_of(errors))
-            for (Picture& picture : pictures)
-                if (picture.label == group.method && std::to_string(picture.samples) == group.samples)
-                    picture.relmse = estimate(errors, group, "relmse").mean;
-        tables +=
-            subsection("Errors",
-                       "Means over n images that differ in their random numbers only, with the standard error of that "
-                       "mean. relMSE is the mean of (x − r)² / (r² + 0.01). <i>Trimmed</i> leaves out the 0.1 % worst "
-                       "pixels, which may dominate the mean. PSNR and SSIM compare what a display shows.",
-                       error_table(errors));
-        tables += subsection(
-            "Bias, variance and grain",
-            "The relMSE in three parts: squared bias, variance, and the noise of the reference itself. Squared bias is "
-            "an estimate and falls below zero where there is none to measure. Then the correlation of the error with "
-            "that of the pixel to the right and of pixels 2 to 8 away: 0 for grain, towards 1 for blotches. The p "
-            "values test whether the means of the image, and of its 8 × 8 tiles, differ from the reference by more "
-            "than noise; without bias, a value below p has probability p.",
-            parts_table(errors));
-        tables +=
-            subsection("Costs",
-                       "Cost of the whole chain of files that an image was made from, each file once. Render time is "
-                       "CPU time without reading the scene, which would dominate for small images of large scenes.",
-                       cost_table(errors));
-    }
-    const auto equal_cost = read_matches(options.equal_cost), equal_error = read_matches(options.equal_error);
+    tables +=
+        subsection("Errors",
+                   "Means over n images that differ in their random numbers only, with the standard error of that "
+                   "mean. relMSE is the mean of (x − r)² / (r² + 0.01). <i>Trimmed</i> leaves out the 0.1 % worst "
+                   "pixels, which may dominate the mean. PSNR and SSIM compare what a display shows.",
+                   error_table(errors));
+    tables += subsection(
+        "Bias, variance and grain",
+        "The relMSE in three parts: squared bias, variance, and the noise of the reference itself. Squared bias is "
+        "an estimate and falls below zero where there is none to measure. Then the correlation of the error with "
+        "that of the pixel to the right and of pixels 2 to 8 away: 0 for grain, towards 1 for blotches. The p "
+        "values test whether the means of the image, and of its 8 × 8 tiles, differ from the reference by more "
+        "than noise; without bias, a value below p has probability p.",
+        parts_table(errors));
+    tables += subsection("Costs",
+                         "Cost of the whole chain of files that an image was made from, each file once. Render time is "
+                         "CPU time without reading the scene, which would dominate for small images of large scenes.",
+                         cost_table(errors));
+    return tables;
+}
+
+std::string tables_of_matches(const std::optional<Matches>& equal_cost, const std::optional<Matches>& equal_error,
+                              const Options& options) {
+    std::string tables;
     if (equal_cost) {
         tables += subsection("At equal " + escaped(words_for(equal_cost->equal)),
                              "Error of each method at the same cost as the other, between measured points along a "
@@ -439,6 +444,23 @@ std::string page_of(const Options& options) {
                              "second without loading and compiling. Equal paths are not equal errors.",
                              plain_table(read_tables({options.peers})));
     }
+    return tables;
+}
+
+}  // namespace
+
+std::string page_of(const Options& options) {
+    Picture reference = read_picture("Reference", options.reference, options);
+    std::vector<Picture> pictures = read_pictures(options, reference);
+    if (fs::exists(cost_path(options.reference))) reference.lineage = lineage_of(options.reference);
+    const auto equal_cost = read_matches(options.equal_cost), equal_error = read_matches(options.equal_error);
+    std::string tables;
+    if (!options.errors.empty()) {
+        const Table errors = read_tables({options.errors});
+        set_errors(errors, pictures);
+        tables += tables_of_errors(errors);
+    }
+    tables += tables_of_matches(equal_cost, equal_error, options);
 
     std::vector<const Picture*> shown;
     std::string cells, lineage;

@@ -132,6 +132,91 @@ void check_graphs(const std::vector<std::string>& names, const std::vector<PathG
     }
 }
 
+/// Clusters of each graph; none without --clusters.
+std::vector<Clusters> read_all_clusters(const Options& options, const std::vector<PathGraph>& graphs,
+                                        const std::vector<InputId>& ids) {
+    if (!options.clusters.empty() && options.clusters.size() != graphs.size())
+        throw InputError(fmt::format("--clusters: {} files for {} graphs", options.clusters.size(), graphs.size()));
+    std::vector<Clusters> clusters;
+    for (std::size_t i = 0; i < options.clusters.size(); ++i) {
+        clusters.push_back(read_clusters(options.clusters[i]));
+        require_clusters_of(graphs[i], ids[i], clusters[i], options.clusters[i]);
+        if (graphs[i].tracing.samples_per_pixel != graphs[0].tracing.samples_per_pixel)
+            throw InputError(
+                fmt::format("{}: has {} samples per pixel, but {} has {}; with --clusters all graphs need as many",
+                            options.graphs[i], graphs[i].tracing.samples_per_pixel, options.graphs[0],
+                            graphs[0].tracing.samples_per_pixel));
+    }
+    return clusters;
+}
+
+void check_tal(const Options& options, const PathGraph& graph) {
+    if (options.tal.empty()) return;
+    check_output_path(options.tal);
+    if (graph.sensor.kind != "nlos_capture_meter")
+        throw InputError(fmt::format("--tal: {} is no NLOS capture (sensor nlos_capture_meter)", options.graphs[0]));
+}
+
+/// Bins of a modulation: phases of one period.
+void set_phases(const Options& options, const Lengths& lengths, TimeResponse& response, TransientCubeHeader& header) {
+    if (options.start || options.width || options.gate)
+        throw InputError("--pulse sine, square: bins are phases; leave out --start, --width and --gate");
+    response.n_bins = options.bins.value_or(4);
+    if (response.n_bins < 2 || (response.modulation == Modulation::square && response.n_bins % 2 != 0))
+        throw InputError(fmt::format("--bins {}: {} needs {} phases", response.n_bins, header.response.pulse,
+                                     response.modulation == Modulation::sine ? "two or more" : "an even number of"));
+    response.period = header.response.period_opl =
+        lengths(positive(options.period, "--period", "the period of the modulation"));
+    response.start = 0;
+    response.width = response.gate = response.period / response.n_bins;
+}
+
+/// Bins of a pulse: by the options, else the film of the graph, else where its light arrives.
+void set_window(const Options& options, const Lengths& lengths, const PathGraph& graph, const Timing& timing,
+                TimeResponse& response) {
+    if (options.period != 0) throw InputError("--period: needs --pulse sine or square");
+    const auto& film = graph.transient;
+    const bool has_film = !film.n_bins.empty();
+    response.n_bins = options.bins.value_or(has_film ? film.n_bins[0] : default_bins);
+    const Window window = has_film || (options.start && options.width) ? Window{} : window_of(graph, timing);
+    response.start = options.start ? lengths(*options.start) : has_film ? film.start_opl[0] : window.start;
+    response.width = options.width ? lengths(*options.width)
+                     : has_film    ? film.bin_width_opl[0]
+                                   : (window.end - response.start) / response.n_bins;
+    if (!(response.width > 0))
+        throw InputError(fmt::format("--start {}: no light arrives after it; give --width", *options.start));
+    response.gate = options.gate ? lengths(*options.gate) : response.width;
+}
+
+/// Light of a cube, summed over its pixels.
+struct LightSums {
+    Rgb<double> steady, inside, before, after, never;
+
+    void add(const TransientRows& rows) {
+        add(rows.radiance, inside);
+        add(rows.before, before);
+        add(rows.after, after);
+        add(rows.never, never);
+        add(rows.steady, steady);
+    }
+    double percent(const Rgb<double>& part) const {
+        return luminance(steady) > 0 ? 100 * luminance(part) / luminance(steady) : 0.0;
+    }
+
+  private:
+    static void add(std::span<const float> values, Rgb<double>& sum) {
+        for (std::size_t i = 0; i < values.size(); i += 3) sum += Rgb<double>(values[i], values[i + 1], values[i + 2]);
+    }
+};
+
+std::string plan_of(const TimeResponse& response, const TransientCubeHeader& header, bool shares, bool camera_segment) {
+    return fmt::format("on: {}{} pulse, {}; off: {}", shares ? "light shared by clusters at first hits, " : "",
+                       header.response.pulse, camera_segment ? "camera segment" : "lengths from the first hit",
+                       response.pulse.is_delta() && response.modulation == Modulation::none
+                           ? "derivatives by interior terms alone (the response jumps at borders of bins)"
+                           : "nothing");
+}
+
 }  // namespace
 
 void declare(app::Command& command, Options& options) {
@@ -195,59 +280,23 @@ void run(const Options& options, app::Report& report) {
     }
     header.provenance.inputs = identify_parts(options.graphs);
     check_graphs(options.graphs, graphs);
-    std::vector<Clusters> clusters;
-    if (!options.clusters.empty() && options.clusters.size() != graphs.size())
-        throw InputError(fmt::format("--clusters: {} files for {} graphs", options.clusters.size(), graphs.size()));
-    for (std::size_t i = 0; i < options.clusters.size(); ++i) {
-        clusters.push_back(read_clusters(options.clusters[i]));
-        require_clusters_of(graphs[i], header.provenance.inputs[i], clusters[i], options.clusters[i]);
-        if (graphs[i].tracing.samples_per_pixel != graphs[0].tracing.samples_per_pixel)
-            throw InputError(
-                fmt::format("{}: has {} samples per pixel, but {} has {}; with --clusters all graphs need as many",
-                            options.graphs[i], graphs[i].tracing.samples_per_pixel, options.graphs[0],
-                            graphs[0].tracing.samples_per_pixel));
-    }
+    const std::vector<Clusters> clusters = read_all_clusters(options, graphs, header.provenance.inputs);
     for (const std::string& file : options.clusters) header.provenance.inputs.push_back(identify(file));
-    if (!options.tal.empty()) {
-        check_output_path(options.tal);
-        if (graphs[0].sensor.kind != "nlos_capture_meter")
-            throw InputError(
-                fmt::format("--tal: {} is no NLOS capture (sensor nlos_capture_meter)", options.graphs[0]));
-    }
+    check_tal(options, graphs[0]);
+
+    // The response: pulse and bins.
     const auto& film = graphs[0].transient;
     const bool has_film = !film.n_bins.empty();
-
     Timing timing{!options.unwarp && (!has_film || film.camera_segment[0] != 0),
                   parse_group_index(options.group_index)};
     TimeResponse response;
     set_pulse(options, has_film ? film.sigma_opl[0] : 0, lengths, response, header);
-    response.n_bins = options.bins.value_or(has_film                                  ? film.n_bins[0]
-                                            : response.modulation == Modulation::none ? default_bins
-                                                                                      : 4);
-    if (response.modulation != Modulation::none) {
-        if (options.start || options.width || options.gate)
-            throw InputError("--pulse sine, square: bins are phases; leave out --start, --width and --gate");
-        if (!options.bins) response.n_bins = 4;
-        if (response.n_bins < 2 || (response.modulation == Modulation::square && response.n_bins % 2 != 0))
-            throw InputError(
-                fmt::format("--bins {}: {} needs {} phases", response.n_bins, header.response.pulse,
-                            response.modulation == Modulation::sine ? "two or more" : "an even number of"));
-        response.period = header.response.period_opl =
-            lengths(positive(options.period, "--period", "the period of the modulation"));
-        response.start = 0;
-        response.width = response.gate = response.period / response.n_bins;
-    } else {
-        if (options.period != 0) throw InputError("--period: needs --pulse sine or square");
-        const Window window = has_film || (options.start && options.width) ? Window{} : window_of(graphs[0], timing);
-        response.start = options.start ? lengths(*options.start) : has_film ? film.start_opl[0] : window.start;
-        response.width = options.width ? lengths(*options.width)
-                         : has_film    ? film.bin_width_opl[0]
-                                       : (window.end - response.start) / response.n_bins;
-        if (!(response.width > 0))
-            throw InputError(fmt::format("--start {}: no light arrives after it; give --width", *options.start));
-        response.gate = options.gate ? lengths(*options.gate) : response.width;
-    }
+    if (response.modulation != Modulation::none)
+        set_phases(options, lengths, response, header);
+    else
+        set_window(options, lengths, graphs[0], timing, response);
 
+    // The head of the cube.
     header.film.width = graphs[0].sensor.width;
     header.film.height = graphs[0].sensor.height;
     header.time = {response.n_bins,
@@ -257,13 +306,8 @@ void run(const Options& options, app::Report& report) {
                    options.unit == Unit::ns ? "ns" : "opl",
                    options.metres_per_unit,
                    timing.camera_segment};
-    header.provenance = report.provenance(
-        graphs[0].provenance.seed, std::move(header.provenance.inputs),
-        fmt::format("on: {}{} pulse, {}; off: {}", clusters.empty() ? "" : "light shared by clusters at first hits, ",
-                    header.response.pulse, timing.camera_segment ? "camera segment" : "lengths from the first hit",
-                    response.pulse.is_delta() && response.modulation == Modulation::none
-                        ? "derivatives by interior terms alone (the response jumps at borders of bins)"
-                        : "nothing"));
+    header.provenance = report.provenance(graphs[0].provenance.seed, std::move(header.provenance.inputs),
+                                          plan_of(response, header, !clusters.empty(), timing.camera_segment));
     const std::uint64_t cube_bytes = 2 * sizeof(float) * header.row_size() * header.film.height,
                         max_bytes = options.memory_MiB << 20;
     report.info("{} x {} pixels, {} bins of {:.6g} {} from {:.6g}: {}, of which {} in memory", header.film.width,
@@ -271,16 +315,13 @@ void run(const Options& options, app::Report& report) {
                 header.time.unit == "ns" ? "ns" : "m", header.in_unit(response.start), app::bytes_text(cube_bytes),
                 app::bytes_text(std::min(cube_bytes, max_bytes)));
 
+    // Bin the paths, row by row of the film.
     TalCapture tal;
     if (!options.tal.empty()) tal = start_capture(graphs[0], header);
-    Rgb<double> steady, inside, before, after, never;
+    LightSums light;
     {
         TransientCubeWriter writer(options.output, header);
         app::Progress progress(report, "binning", header.n_pixels());
-        const auto add_up = [](std::span<const float> values, Rgb<double>& sum) {
-            for (std::size_t i = 0; i < values.size(); i += 3)
-                sum += Rgb<double>(values[i], values[i + 1], values[i + 2]);
-        };
         std::vector<SharedArrivals> shared;
         for (std::size_t i = 0; i < clusters.size(); ++i)
             shared.emplace_back(graphs[i], clusters[i], timing, options.threads);
@@ -288,19 +329,12 @@ void run(const Options& options, app::Report& report) {
                    [&](std::uint32_t first_row, const TransientRows& rows) {
                        writer.write_rows(first_row, rows);
                        if (!options.tal.empty()) add_rows(graphs[0], first_row, rows, tal);
-                       add_up(rows.radiance, inside);
-                       add_up(rows.before, before);
-                       add_up(rows.after, after);
-                       add_up(rows.never, never);
-                       add_up(rows.steady, steady);
+                       light.add(rows);
                    });
         writer.commit();
     }
     if (!options.tal.empty()) write_tal_capture(tal, options.tal);
-    const auto share = [&](const Rgb<double>& part) {
-        return luminance(steady) > 0 ? 100 * luminance(part) / luminance(steady) : 0.0;
-    };
-    if (!std::isfinite(luminance(steady))) report.warn("the sums hold light that is not finite");
+    if (!std::isfinite(luminance(light.steady))) report.warn("the sums hold light that is not finite");
 
     Cost cost = report.cost(header.provenance.plan);
     for (const PathGraph& g : graphs) cost.samples += g.n_paths();
@@ -308,7 +342,8 @@ void run(const Options& options, app::Report& report) {
     parents.insert(parents.end(), options.clusters.begin(), options.clusters.end());
     write_cost_of(options.output, cost, parents);
     report.done("{} paths; light: {:.4g} % in the bins, {:.3g} % before, {:.3g} % after, {:.3g} % never", cost.samples,
-                share(inside), share(before), share(after), share(never));
+                light.percent(light.inside), light.percent(light.before), light.percent(light.after),
+                light.percent(light.never));
 }
 
 }  // namespace loom::transient

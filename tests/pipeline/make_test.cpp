@@ -328,7 +328,7 @@ TEST_F(MakeVariables, help_is_a_screen_and_a_page_per_pipeline) {
         EXPECT_TRUE(outcome.out.starts_with("Usage: make ")) << page << "\n" << outcome.out;
         EXPECT_NE(help.find("\n  " + page.substr(5, page.find('.') - 5) + " "), std::string::npos) << page;
     }
-    EXPECT_EQ(n_pages, 16);
+    EXPECT_EQ(n_pages, 17);
     const std::string image = sh("make -s help-image").out;
     EXPECT_NE(image.find("  METHOD=pathgraph               pathgraph, west, graph, or pt"), std::string::npos) << image;
     for (const char* hostile : {"help-none", "help-%", "help-image;touch PWNED", "help-`touch PWNED`",

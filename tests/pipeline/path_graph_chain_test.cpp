@@ -44,7 +44,7 @@ TEST_F(PathGraphChain, files_of_different_graphs_are_refused) {
 
 TEST_F(PathGraphChain, files_of_another_kind_are_refused) {
     const std::string h5 = " -o " + in("x.h5"), exr = " -o " + in("x.exr");
-    expect_refused(stage("refine") + " " + in("g1.h5") + h5, "clusters: missing; a subset is drawn from them");
+    expect_refused(stage("refine") + " " + in("g1.h5") + h5, "clusters: missing (made by loom-cluster)");
     expect_refused(stage("refine") + " " + in("g1.h5") + " " + in("r1.h5") + h5, "is a radiance, expected a clusters");
     expect_refused(stage("refine") + " " + in("c1.h5") + " " + in("c1.h5") + h5,
                    "is a clusters, expected a path_graph");

@@ -495,123 +495,170 @@ std::size_t Edit::n_emitters() const {
                                 std::count_if(new_emitters.begin(), new_emitters.end(), changed)));
 }
 
-Edit find_edit(const SceneDescription& old_scene, const SceneDescription& new_scene) {
-    Edit edit;
-    const Object &old_root = *old_scene.root, &new_root = *new_scene.root;
-    check_views(old_root, new_root, edit);
-    Canon canon;
-    Lines lines;
-    constexpr std::uint32_t none = ShapeEdit::none;
+namespace {
 
-    const Objects old_shapes = old_root.children(Category::shape), new_shapes = new_root.children(Category::shape);
-    Pairing pairs = pair_shapes(old_shapes, new_shapes, canon);
-    edit.old_shapes.resize(old_shapes.size());
-    edit.new_shapes.resize(new_shapes.size());
-    // As build_scene() numbers them: area lights by shape, then the emitters of the scene.
-    std::vector<std::uint32_t> old_light(old_shapes.size(), none), new_light(new_shapes.size(), none);
-    std::uint32_t n_old = 0, n_new = 0;
-    for (std::size_t i = 0; i < old_shapes.size(); ++i)
-        if (old_shapes[i]->child(Category::emitter)) old_light[i] = n_old++;
-    for (std::size_t j = 0; j < new_shapes.size(); ++j)
-        if (new_shapes[j]->child(Category::emitter)) new_light[j] = n_new++;
-    const Objects old_emitters = old_root.children(Category::emitter),
-                  new_emitters = new_root.children(Category::emitter);
-    edit.old_emitters.assign(n_old + old_emitters.size(), {true, none});
-    edit.new_emitters.assign(n_new + new_emitters.size(), {true, none});
+constexpr std::uint32_t no_light = EmitterEdit::none;
 
-    const auto is_light = [](const Object& shape) { return shape.child(Category::emitter) ? " (a light)" : ""; };
-    for (std::size_t i = 0; i < old_shapes.size(); ++i) {
-        const Object& a = *old_shapes[i];
-        const std::uint32_t j = pairs.new_of_old[i];
-        std::optional<Matrix4d> motion;
-        if (j != none && canon.form(a) == canon.form(*new_shapes[j]))
-            motion = rigid_motion(placement(a), placement(*new_shapes[j]));
-        if (!motion) {
-            // Of another form or size under the same id, or gone.
-            edit.old_shapes[i].changes = shape_change::removed;
-            if (j != none) {
-                pairs.old_of_new[j] = none;
-                const Object& b = *new_shapes[j];
-                const std::string why = a.plugin != b.plugin ? fmt::format("{} -> {}", a.plugin, b.plugin)
-                                        : canon.form(a) != canon.form(b)
-                                            ? std::string("its shape has changed")
-                                            : std::string("it is moved by more than a rotation and a translation");
-                lines.add("removed and added", title(a) + is_light(a), why);
-                edit.new_shapes[j].changes = shape_change::added;
-            } else {
-                lines.add("removed", title(a) + is_light(a), "");
-            }
-            continue;
+/// Numbers of the area lights of shapes, as build_scene() counts: area lights by shape, then the emitters of the scene.
+struct AreaLights {
+    std::vector<std::uint32_t> of_shape;
+    std::uint32_t n = 0;
+
+    explicit AreaLights(const Objects& shapes) : of_shape(shapes.size(), no_light) {
+        for (std::size_t i = 0; i < shapes.size(); ++i)
+            if (shapes[i]->child(Category::emitter)) of_shape[i] = n++;
+    }
+};
+
+/// Compares two scenes, shape by shape and emitter by emitter.
+class EditFinder {
+  public:
+    EditFinder(const Object& old_root, const Object& new_root)
+        : old_shapes_(old_root.children(Category::shape)),
+          new_shapes_(new_root.children(Category::shape)),
+          old_emitters_(old_root.children(Category::emitter)),
+          new_emitters_(new_root.children(Category::emitter)),
+          old_lights_(old_shapes_),
+          new_lights_(new_shapes_) {
+        check_views(old_root, new_root, edit_);
+        shape_pairs_ = pair_shapes(old_shapes_, new_shapes_, canon_);
+        edit_.old_shapes.resize(old_shapes_.size());
+        edit_.new_shapes.resize(new_shapes_.size());
+        edit_.old_emitters.assign(old_lights_.n + old_emitters_.size(), {true, no_light});
+        edit_.new_emitters.assign(new_lights_.n + new_emitters_.size(), {true, no_light});
+        for (std::size_t i = 0; i < old_shapes_.size(); ++i) compare_shape(i);
+        for (std::size_t j = 0; j < new_shapes_.size(); ++j) find_added(j);
+        if (read_view(new_root).hides_emitters) {
+            refuse_hidden(old_shapes_, edit_.old_shapes);
+            refuse_hidden(new_shapes_, edit_.new_shapes);
         }
-        const Object& b = *new_shapes[j];
+        compare_emitters();
+        edit_.changes = lines_.texts();
+    }
+
+    Edit take() && { return std::move(edit_); }
+
+  private:
+    static std::string title_of(const Object& shape) {
+        return title(shape) + (shape.child(Category::emitter) ? " (a light)" : "");
+    }
+
+    void compare_shape(std::size_t i) {
+        const Object& a = *old_shapes_[i];
+        const std::uint32_t j = shape_pairs_.new_of_old[i];
+        std::optional<Matrix4d> motion;
+        if (j != ShapeEdit::none && canon_.form(a) == canon_.form(*new_shapes_[j]))
+            motion = rigid_motion(placement(a), placement(*new_shapes_[j]));
+        if (!motion) {
+            remove(i, j);
+            return;
+        }
+        const Object& b = *new_shapes_[j];
         unsigned changes = 0;
         if (!same_place(placement(a), placement(b))) {
             changes |= shape_change::moved;
-            lines.add("moved", title(b) + is_light(b),
-                      motion_words(*motion, placement(a).point({0, 0, 0}), centred(a)));
+            lines_.add("moved", title_of(b), motion_words(*motion, placement(a).point({0, 0, 0}), centred(a)));
         }
         const ObjectPtr bsdf_a = a.child(Category::bsdf), bsdf_b = b.child(Category::bsdf);
-        if (canon.text(bsdf_a) != canon.text(bsdf_b)) {
+        if (canon_.text(bsdf_a) != canon_.text(bsdf_b)) {
             changes |= shape_change::repainted;
-            lines.add("repainted", title(b), differences(bsdf_a, bsdf_b, canon));
+            lines_.add("repainted", title(b), differences(bsdf_a, bsdf_b, canon_));
         }
-        const ObjectPtr light_a = a.child(Category::emitter), light_b = b.child(Category::emitter);
-        const bool same_light = canon.text(light_a) == canon.text(light_b);
-        if (!same_light) {
-            changes |= shape_change::relit;
-            if (!light_a || !light_b)
-                lines.add(light_b ? "light added" : "light removed", title(b), "");
-            else
-                lines.add("light changed", title(b), differences(light_a, light_b, canon));
-        }
-        if (light_a && light_b) {
-            const bool changed = !same_light || (changes & shape_change::moved);
-            edit.old_emitters[old_light[i]] = {changed, new_light[j]};
-            edit.new_emitters[new_light[j]] = {changed, old_light[i]};
-        }
-        edit.old_shapes[i] = {changes, j, {}};
-        edit.new_shapes[j] = {changes, std::uint32_t(i), {}};
+        changes |= compare_light(i, j, changes);
+        edit_.old_shapes[i] = {changes, j, {}};
+        edit_.new_shapes[j] = {changes, std::uint32_t(i), {}};
         if (changes & shape_change::moved) {
-            edit.old_shapes[i].to_partner = *motion;
-            edit.new_shapes[j].to_partner = inverse_of_rigid(*motion);
+            edit_.old_shapes[i].to_partner = *motion;
+            edit_.new_shapes[j].to_partner = inverse_of_rigid(*motion);
         }
     }
-    for (std::size_t j = 0; j < new_shapes.size(); ++j)
-        if (pairs.old_of_new[j] == none && !(edit.new_shapes[j].changes & shape_change::added)) {
-            edit.new_shapes[j].changes = shape_change::added;
-            lines.add("added", title(*new_shapes[j]) + is_light(*new_shapes[j]), "");
-        }
 
-    if (read_view(new_root).hides_emitters)
-        for (const auto& [shapes, edits] :
-             {std::pair{&old_shapes, &edit.old_shapes}, std::pair{&new_shapes, &edit.new_shapes}})
-            for (std::size_t i = 0; i < shapes->size(); ++i)
-                if ((*edits)[i].changes != 0 && (*shapes)[i]->has_child(Category::emitter))
-                    fail((*shapes)[i]->at,
-                         "an edit of a light with an area is not supported yet where hide_emitters hides it from the "
-                         "camera; render the new scene by itself");
-
-    const Pairing lights = pair_emitters(old_emitters, new_emitters, canon);
-    for (std::size_t i = 0; i < old_emitters.size(); ++i) {
-        const Object& a = *old_emitters[i];
-        const std::uint32_t j = lights.new_of_old[i];
-        if (j == none) {
-            lines.add("light removed", title(a), "");
-            continue;
+    /// The shape is gone, or its partner j of the same id has another form or size.
+    void remove(std::size_t i, std::uint32_t j) {
+        const Object& a = *old_shapes_[i];
+        edit_.old_shapes[i].changes = shape_change::removed;
+        if (j == ShapeEdit::none) {
+            lines_.add("removed", title_of(a), "");
+            return;
         }
-        const Object& b = *new_emitters[j];
-        const bool changed = canon.text(a) != canon.text(b);
-        edit.old_emitters[n_old + i] = {changed, std::uint32_t(n_new + j)};
-        edit.new_emitters[n_new + j] = {changed, std::uint32_t(n_old + i)};
-        const bool sky = a.plugin == "constant" || a.plugin == "envmap" || a.plugin == "sunsky";
-        if (changed)
-            lines.add(sky ? "sky changed" : "light changed", title(b),
-                      differences(old_emitters[i], new_emitters[j], canon));
+        shape_pairs_.old_of_new[j] = ShapeEdit::none;
+        const Object& b = *new_shapes_[j];
+        const std::string why = a.plugin != b.plugin ? fmt::format("{} -> {}", a.plugin, b.plugin)
+                                : canon_.form(a) != canon_.form(b)
+                                    ? std::string("its shape has changed")
+                                    : std::string("it is moved by more than a rotation and a translation");
+        lines_.add("removed and added", title_of(a), why);
+        edit_.new_shapes[j].changes = shape_change::added;
     }
-    for (std::size_t j = 0; j < new_emitters.size(); ++j)
-        if (lights.old_of_new[j] == none) lines.add("light added", title(*new_emitters[j]), "");
-    edit.changes = lines.texts();
-    return edit;
+
+    /// Area lights of a pair of shapes.
+    /// in:  changes  of the shapes so far
+    /// out: shape_change::relit or 0
+    unsigned compare_light(std::size_t i, std::uint32_t j, unsigned changes) {
+        const Object& b = *new_shapes_[j];
+        const ObjectPtr light_a = old_shapes_[i]->child(Category::emitter), light_b = b.child(Category::emitter);
+        const bool same = canon_.text(light_a) == canon_.text(light_b);
+        if (!same && light_a && light_b)
+            lines_.add("light changed", title(b), differences(light_a, light_b, canon_));
+        else if (!same)
+            lines_.add(light_b ? "light added" : "light removed", title(b), "");
+        if (light_a && light_b) {
+            const bool changed = !same || (changes & shape_change::moved);
+            edit_.old_emitters[old_lights_.of_shape[i]] = {changed, new_lights_.of_shape[j]};
+            edit_.new_emitters[new_lights_.of_shape[j]] = {changed, old_lights_.of_shape[i]};
+        }
+        return same ? 0 : shape_change::relit;
+    }
+
+    void find_added(std::size_t j) {
+        unsigned& changes = edit_.new_shapes[j].changes;
+        if (shape_pairs_.old_of_new[j] != ShapeEdit::none || (changes & shape_change::added)) return;
+        changes = shape_change::added;
+        lines_.add("added", title_of(*new_shapes_[j]), "");
+    }
+
+    static void refuse_hidden(const Objects& shapes, const std::vector<ShapeEdit>& edits) {
+        for (std::size_t i = 0; i < shapes.size(); ++i)
+            if (edits[i].changes != 0 && shapes[i]->has_child(Category::emitter))
+                fail(shapes[i]->at,
+                     "an edit of a light with an area is not supported yet where hide_emitters hides it from the "
+                     "camera; render the new scene by itself");
+    }
+
+    void compare_emitters() {
+        const Pairing pairs = pair_emitters(old_emitters_, new_emitters_, canon_);
+        for (std::size_t i = 0; i < old_emitters_.size(); ++i) {
+            const Object& a = *old_emitters_[i];
+            const std::uint32_t j = pairs.new_of_old[i];
+            if (j == EmitterEdit::none) {
+                lines_.add("light removed", title(a), "");
+                continue;
+            }
+            const Object& b = *new_emitters_[j];
+            const bool changed = canon_.text(a) != canon_.text(b);
+            edit_.old_emitters[old_lights_.n + i] = {changed, std::uint32_t(new_lights_.n + j)};
+            edit_.new_emitters[new_lights_.n + j] = {changed, std::uint32_t(old_lights_.n + i)};
+            const bool sky = a.plugin == "constant" || a.plugin == "envmap" || a.plugin == "sunsky";
+            if (changed)
+                lines_.add(sky ? "sky changed" : "light changed", title(b),
+                           differences(old_emitters_[i], new_emitters_[j], canon_));
+        }
+        for (std::size_t j = 0; j < new_emitters_.size(); ++j)
+            if (pairs.old_of_new[j] == EmitterEdit::none) lines_.add("light added", title(*new_emitters_[j]), "");
+    }
+
+    Canon canon_;
+    Lines lines_;
+    Edit edit_;
+    Objects old_shapes_, new_shapes_, old_emitters_, new_emitters_;
+    AreaLights old_lights_, new_lights_;
+    Pairing shape_pairs_;
+};
+
+}  // namespace
+
+Edit find_edit(const SceneDescription& old_scene, const SceneDescription& new_scene) {
+    return EditFinder(*old_scene.root, *new_scene.root).take();
 }
 
 }  // namespace loom
