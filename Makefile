@@ -101,9 +101,12 @@ peers-transient: stages ## mitransient on SCENE, compared with our cube (from Py
 
 ##@ Build and test
 
+# Without precompiled headers, which clang cannot read from g++; tests get some headers from theirs.
+lint_headers := -include cmath -include filesystem -include fstream -include functional -include map -include string -include vector
 lint: ## check all sources with clang-tidy 16, a line per finding
 	@$(call packages,install,build lint)
-	@cmake -S . -B $(BUILD)/lint -DCMAKE_DISABLE_PRECOMPILE_HEADERS=ON -DCMAKE_COMPILE_WARNING_AS_ERROR=OFF >$(BUILD)/lint.log || \
+	@cmake -S . -B $(BUILD)/lint -DCMAKE_DISABLE_PRECOMPILE_HEADERS=ON -DCMAKE_COMPILE_WARNING_AS_ERROR=OFF \
+		-DCMAKE_CXX_FLAGS="$(lint_headers)" >$(BUILD)/lint.log || \
 		{ cat $(BUILD)/lint.log; exit 1; }
 	@run-clang-tidy-16 -quiet -j $(JOBS) -p $(BUILD)/lint >$(BUILD)/lint.log 2>&1 && echo 'lint: clean' || \
 		{ grep -E ' (warning|error): ' $(BUILD)/lint.log | sort -u | grep . || tail $(BUILD)/lint.log; exit 1; }

@@ -79,7 +79,7 @@ TEST_F(CommandLine, only_textures_load_their_library) {
 
 TEST_F(CommandLine, foreign_inputs_are_2) {
     std::ofstream(folder / "text.h5") << "this is no HDF5 file\n";
-    std::ofstream(folder / "empty.h5");
+    std::ofstream(folder / "empty.h5") << "";
     std::ofstream(folder / "text.exr") << "nor is this an EXR\n";
     std::ofstream(folder / "text.xml") << "not <xml\n";
     for (const char* graph : {"text.h5", "empty.h5"}) {

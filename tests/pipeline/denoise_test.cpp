@@ -1,5 +1,7 @@
 // loom-denoise on a picture of loom-trace, as a user runs it.
 
+#include <cmath>
+
 #include "formats/image.h"
 #include "formats/io/cost.h"
 #include "tests/pipeline/process.h"

@@ -205,7 +205,7 @@ TEST_F(MakeContents, are_in_a_stamp) {
 TEST_F(Make, names_are_names) {
     const std::string odd = "a:b;c#d%e=f \"g\" 'h' `touch PWNED` *?[i]~\\j&k|l>m<n(o){p}!\t\xc3\xa4\xff";
     const std::string run = "\n\ttouch PWNED\nall: ;touch PWNED\n";
-    const auto attribute = [](std::string text) {
+    const auto attribute = [](const std::string& text) {
         const std::pair<char, const char*> entities[] = {{'&', "&amp;"},  {'<', "&lt;"},   {'>', "&gt;"},
                                                          {'"', "&quot;"}, {'\n', "&#10;"}, {'\t', "&#9;"}};
         std::string out;

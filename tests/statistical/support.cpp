@@ -38,7 +38,8 @@ RegionMeans region_means(const Image& image, const std::string& layer) {
     const char* rgb[] = {"R", "G", "B"};
     for (int c = 0; c < 3; ++c) {
         const auto values = image.find(layer.empty() ? rgb[c] : layer + "." + rgb[c]);
-        std::vector<double> sum(1 + n_tiles * n_tiles), count(sum.size());
+        constexpr std::size_t n_regions = 1 + n_tiles * n_tiles;
+        std::vector<double> sum(n_regions), count(n_regions);
         for (std::uint32_t y = 0; y < image.height; ++y)
             for (std::uint32_t x = 0; x < image.width; ++x) {
                 const double v = values[std::size_t(y) * image.width + x];

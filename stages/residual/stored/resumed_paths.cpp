@@ -1,6 +1,7 @@
 #include "stages/residual/stored/resumed_paths.h"
 
-#include <cstring>
+#include <array>
+#include <bit>
 #include <memory>
 #include <numeric>
 
@@ -10,7 +11,8 @@ namespace loom::residual {
 namespace {
 
 bool same_bits(const Vector3f& a, const Vector3f& b) {
-    return std::memcmp(&a, &b, sizeof a) == 0;
+    using Bits = std::array<std::uint32_t, 3>;
+    return std::bit_cast<Bits>(a) == std::bit_cast<Bits>(b);
 }
 
 }  // namespace
