@@ -6,6 +6,7 @@
 
 #include "formats/io/octahedral.h"
 #include "stages/cluster/median_splits.h"
+#include "stages/core/graph/graph_reader.h"
 #include "stages/core/sampling/sampler.h"
 
 namespace loom::cluster {
@@ -29,15 +30,6 @@ std::array<Vector3f, 3> random_rotation(std::uint64_t key, float scale) {
     return rows;
 }
 
-Vector3f unit(const Column<std::int16_t>& normals, std::size_t j) {
-    const auto n = unit_from_octahedral(normals[2 * j], normals[2 * j + 1]);
-    return {n[0], n[1], n[2]};
-}
-
-Vector3f wo(const PathGraph::Vertices& v, std::size_t j) {
-    return {v.wo[3 * j], v.wo[3 * j + 1], v.wo[3 * j + 2]};
-}
-
 /// Of all vertices of the pool: enough for a median to a percent or two.
 constexpr std::size_t subset_size = 32768;
 constexpr std::uint32_t subset_k = 16;
@@ -53,15 +45,13 @@ Metric::Metric(const Pool& pool, float length_scale, float normal_weight, std::u
     // Rounding is smallest near the middle of things; where exactly does not matter.
     if (pool.size() == 0) return;
     const auto [graph, row] = pool[0];
-    origin_ = {graph.vertices.p[3 * row], graph.vertices.p[3 * row + 1], graph.vertices.p[3 * row + 2]};
+    origin_ = Vector3f(loom::position(graph, row));
 }
 
 Point Metric::operator()(std::size_t vertex) const {
     const auto [graph, j] = pool_[vertex];
-    const auto& v = graph.vertices;
-    const Vector3f p = Vector3f{v.p[3 * j], v.p[3 * j + 1], v.p[3 * j + 2]} - origin_;
-    Vector3f n = unit(v.ns, j);
-    if (dot(n, wo(v, j)) < 0) n = -n;
+    const Vector3f p = Vector3f(loom::position(graph, j)) - origin_;
+    const Vector3f n(facing(shading_normal(graph, j), outgoing(graph, j)));
     return {{dot(p_rows_[0], p), dot(p_rows_[1], p), dot(p_rows_[2], p), dot(n_rows_[0], n), dot(n_rows_[1], n),
              dot(n_rows_[2], n)},
             std::uint32_t(vertex)};
@@ -69,10 +59,10 @@ Point Metric::operator()(std::size_t vertex) const {
 
 std::array<std::int16_t, 2> Metric::geometric_normal(std::size_t vertex) const {
     const auto [graph, j] = pool_[vertex];
-    const auto& v = graph.vertices;
-    const auto& normals = v.ng.empty() ? v.ns : v.ng;
-    if (dot(unit(normals, j), wo(v, j)) < 0) return octahedral_opposite(normals[2 * j], normals[2 * j + 1]);
-    return {normals[2 * j], normals[2 * j + 1]};
+    const auto& normals = graph.vertices.ng.empty() ? graph.vertices.ns : graph.vertices.ng;
+    const std::array code{normals[2 * j], normals[2 * j + 1]};
+    const bool behind = dot(loom::geometric_normal(graph, j), outgoing(graph, j)) < 0;
+    return behind ? octahedral_opposite(code[0], code[1]) : code;
 }
 
 float typical_radius(const Pool& pool, std::size_t n_sharing, std::uint32_t k) {

@@ -36,12 +36,11 @@ std::uint64_t media_key(const PathGraph& g, std::size_t j) {
     const auto bits = [](float x) { return std::uint64_t{std::bit_cast<std::uint32_t>(x)}; };
     const std::size_t m = v.material[j];
     if (BsdfKind(g.materials.kind[m]) != BsdfKind::rough_dielectric) return bits(v.eta[j]) << 32;
-    const Normal3f n = unit_vector<Normal3f>(v.ns, j);
-    const bool outside = dot(n, Vector3f{v.wo[3 * j], v.wo[3 * j + 1], v.wo[3 * j + 2]}) >= 0;
+    const bool outside = dot(shading_normal(g, j), outgoing(g, j)) >= 0;
     return bits(v.eta[j]) << 32 | bits(outside ? g.materials.int_ior[m] : g.materials.ext_ior[m]);
 }
 
-/// The segment between two members, raised off their surface; see separate().
+/// The segment between two members, raised off their surface; see Separator.
 Ray segment(const Member& a, const Member& b) {
     const Vector3f d = b.p - a.p;
     const float distance = length(d);

@@ -14,9 +14,7 @@ std::vector<std::uint32_t> light_edge_offsets(const PathGraph& graph) {
 }
 
 Normal3f facing_normal(const PathGraph& graph, std::size_t j) {
-    const auto& v = graph.vertices;
-    const Normal3f n = unit_vector<Normal3f>(v.ng.empty() ? v.ns : v.ng, j);
-    return dot(n, Vector3f{v.wo[3 * j], v.wo[3 * j + 1], v.wo[3 * j + 2]}) < 0 ? -n : n;
+    return facing(geometric_normal(graph, j), outgoing(graph, j));
 }
 
 }  // namespace loom

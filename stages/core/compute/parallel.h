@@ -8,7 +8,7 @@
 
 namespace loom {
 
-/// Numbers too small for their format count as 0, as Embree asks of every thread that traces: they are slow.
+/// Numbers too small for their format count as 0, as Embree requires of every thread that traces: they are slow.
 inline void flush_small_numbers() {
     _MM_SET_FLUSH_ZERO_MODE(_MM_FLUSH_ZERO_ON);
     _MM_SET_DENORMALS_ZERO_MODE(_MM_DENORMALS_ZERO_ON);

@@ -75,8 +75,8 @@ struct PathBatch::Impl {
 
     static constexpr std::size_t cache_bytes = std::size_t(1) << 20;  // of the second level
 
-    Impl(const Scene& s, const PathOptions& o, PathObserver* watcher)
-        : scene(s), options(o), matte(s, o), prefetches(s.table_bytes() > cache_bytes), observer(watcher) {
+    Impl(const Scene& s, const PathOptions& o, PathObserver* path_observer)
+        : scene(s), options(o), matte(s, o), prefetches(s.table_bytes() > cache_bytes), observer(path_observer) {
         samplers.reserve(capacity);
         started.reserve(capacity);
         shadows.resize(capacity);
