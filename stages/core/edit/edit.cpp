@@ -4,115 +4,13 @@
 
 #include <algorithm>
 #include <cmath>
-#include <functional>
-#include <map>
 #include <optional>
 
-#include "formats/io/content_hash.h"
-#include "stages/core/description/ior.h"
-#include "stages/core/description/schema.h"
+#include "stages/core/edit/scene_match.h"
 #include "stages/core/scene/build.h"
 
 namespace loom {
 namespace {
-
-constexpr double rigid_tolerance = 1e-5, place_tolerance = 1e-7;
-
-/// Objects as texts that are equal when the objects mean the same, each file read once.
-class Canon {
-  public:
-    /// Of all that is below the object, without its id.
-    const std::string& text(const Object& object) {
-        const auto known = texts_.find(&object);
-        if (known != texts_.end()) return known->second;
-        std::string text = plugin(object);
-        std::map<std::string, std::string> values;
-        for (const Property& property : object.properties)
-            if (counts(object, property)) values[property.name] = value(object, property);
-        for (const auto& [name, value] : values) text += fmt::format(" {}={}", name, value);
-        for (const auto& [child, place] : object.nested) text += fmt::format(" ({})", this->text(*child));
-        return texts_.emplace(&object, text).first->second;
-    }
-    std::string text(const ObjectPtr& object) { return object ? text(*object) : std::string("none"); }
-
-    /// What a shape is apart from where it is, what it is made of and what it emits.
-    std::string form(const Object& shape) {
-        std::string text = plugin(shape);
-        std::map<std::string, std::string> values;
-        const bool sphere = shape.plugin == "sphere";
-        for (const Property& property : shape.properties) {
-            if (property.name == "to_world" || !counts(shape, property)) continue;
-            if (sphere && (property.name == "center" || property.name == "radius")) continue;
-            values[property.name] = value(shape, property);
-        }
-        for (const auto& [name, value] : values) text += fmt::format(" {}={}", name, value);
-        return text;
-    }
-
-    std::string value(const Object& object, const Property& property) {
-        const Parameter* parameter = parameter_of(object, property.name);
-        return std::visit([&](const auto& v) { return this->text_of(v, object, property.name, parameter); },
-                          property.value);
-    }
-    bool counts(const Object& object, const Property& property) const {
-        const Parameter* parameter = parameter_of(object, property.name);
-        return !parameter || !(parameter->flags & flag::ignored);
-    }
-
-  private:
-    static const Parameter* parameter_of(const Object& object, std::string_view name) {
-        const PluginSchema* schema = find_plugin(object.category, object.plugin);
-        return schema ? schema->find(name) : nullptr;
-    }
-    /// With the dialect where it decides the meaning: what number a checkerboard gives.
-    static std::string plugin(const Object& object) {
-        return fmt::format("{} {}{}", name(object.category), object.plugin,
-                           object.legacy && object.plugin == "checkerboard" ? " 0.x" : "");
-    }
-
-    /// Nine digits: the same place spelled as a matrix or as rotations counts as the same.
-    static std::string number(double x) { return fmt::format("{:.9g}", x + 0.0); }
-    static bool is_colour(const Parameter* p) {
-        return p && (p->kind == ValueKind::reflectance || p->kind == ValueKind::emission);
-    }
-    static std::string grey(float x) { return number(double(x)) + "," + number(double(x)) + "," + number(double(x)); }
-
-    std::string text_of(bool x, const Object&, std::string_view, const Parameter*) { return x ? "true" : "false"; }
-    std::string text_of(double x, const Object&, std::string_view, const Parameter* p) {
-        return is_colour(p) ? grey(float(x)) : number(p && p->kind == ValueKind::ior ? double(float(x)) : x);
-    }
-    std::string text_of(std::int64_t x, const Object& o, std::string_view n, const Parameter* p) {
-        return text_of(double(x), o, n, p);
-    }
-    std::string text_of(const Spectrum& x, const Object&, std::string_view, const Parameter*) {
-        return number(double(x.r)) + "," + number(double(x.g)) + "," + number(double(x.b));
-    }
-    template <class Kind>
-    std::string text_of(const Triple<double, Kind>& x, const Object&, std::string_view, const Parameter*) {
-        return number(x.x) + "," + number(x.y) + "," + number(x.z);
-    }
-    std::string text_of(const Matrix4d& x, const Object&, std::string_view, const Parameter*) {
-        std::string text;
-        for (double m : x.m) text += number(std::round(m * 1e9) / 1e9) + ",";
-        return text;
-    }
-    std::string text_of(const std::string& x, const Object& object, std::string_view name, const Parameter* p) {
-        if (p && p->kind == ValueKind::file) return file(x);
-        if (p && p->kind == ValueKind::ior) return number(double(object.get_ior(name, x)));
-        return x;
-    }
-    std::string text_of(const ObjectPtr& x, const Object&, std::string_view, const Parameter*) {
-        return "(" + text(*x) + ")";
-    }
-
-    const std::string& file(const std::string& path) {
-        const auto known = files_.find(path);
-        return known != files_.end() ? known->second : files_.emplace(path, file_content_hash(path)).first->second;
-    }
-
-    std::map<const Object*, std::string> texts_;
-    std::map<std::string, std::string> files_;
-};
 
 std::string shown(const Property* property) {
     if (!property) return "its default";
@@ -136,71 +34,6 @@ std::string shown(const Property* property) {
     return std::visit(Show{}, property->value);
 }
 
-/// The rotation and translation that lead from one placement to the other; nothing if it takes more than these.
-std::optional<Matrix4d> rigid_motion(const Matrix4d& from, const Matrix4d& to) {
-    for (int k = 0; k < 4; ++k)
-        if (from(3, k) != (k == 3 ? 1 : 0) || to(3, k) != (k == 3 ? 1 : 0)) return std::nullopt;
-    // R = B A^-1, and A^-1 is the transpose of the normal matrix.
-    const std::array<double, 9> inverse_transpose = from.normal_matrix();
-    Matrix4d motion;
-    for (int i = 0; i < 3; ++i)
-        for (int j = 0; j < 3; ++j) {
-            motion(i, j) = 0;
-            for (int k = 0; k < 3; ++k) motion(i, j) += to(i, k) * inverse_transpose[std::size_t(j * 3 + k)];
-        }
-    for (int i = 0; i < 3; ++i)
-        for (int j = 0; j < 3; ++j) {
-            double product = 0;
-            for (int k = 0; k < 3; ++k) product += motion(k, i) * motion(k, j);
-            if (!(std::abs(product - (i == j ? 1 : 0)) < rigid_tolerance)) return std::nullopt;
-        }
-    if (!(motion.determinant3() > 0)) return std::nullopt;
-    for (int i = 0; i < 3; ++i) {
-        motion(i, 3) = to(i, 3);
-        for (int k = 0; k < 3; ++k) motion(i, 3) -= motion(i, k) * from(k, 3);
-    }
-    return motion;
-}
-
-/// Places are compared by their distance from the origin, in whatever unit; what is left of a sum that cancels is 0.
-bool same_place(const Matrix4d& a, const Matrix4d& b) {
-    constexpr double cancelled = 1e-14;
-    double size = 0, distance = 0;
-    for (int i = 0; i < 3; ++i) {
-        for (int k = 0; k < 3; ++k) size = std::max(size, std::abs(a(i, k)));
-        distance = std::max(distance, std::abs(a(i, 3)));
-    }
-    for (int i = 0; i < 3; ++i) {
-        for (int k = 0; k < 3; ++k)
-            if (!(std::abs(a(i, k) - b(i, k)) <= place_tolerance * size)) return false;
-        if (!(std::abs(a(i, 3) - b(i, 3)) <= place_tolerance * distance + cancelled * size)) return false;
-    }
-    for (int k = 0; k < 4; ++k)
-        if (a(3, k) != b(3, k)) return false;
-    return true;
-}
-
-Matrix4d inverse_of_rigid(const Matrix4d& m) {
-    Matrix4d inverse;
-    for (int i = 0; i < 3; ++i) {
-        inverse(i, 3) = 0;
-        for (int k = 0; k < 3; ++k) {
-            inverse(i, k) = m(k, i);
-            inverse(i, 3) -= m(k, i) * m(k, 3);
-        }
-    }
-    return inverse;
-}
-
-/// Where a shape is and how large; a sphere says it in two ways.
-Matrix4d placement(const Object& shape) {
-    const Matrix4d world = shape.get_transform("to_world");
-    if (shape.plugin != "sphere") return world;
-    const Point3<double> c = shape.get_point("center", {0, 0, 0});
-    const double r = shape.get_double("radius", 1);
-    return world * Matrix4d::translation(c.x, c.y, c.z) * Matrix4d::scaling(r, r, r);
-}
-
 bool centred(const Object& shape) {
     return shape.plugin == "sphere" || shape.plugin == "cube" || shape.plugin == "rectangle" || shape.plugin == "disk";
 }
@@ -213,9 +46,9 @@ std::string motion_of(const Object& from, const Object& to) {
 }
 
 /// Differences of two objects of one kind in words: "reflectance (1, 0, 0) -> (0, 0, 1)".
-void tell(const Object& a, const Object& b, Canon& canon, std::vector<std::string>& words,
+void tell(const Object& a, const Object& b, CanonicalTexts& texts, std::vector<std::string>& words,
           const std::string& what = "") {
-    if (canon.text(a) == canon.text(b)) return;
+    if (texts.text(a) == texts.text(b)) return;
     if (a.plugin != b.plugin) {
         words.push_back(fmt::format("{}{} -> {}", what, a.plugin, b.plugin));
         return;
@@ -223,15 +56,15 @@ void tell(const Object& a, const Object& b, Canon& canon, std::vector<std::strin
     std::vector<std::string> names;
     for (const Object* o : {&a, &b})
         for (const Property& p : o->properties)
-            if (canon.counts(*o, p) && std::find(names.begin(), names.end(), p.name) == names.end())
+            if (texts.counts(*o, p) && std::find(names.begin(), names.end(), p.name) == names.end())
                 names.push_back(p.name);
     for (const std::string& name : names) {
         const Property *p = a.find(name), *q = b.find(name);
-        if (p && q && canon.value(a, *p) == canon.value(b, *q)) continue;
+        if (p && q && texts.value(a, *p) == texts.value(b, *q)) continue;
         const auto* inner_a = p ? std::get_if<ObjectPtr>(&p->value) : nullptr;
         const auto* inner_b = q ? std::get_if<ObjectPtr>(&q->value) : nullptr;
         if (inner_a && inner_b)
-            tell(**inner_a, **inner_b, canon, words, what + name + ": ");
+            tell(**inner_a, **inner_b, texts, words, what + name + ": ");
         else if (name == "to_world")
             words.push_back(what + "moved " + motion_of(a, b));
         else if (p && q && shown(p) == shown(q))
@@ -243,13 +76,13 @@ void tell(const Object& a, const Object& b, Canon& canon, std::vector<std::strin
         words.push_back(fmt::format("{}{} parts -> {}", what, a.nested.size(), b.nested.size()));
         return;
     }
-    for (std::size_t i = 0; i < a.nested.size(); ++i) tell(*a.nested[i].first, *b.nested[i].first, canon, words, what);
+    for (std::size_t i = 0; i < a.nested.size(); ++i) tell(*a.nested[i].first, *b.nested[i].first, texts, words, what);
 }
 
-std::string differences(const ObjectPtr& a, const ObjectPtr& b, Canon& canon) {
+std::string differences(const ObjectPtr& a, const ObjectPtr& b, CanonicalTexts& texts) {
     if (!a || !b) return fmt::format("{} -> {}", a ? a->plugin : "the default", b ? b->plugin : "the default");
     std::vector<std::string> words;
-    tell(*a, *b, canon, words);
+    tell(*a, *b, texts, words);
     return words.empty() ? "its parts are in another order" : fmt::format("{}", fmt::join(words, "; "));
 }
 
@@ -258,85 +91,6 @@ std::string title(const Object& o) {
     return o.has_own_id
                ? o.id
                : fmt::format("the {} at {}", o.plugin, std::filesystem::path(o.at.where()).filename().string());
-}
-
-struct Pairing {
-    std::vector<std::uint32_t> new_of_old, old_of_new;
-};
-
-/// Pairs what has the same key, in order, among those that have no partner yet. `eligible` may forbid a pair.
-using Key = std::function<std::string(std::size_t)>;  // empty: takes no part
-void pair_up(Pairing& pairing, const Key& old_key, const Key& new_key,
-             const std::function<bool(std::size_t, std::size_t)>& eligible) {
-    constexpr std::uint32_t none = ShapeEdit::none;
-    std::map<std::string, std::vector<std::size_t>> waiting;
-    for (std::size_t j = 0; j < pairing.old_of_new.size(); ++j)
-        if (pairing.old_of_new[j] == none)
-            if (const std::string key = new_key(j); !key.empty()) waiting[key].push_back(j);
-    for (std::size_t i = 0; i < pairing.new_of_old.size(); ++i) {
-        if (pairing.new_of_old[i] != none) continue;
-        const auto found = waiting.find(old_key(i));
-        if (found == waiting.end()) continue;
-        const auto match =
-            std::find_if(found->second.begin(), found->second.end(), [&](std::size_t j) { return eligible(i, j); });
-        if (match == found->second.end()) continue;
-        pairing.new_of_old[i] = std::uint32_t(*match);
-        pairing.old_of_new[*match] = std::uint32_t(i);
-        found->second.erase(match);
-    }
-}
-
-Pairing no_pairs(std::size_t n_old, std::size_t n_new) {
-    return {std::vector<std::uint32_t>(n_old, ShapeEdit::none), std::vector<std::uint32_t>(n_new, ShapeEdit::none)};
-}
-
-using Objects = std::vector<ObjectPtr>;
-
-Pairing pair_shapes(const Objects& old_shapes, const Objects& new_shapes, Canon& canon) {
-    Pairing pairing = no_pairs(old_shapes.size(), new_shapes.size());
-    const auto always = [](std::size_t, std::size_t) { return true; };
-    const auto unnamed = [&](std::size_t i, std::size_t j) {
-        return !old_shapes[i]->has_own_id || !new_shapes[j]->has_own_id;
-    };
-    const auto pass = [&](const auto& key, const auto& eligible) {
-        pair_up(
-            pairing, [&](std::size_t i) { return key(*old_shapes[i]); },
-            [&](std::size_t j) { return key(*new_shapes[j]); }, eligible);
-    };
-    const auto bsdf = [&](const Object& o) { return canon.text(o.child(Category::bsdf)); };
-    pass([](const Object& o) { return o.has_own_id ? o.id : std::string(); }, always);
-    pass([&](const Object& o) { return canon.text(o); }, always);
-    const auto movable = [&](std::size_t i, std::size_t j) {
-        return unnamed(i, j) && rigid_motion(placement(*old_shapes[i]), placement(*new_shapes[j])).has_value();
-    };
-    const auto in_place = [&](std::size_t i, std::size_t j) {
-        return unnamed(i, j) && same_place(placement(*old_shapes[i]), placement(*new_shapes[j]));
-    };
-    pass([&](const Object& o) { return canon.form(o) + " " + bsdf(o); }, in_place);
-    pass([&](const Object& o) { return canon.form(o) + " " + bsdf(o); }, movable);
-    pass([&](const Object& o) { return canon.form(o); }, in_place);
-    pass([&](const Object& o) { return canon.form(o); }, movable);
-    return pairing;
-}
-
-/// Of emitters that stand by themselves.
-Pairing pair_emitters(const Objects& old_emitters, const Objects& new_emitters, Canon& canon) {
-    Pairing pairing = no_pairs(old_emitters.size(), new_emitters.size());
-    const auto sky = [](const Object& o) {
-        return o.plugin == "constant" || o.plugin == "envmap" || o.plugin == "sunsky";
-    };
-    const auto pass = [&](const auto& key, const auto& eligible) {
-        pair_up(
-            pairing, [&](std::size_t i) { return key(*old_emitters[i]); },
-            [&](std::size_t j) { return key(*new_emitters[j]); }, eligible);
-    };
-    const auto always = [](std::size_t, std::size_t) { return true; };
-    pass([&](const Object& o) { return sky(o) ? std::string("sky") : std::string(); }, always);
-    pass([](const Object& o) { return o.has_own_id ? o.plugin + " " + o.id : std::string(); }, always);
-    pass([&](const Object& o) { return canon.text(o); }, always);
-    pass([](const Object& o) { return o.plugin; },
-         [&](std::size_t i, std::size_t j) { return !old_emitters[i]->has_own_id || !new_emitters[j]->has_own_id; });
-    return pairing;
 }
 
 /// Place of a parameter, or of the object that would have it.
@@ -380,7 +134,7 @@ void check_views(const Object& old_root, const Object& new_root, Edit& edit) {
     Matrix4d camera_a, camera_b;
     camera_a.m = s.world_from_camera;
     camera_b.m = t.world_from_camera;
-    refuse(!same_place(camera_a, camera_b), {sensor}, {"to_world"},
+    refuse(!same_placement(camera_a, camera_b), {sensor}, {"to_world"},
            "the camera's position or direction is not the same");
     refuse(s.kind == SensorKind::perspective && s.tan_half_fov_x != t.tan_half_fov_x, {sensor},
            {"fov", "focal_length", "fov_axis"}, "the camera's field of view is not the same");
@@ -521,7 +275,7 @@ class EditFinder {
           old_lights_(old_shapes_),
           new_lights_(new_shapes_) {
         check_views(old_root, new_root, edit_);
-        shape_pairs_ = pair_shapes(old_shapes_, new_shapes_, canon_);
+        shape_match_ = match_shapes(old_shapes_, new_shapes_, texts_);
         edit_.old_shapes.resize(old_shapes_.size());
         edit_.new_shapes.resize(new_shapes_.size());
         edit_.old_emitters.assign(old_lights_.n + old_emitters_.size(), {true, no_light});
@@ -545,9 +299,9 @@ class EditFinder {
 
     void compare_shape(std::size_t i) {
         const Object& a = *old_shapes_[i];
-        const std::uint32_t j = shape_pairs_.new_of_old[i];
+        const std::uint32_t j = shape_match_.new_of_old[i];
         std::optional<Matrix4d> motion;
-        if (j != ShapeEdit::none && canon_.form(a) == canon_.form(*new_shapes_[j]))
+        if (j != SceneMatch::none && texts_.form(a) == texts_.form(*new_shapes_[j]))
             motion = rigid_motion(placement(a), placement(*new_shapes_[j]));
         if (!motion) {
             remove(i, j);
@@ -555,14 +309,14 @@ class EditFinder {
         }
         const Object& b = *new_shapes_[j];
         unsigned changes = 0;
-        if (!same_place(placement(a), placement(b))) {
+        if (!same_placement(placement(a), placement(b))) {
             changes |= shape_change::moved;
             lines_.add("moved", title_of(b), motion_words(*motion, placement(a).point({0, 0, 0}), centred(a)));
         }
         const ObjectPtr bsdf_a = a.child(Category::bsdf), bsdf_b = b.child(Category::bsdf);
-        if (canon_.text(bsdf_a) != canon_.text(bsdf_b)) {
+        if (texts_.text(bsdf_a) != texts_.text(bsdf_b)) {
             changes |= shape_change::repainted;
-            lines_.add("repainted", title(b), differences(bsdf_a, bsdf_b, canon_));
+            lines_.add("repainted", title(b), differences(bsdf_a, bsdf_b, texts_));
         }
         changes |= compare_light(i, j, changes);
         edit_.old_shapes[i] = {changes, j, {}};
@@ -577,14 +331,14 @@ class EditFinder {
     void remove(std::size_t i, std::uint32_t j) {
         const Object& a = *old_shapes_[i];
         edit_.old_shapes[i].changes = shape_change::removed;
-        if (j == ShapeEdit::none) {
+        if (j == SceneMatch::none) {
             lines_.add("removed", title_of(a), "");
             return;
         }
-        shape_pairs_.old_of_new[j] = ShapeEdit::none;
+        shape_match_.old_of_new[j] = SceneMatch::none;
         const Object& b = *new_shapes_[j];
         const std::string why = a.plugin != b.plugin ? fmt::format("{} -> {}", a.plugin, b.plugin)
-                                : canon_.form(a) != canon_.form(b)
+                                : texts_.form(a) != texts_.form(b)
                                     ? std::string("its shape has changed")
                                     : std::string("it is moved by more than a rotation and a translation");
         lines_.add("removed and added", title_of(a), why);
@@ -597,9 +351,9 @@ class EditFinder {
     unsigned compare_light(std::size_t i, std::uint32_t j, unsigned changes) {
         const Object& b = *new_shapes_[j];
         const ObjectPtr light_a = old_shapes_[i]->child(Category::emitter), light_b = b.child(Category::emitter);
-        const bool same = canon_.text(light_a) == canon_.text(light_b);
+        const bool same = texts_.text(light_a) == texts_.text(light_b);
         if (!same && light_a && light_b)
-            lines_.add("light changed", title(b), differences(light_a, light_b, canon_));
+            lines_.add("light changed", title(b), differences(light_a, light_b, texts_));
         else if (!same)
             lines_.add(light_b ? "light added" : "light removed", title(b), "");
         if (light_a && light_b) {
@@ -612,7 +366,7 @@ class EditFinder {
 
     void find_added(std::size_t j) {
         unsigned& changes = edit_.new_shapes[j].changes;
-        if (shape_pairs_.old_of_new[j] != ShapeEdit::none || (changes & shape_change::added)) return;
+        if (shape_match_.old_of_new[j] != SceneMatch::none || (changes & shape_change::added)) return;
         changes = shape_change::added;
         lines_.add("added", title_of(*new_shapes_[j]), "");
     }
@@ -626,33 +380,32 @@ class EditFinder {
     }
 
     void compare_emitters() {
-        const Pairing pairs = pair_emitters(old_emitters_, new_emitters_, canon_);
+        const SceneMatch match = match_emitters(old_emitters_, new_emitters_, texts_);
         for (std::size_t i = 0; i < old_emitters_.size(); ++i) {
             const Object& a = *old_emitters_[i];
-            const std::uint32_t j = pairs.new_of_old[i];
-            if (j == EmitterEdit::none) {
+            const std::uint32_t j = match.new_of_old[i];
+            if (j == SceneMatch::none) {
                 lines_.add("light removed", title(a), "");
                 continue;
             }
             const Object& b = *new_emitters_[j];
-            const bool changed = canon_.text(a) != canon_.text(b);
+            const bool changed = texts_.text(a) != texts_.text(b);
             edit_.old_emitters[old_lights_.n + i] = {changed, std::uint32_t(new_lights_.n + j)};
             edit_.new_emitters[new_lights_.n + j] = {changed, std::uint32_t(old_lights_.n + i)};
-            const bool sky = a.plugin == "constant" || a.plugin == "envmap" || a.plugin == "sunsky";
             if (changed)
-                lines_.add(sky ? "sky changed" : "light changed", title(b),
-                           differences(old_emitters_[i], new_emitters_[j], canon_));
+                lines_.add(is_sky(a) ? "sky changed" : "light changed", title(b),
+                           differences(old_emitters_[i], new_emitters_[j], texts_));
         }
         for (std::size_t j = 0; j < new_emitters_.size(); ++j)
-            if (pairs.old_of_new[j] == EmitterEdit::none) lines_.add("light added", title(*new_emitters_[j]), "");
+            if (match.old_of_new[j] == SceneMatch::none) lines_.add("light added", title(*new_emitters_[j]), "");
     }
 
-    Canon canon_;
+    CanonicalTexts texts_;
     Lines lines_;
     Edit edit_;
     Objects old_shapes_, new_shapes_, old_emitters_, new_emitters_;
     AreaLights old_lights_, new_lights_;
-    Pairing shape_pairs_;
+    SceneMatch shape_match_;
 };
 
 }  // namespace

@@ -59,15 +59,9 @@ struct Edit {
     std::size_t n_emitters() const;   // changed ones, of the scene that has more of them
 };
 
-/// Finds what an edit has done.
-///
-/// Shapes are matched by `id`; those whose id is missing or unknown to the other scene by what they are, in order:
-/// first the ones that are the same in all, then those of the same form and BSDF elsewhere, then those of the same form
-/// in the same place with another BSDF, then those of the same form. Two ids that differ are the same shape only if all
-/// else is equal. Emitters likewise; an area light goes with its shape, and a sky with the sky.
-/// A pair of the same form is moved if a rotation and a translation lead from one to the other, to 1e-5 of its size and
-/// with places that differ by less than 1e-7 of their distance from the origin taken for equal (matrices written with
-/// few digits); what is scaled, mirrored or of another form is removed and added.
+/// Finds what an edit has done. Shapes and emitters are matched by match_shapes() and match_emitters(); an area light
+/// goes with its shape. A matched shape of the same form is moved if a rotation and a translation lead from the one
+/// placement to the other; a shape that is scaled, mirrored or of another form is removed and added.
 /// differs: a parameter that is given and one that is left to the same default count as different; the residual of
 ///          such an edit is 0 all the same
 /// throws:  InputError with both places where camera, film, filter or depth differ, for then no pixel is the other's
