@@ -14,7 +14,7 @@
 #include "stages/cluster/scratch.h"
 #include "stages/cluster/separate.h"
 #include "stages/core/compute/parallel.h"
-#include "stages/core/sampling/sampler.h"
+#include "stages/core/sampling/streams.h"
 #include "stages/core/scene/scene.h"
 
 namespace loom::cluster {
@@ -67,7 +67,7 @@ BucketedPoints fill_buckets(const Pool& pool, std::size_t n_sharing, const Metri
     std::vector<Point> subset;
     const std::size_t n_subset = n_wanted == 1 ? 0 : n_wanted * subset_per_bucket;
     for (std::uint64_t i = 0; subset.size() < n_subset; ++i) {
-        const std::size_t j = mix64(options.seed * 0x9e3779b97f4a7c15ull + i) % n;
+        const std::size_t j = streams::subset(options.seed, i) % n;
         if (pool.shares(j)) subset.push_back(metric(j));
     }
     const Buckets buckets(subset, subset_per_bucket, options.seed);
@@ -161,7 +161,7 @@ Cells balanced_cells(const BucketedPoints& in, const ClusterOptions& options, co
     parallel_chunks(n_buckets, 1, options.threads, [&](std::uint64_t bucket, std::uint64_t, std::uint64_t) {
         const auto points = in.points.subspan(in.first[bucket], in.first[bucket + 1] - in.first[bucket]);
         sizes[bucket].reserve(points.size() / options.k * 5 / 4 + 1);
-        split_by_medians(points, with_seed(splits, mix64(options.seed + bucket)), sizes[bucket]);
+        split_by_medians(points, with_seed(splits, streams::part(options.seed, bucket)), sizes[bucket]);
         separator.cut(points, sizes[bucket], separations[bucket]);
         for (std::size_t i = 0; i < points.size(); ++i) member[in.first[bucket] + i] = points[i].vertex;
     });
@@ -205,7 +205,7 @@ void sort_along_curve(std::span<Point> points) {
 void select(std::span<const Point> points, std::span<Point> chosen, std::uint64_t seed) {
     std::size_t taken = 0;
     for (std::size_t i = 0; taken < chosen.size(); ++i) {
-        const double u = double(mix64(seed * 0xd6e8feb86659fd93ull + i + 1) >> 11) * 0x1p-53;
+        const double u = streams::selection(seed, i);
         if (double(points.size() - i) * u < double(chosen.size() - taken)) chosen[taken++] = points[i];
     }
 }
@@ -244,7 +244,7 @@ Cells centre_cells(const BucketedPoints& in, const ClusterOptions& options, std:
                             for (std::uint32_t i = first[centre]; i < first[centre + 1]; ++i)
                                 points.push_back(in.points[slot[i]]);
                             of_centre.clear();
-                            split_by_medians(points, with_seed(splits, mix64(options.seed + centre)), of_centre);
+                            split_by_medians(points, with_seed(splits, streams::part(options.seed, centre)), of_centre);
                             separator.cut(points, of_centre, separations[chunk]);
                             sizes[chunk].insert(sizes[chunk].end(), of_centre.begin(), of_centre.end());
                             for (std::size_t i = 0; i < points.size(); ++i)

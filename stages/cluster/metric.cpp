@@ -7,7 +7,7 @@
 #include "formats/io/octahedral.h"
 #include "stages/cluster/median_splits.h"
 #include "stages/core/graph/graph_reader.h"
-#include "stages/core/sampling/sampler.h"
+#include "stages/core/sampling/streams.h"
 
 namespace loom::cluster {
 namespace {
@@ -38,8 +38,8 @@ constexpr std::uint32_t subset_k = 16;
 
 Metric::Metric(const Pool& pool, float length_scale, float normal_weight, std::uint64_t seed)
     : pool_(pool),
-      p_rows_(random_rotation(mix64(seed), 1 / length_scale)),
-      n_rows_(random_rotation(mix64(~seed), normal_weight)),
+      p_rows_(random_rotation(streams::position_rotation(seed), 1 / length_scale)),
+      n_rows_(random_rotation(streams::normal_rotation(seed), normal_weight)),
       origin_{},
       length_scale_(length_scale) {
     // Rounding is smallest near the middle of things; where exactly does not matter.

@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <array>
 
-#include "stages/core/sampling/sampler.h"
+#include "stages/core/sampling/streams.h"
 #include "stages/core/scene/embree.h"
 #include "stages/core/scene/scene.h"
 
@@ -32,10 +32,9 @@ void SubsetGather::choose(std::size_t path, std::uint32_t first, std::vector<std
     const std::size_t others = members.size() - 1, wanted = std::min<std::size_t>(options_.members, others);
     if (wanted == others) return;
     // The first of a random permutation; by path, pass and seed, whatever the thread.
-    std::uint64_t key =
-        mix64(mix64(options_.seed ^ reader_.graph().tracing.first_sample * 0x9e3779b97f4a7c15ull) ^ path);
+    std::uint64_t key = streams::gather(options_.seed, reader_.graph().tracing.first_sample, path);
     for (std::size_t i = 0; i < wanted; ++i) {
-        key = mix64(key + 0x9e3779b97f4a7c15ull);
+        key = streams::next(key);
         std::swap(members[1 + i], members[1 + i + ((key >> 32) * (others - i) >> 32)]);
     }
     members.resize(1 + wanted);

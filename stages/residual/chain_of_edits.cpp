@@ -4,7 +4,6 @@
 
 #include "formats/io/error.h"
 #include "stages/core/app/report.h"
-#include "stages/core/sampling/sampler.h"
 
 namespace loom::residual {
 
@@ -18,10 +17,6 @@ Ledger ledger_of(const Image& picture) {
     first.var_mean = mean_var_mean(picture);
     first.var_sample = first.var_mean * double(picture.samples);
     return {first};
-}
-
-std::uint64_t seed_of_edit(std::uint64_t seed, std::size_t k) {
-    return seed ^ mix64(k - 1);
 }
 
 LedgerLink link_of_residual(const Image& residual) {

@@ -11,15 +11,6 @@ namespace loom::residual {
 /// The links of a picture, also of one that nothing was added to: it is its only link.
 Ledger ledger_of(const Image& picture);
 
-/// Seed of the k-th edit of a chain, 1 for the first, where `seed` was asked for.
-///   seed_k = seed XOR mix64(k - 1),  mix64(0) = 0
-/// For one seed all are different, so that edits have no random numbers in common and their variances add up. With the
-/// same numbers the residuals of an edit after an edit would telescope:
-///   [L_2(u) - L_1(u)] + [L_1(u) - L_0(u)] = L_2(u) - L_0(u),
-/// of a lamp that twice grows brighter by as much, twice the variance that the ledger says; of one that goes back,
-/// none. Passes of one edit have one seed.
-std::uint64_t seed_of_edit(std::uint64_t seed, std::size_t k);
-
 /// The link of a residual, which says it itself; else what its provenance says.
 LedgerLink link_of_residual(const Image& residual);
 

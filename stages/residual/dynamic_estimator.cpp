@@ -7,6 +7,7 @@
 
 #include "stages/core/app/report.h"
 #include "stages/core/compute/parallel.h"
+#include "stages/core/sampling/streams.h"
 #include "stages/core/tracing/film.h"
 #include "stages/residual/control.h"
 #include "stages/residual/dynamic/camera_paths.h"
@@ -86,7 +87,7 @@ class Estimator {
             if (!wanted(f) || n_samples == 0) continue;
             std::fill(family_sum.begin(), family_sum.end(), Radiance());
             const std::uint64_t first_sample = std::uint64_t(first * double(n_samples)),
-                                seed = mix64(path_.seed ^ (f + 1) * 0x9e3779b97f4a7c15ull);
+                                seed = streams::family(path_.seed, f);
             for (std::uint64_t round = 0; round < n_samples; round += samples_per_chunk * chunks_per_round) {
                 const std::uint64_t n = std::min(samples_per_chunk * chunks_per_round, n_samples - round);
                 std::vector<std::vector<Splat>> found(chunks_per_round);
@@ -280,10 +281,10 @@ Image render_dynamic(const ScenePair& pair, const Edit& edit, const DynamicOptio
     } else {
         // How many samples there will be is not known beforehand, so that passes have seeds of their own, as the pilot
         // has.
-        path.seed = mix64(path.seed ^ (work.first_sample + 1) * 0x9e3779b97f4a7c15ull);
+        path.seed = streams::pass(path.seed, work.first_sample);
         first_sample = 0;
         PathOptions pilot = path;
-        pilot.seed = mix64(path.seed ^ 0x70696c6f74ull);
+        pilot.seed = streams::pilot(path.seed);
         effort = effort_by_pilot(scenes, families, {options.pairs, options.adaptive_map, options.must_gain}, pilot,
                                  work, counts.counts);
     }

@@ -7,6 +7,7 @@
 #include <span>
 #include <vector>
 
+#include "stages/core/sampling/streams.h"
 #include "stages/core/tracing/film.h"
 
 namespace loom::residual {
@@ -75,8 +76,8 @@ const char* method_name(Method method) {
 }
 
 Seeds seeds_of(Method method, std::uint64_t seed) {
-    const std::uint64_t mine = mix64(seed ^ 0x726573696475616cull);
-    return {mine, method == Method::independent ? mix64(mine) : mine};
+    const std::uint64_t mine = streams::residual(seed);
+    return {mine, method == Method::independent ? streams::independent_of(mine) : mine};
 }
 
 Image render_residual(const ScenePair& scenes, Method method, const PathOptions& path, const Work& work,

@@ -10,6 +10,7 @@
 #include "formats/io/error.h"
 #include "stages/core/app/command.h"
 #include "stages/core/plot/false_colours.h"
+#include "stages/core/sampling/streams.h"
 #include "stages/core/scene/build.h"
 #include "stages/residual/chain_of_edits.h"
 #include "stages/residual/stored/old_graph.h"
@@ -354,7 +355,7 @@ void run(const Options& options, app::Report& report) {
 
     PathOptions path;
     const Ledger before = options.old_picture.empty() ? Ledger() : ledger_of(old_picture);
-    path.seed = seed_of_edit(options.seed, std::max<std::size_t>(before.size(), 1));
+    path.seed = streams::edit(options.seed, std::max<std::size_t>(before.size(), 1));
     path.rr_depth = new_scene->rr_depth;
     path.max_depth = options.max_depth.value_or(new_scene->max_depth);
     Counts counts;

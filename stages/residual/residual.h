@@ -51,7 +51,7 @@ void run(const Options& options, app::Report& report);
 std::string plan_of(Method method, const Edit& edit);
 
 /// old + residual.
-///   L = L_old + delta_L,  var_mean = var_mean_old + var_mean_delta: their samples are independent (seed_of_edit)
+///   L = L_old + delta_L,  var_mean = var_mean_old + var_mean_delta: their samples are independent (streams::edit)
 /// out:     image  R, G, B, VarMean; Albedo, N, Depth of the residual, which has those of the new scene; samples: of
 ///          both;
 ///                 ledger: the old picture's and the residual's link, whose scene it shows

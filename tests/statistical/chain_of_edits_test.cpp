@@ -10,6 +10,7 @@
 #include <cmath>
 #include <filesystem>
 
+#include "stages/core/sampling/streams.h"
 #include "stages/core/stats/chi_square.h"
 #include "stages/core/stats/moments.h"
 #include "tests/statistical/support.h"
@@ -72,7 +73,7 @@ TEST_P(TwoEdits, HaveTheVarianceThatTheLedgerSays) {
             Counts counts;
             Image sum = black(size);
             for (std::size_t k = 1; k < scenes.size(); ++k) {
-                path.seed = own_seeds ? seed_of_edit(std::uint64_t(1000 + i), k) : std::uint64_t(1000 + i);
+                path.seed = own_seeds ? streams::edit(std::uint64_t(1000 + i), k) : std::uint64_t(1000 + i);
                 sum = add_residual(sum, render_residual({*scenes[k - 1], *scenes[k]}, GetParam().method, path,
                                                         {0, spp, 1}, report, counts));
             }

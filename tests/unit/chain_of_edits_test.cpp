@@ -7,6 +7,7 @@
 #include <set>
 
 #include "formats/io/error.h"
+#include "stages/core/sampling/streams.h"
 
 namespace loom::residual {
 namespace {
@@ -22,10 +23,10 @@ LedgerLink link(const char* method, std::uint64_t samples, std::uint64_t seed, d
 }
 
 TEST(ChainOfEdits, EveryEditHasItsOwnSeed) {
-    EXPECT_EQ(seed_of_edit(7, 1), 7u);
+    EXPECT_EQ(streams::edit(7, 1), 7u);
     std::set<std::uint64_t> seeds;
     for (const std::uint64_t seed : {0, 1, 2, 7})
-        for (std::size_t k = 1; k <= 1000; ++k) seeds.insert(seed_of_edit(seed, k));
+        for (std::size_t k = 1; k <= 1000; ++k) seeds.insert(streams::edit(seed, k));
     EXPECT_EQ(seeds.size(), 4000u);
 }
 

@@ -13,6 +13,7 @@
 #include <vector>
 
 #include "stages/core/sampling/sampler_levels.h"
+#include "stages/core/sampling/streams.h"
 #include "stages/core/stats/chi_square.h"
 #include "tests/unit/bsdf_cases.h"
 
@@ -150,6 +151,26 @@ TEST(Sampler, ColumnsHoldThePairsOnEveryLevel) {
         expect_pairs(v2::sampler_pairs, "v2");
         if (__builtin_cpu_supports("x86-64-v3")) expect_pairs(v3::sampler_pairs, "v3");
         if (__builtin_cpu_supports("x86-64-v4")) expect_pairs(v4::sampler_pairs, "v4");
+    }
+}
+
+// Seeds that run side by side in one residual, for small seeds as users choose them. Seen to fail with pass() = family().
+TEST(Streams, SeedsOfOneResidualDiffer) {
+    for (const std::uint64_t seed : {0ull, 1ull, 2ull, 1000ull}) {
+        std::set<std::uint64_t> seeds{seed};
+        std::size_t n = 1;
+        const auto add = [&](std::uint64_t other) { seeds.insert(other), ++n; };
+        for (std::uint64_t k = 2; k < 20; ++k) add(streams::edit(seed, k));
+        const std::uint64_t residual = streams::residual(seed);
+        add(residual);
+        add(streams::independent_of(residual));
+        for (std::uint64_t first_sample = 0; first_sample < 200; ++first_sample) {
+            const std::uint64_t pass = streams::pass(residual, first_sample);
+            add(pass);
+            add(streams::pilot(pass));
+            for (std::uint64_t family = 0; family < 20; ++family) add(streams::family(pass, family));
+        }
+        EXPECT_EQ(seeds.size(), n) << "seed " << seed;
     }
 }
 

@@ -1,20 +1,11 @@
 #pragma once
-// A path while it is being traced, and which random numbers each of its vertices draws.
+// A path while it is being traced.
 
 #include "stages/core/scene/media.h"
 #include "stages/core/scene/shading.h"
 #include "stages/core/tracing/path_tracer.h"
 
 namespace loom {
-
-// Dimensions of a path's random stream, in pairs of numbers. Each decision has its own pair, used or not, so that an
-// edit which skips one leaves all others as they were.
-inline constexpr std::uint32_t film_pair = 0;
-enum class Dimension : std::uint32_t { light = 1, direction = 2, lobe = 3, roulette = 4 };
-/// in: depth  number of the vertex that decides, from 1
-constexpr std::uint32_t dimension(int depth, Dimension of) {
-    return std::uint32_t(depth - 1) * 4 + std::uint32_t(of);
-}
 
 /// The ray that is about to arrive, and all that led to it. What every step touches comes first; what only dielectrics
 /// touch comes last.

@@ -6,7 +6,7 @@
 #include <span>
 #include <vector>
 
-#include "stages/core/sampling/sampler.h"
+#include "stages/core/sampling/streams.h"
 #include "stages/core/scene/scene.h"
 #include "stages/core/tracing/path_record.h"
 

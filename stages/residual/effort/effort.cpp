@@ -6,6 +6,7 @@
 #include <numeric>
 
 #include "stages/core/compute/parallel.h"
+#include "stages/core/sampling/streams.h"
 #include "stages/core/stats/moments.h"
 #include "stages/residual/dynamic/camera_paths.h"
 #include "stages/residual/effort/blur.h"
@@ -159,7 +160,7 @@ class PilotRun {
     }
 
     void sample_site(std::size_t f) {
-        const std::uint64_t seed = mix64(path_.seed ^ (f + 1) * 0x9e3779b97f4a7c15ull);
+        const std::uint64_t seed = streams::family(path_.seed, f);
         const double before = rays_of_pairs();
         record(per_family, 128, pilot.families[f],
                [&](PilotWorker& w, PilotSamples& out, std::uint64_t begin, std::uint64_t end) {
