@@ -27,7 +27,8 @@ class BsdfDerivative : public testing::TestWithParam<BsdfCase> {};
 
 TEST_P(BsdfDerivative, AgreesWithCentralDifferences) {
     using D = Dual<n_variables, double>;
-    const BsdfModel& model = GetParam().model;
+    BsdfModel model = GetParam().model;
+    prepare_coat_slopes(model);
     const Bsdf<float> bsdf(model);
     for (int k = 0; k < 200; ++k) {
         const Draw draw(SamplerKind::independent, 5, k);

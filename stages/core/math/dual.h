@@ -120,6 +120,19 @@ struct Dual {
     }
 };
 
+/// Whether a number moves with a parameter: any of its derivatives is not 0.
+template <class Real>
+requires std::is_arithmetic_v<Real>
+constexpr bool moves(Real) {
+    return false;
+}
+template <int N, class Real>
+constexpr bool moves(const Dual<N, Real>& x) {
+    for (const Real& di : x.d)
+        if (di != Real(0)) return true;
+    return false;
+}
+
 /// The plain number under any of the numbers a formula may be fed with: for indices and choices.
 template <class Real>
 requires std::is_arithmetic_v<Real>

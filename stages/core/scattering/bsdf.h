@@ -24,6 +24,11 @@ float conserve_energy(BsdfModel& model);
 /// in:      alpha_min, alpha_max  of the texture; equal: one row, that of prepare() for this alpha
 void prepare_coats(BsdfModel& model, float alpha_min, float alpha_max);
 
+/// Fills the derivatives of a rough_plastic's coat by roughness and relative index, which formulas over a Dual need; a
+/// second per model. Nothing to do for other kinds.
+/// in, out: own_coats  the model's `coats`, if it has any
+void prepare_coat_slopes(BsdfModel& model, RoughCoats* own_coats = nullptr);
+
 /// BSDF times |cos(theta_i)| (sr^-1), and the density (sr^-1) with which sample() gives wi; delta lobes
 /// are in neither.
 template <class T>

@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "stages/core/math/dual.h"
 #include "stages/core/math/vector.h"
 
 namespace loom {
@@ -52,33 +53,41 @@ constexpr bool is_transmission(Lobe lobe) {
 /// Number of entries of BsdfModel::external_transmittance.
 inline constexpr int n_transmittance = 64;
 
-/// The interface of a rough plastic at one roughness: what it reflects of diffuse light from inside and from outside,
-/// and what it lets through per cos(theta), evenly spaced over [0, 1].
+/// Interface of a rough plastic at one roughness and index: what it reflects of diffuse light from inside and from
+/// outside, and what it transmits by cos(theta), evenly spaced over [0, 1].
 struct RoughCoat {
     float fdr_int = 0.0f, fdr_ext = 0.0f;
     std::array<float, n_transmittance> external_transmittance{};
 };
 
-/// The interface over a range of roughness: rows evenly spaced from alpha_min to alpha_max, linear between.
+/// Derivatives of the entries of a RoughCoat by roughness and by relative index.
+struct RoughCoatSlopes {
+    RoughCoat by_alpha, by_eta;
+};
+
+/// Interface over a range of roughness: rows evenly spaced from alpha_min to alpha_max, linear between.
 struct RoughCoats {
     float alpha_min = 0, alpha_max = 0;
     std::vector<RoughCoat> rows;
+    std::vector<RoughCoatSlopes> slopes;  // by row; empty: see prepare_coat_slopes()
 
     float alpha(std::size_t row) const {
         return row + 1 == rows.size() ? alpha_max
                                       : alpha_min + (alpha_max - alpha_min) * float(row) / float(rows.size() - 1);
     }
-    struct Place {
-        const RoughCoat *row, *next;
-        float t;  // of the way from row to next
+    template <class T>
+    struct Between {
+        std::size_t row, next;
+        T t;  // of the way from row to next
     };
-    Place place(float alpha) const {
+    template <class T>
+    Between<T> between(const T& alpha) const {
         const int last = int(rows.size()) - 1;
         const float range = alpha_max - alpha_min;
-        const float part = range > 0 ? (alpha - alpha_min) / range : 0.0f;
-        const float x = (part > 0 ? (part < 1 ? part : 1.0f) : 0.0f) * float(last);
-        const int i = int(x) < last ? int(x) : last;
-        return {&rows[std::size_t(i)], &rows[std::size_t(i < last ? i + 1 : last)], x - float(i)};
+        const T part = range > 0 ? (alpha - T(alpha_min)) / T(range) : T(0);
+        const T x = (part > T(0) ? (part < T(1) ? part : T(1)) : T(0)) * T(float(last));
+        const int i = int(value_of(x)) < last ? int(value_of(x)) : last;
+        return {std::size_t(i), std::size_t(i < last ? i + 1 : last), x - T(float(i))};
     }
 };
 
@@ -100,8 +109,9 @@ struct BsdfModel {
     Spectrum transmittance{1.0f};          // factor on specular transmission
     Spectrum eta_c{0.0f}, k_c{1.0f};       // conductor: complex index relative to the outside
     // Derived by prepare() for rough_plastic.
-    RoughCoat coat;                     // at alpha_u
-    const RoughCoats* coats = nullptr;  // where a texture gives alpha; borrowed
+    RoughCoat coat;                           // at alpha_u
+    const RoughCoats* coats = nullptr;        // where a texture gives alpha; borrowed
+    const RoughCoatSlopes* slopes = nullptr;  // of coat; null: see prepare_coat_slopes(); borrowed
 
     float eta() const { return int_ior / ext_ior; }
 };
@@ -118,6 +128,20 @@ struct Bsdf {
     Rgb<T> eta_c, k_c;
 
     Bsdf() = default;
+    /// Parameters that are constants.
+    template <class U>
+    requires(!std::is_same_v<U, T>) explicit Bsdf(const Bsdf<U>& o)
+        : model(o.model),
+          diffuse(o.diffuse),
+          specular(o.specular),
+          transmittance(o.transmittance),
+          alpha_u(o.alpha_u),
+          alpha_v(o.alpha_v),
+          eta(o.eta),
+          opacity(o.opacity),
+          exponent(o.exponent),
+          eta_c(o.eta_c),
+          k_c(o.k_c) {}
     /// The model's own parameters; textures then overwrite what they give.
     explicit Bsdf(const BsdfModel& m)
         : model(&m),

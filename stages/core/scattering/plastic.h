@@ -3,6 +3,7 @@
 // scattered again; the series of those reflections is summed in closed form.
 
 #include <algorithm>
+#include <stdexcept>
 
 #include "stages/core/scattering/family.h"
 #include "stages/core/scattering/fresnel.h"
@@ -76,31 +77,47 @@ struct PlasticFamily : SmoothFamily {
     }
 };
 
-/// differs: the passages through the rough coat come from the tables that prepare() made; a derivative by alpha or
-///          eta holds them fixed
+/// The passages through the rough coat come from the tables that prepare() made.
 struct RoughPlasticFamily : SmoothFamily {
     static constexpr bool coloured_base = true;
 
+    /// An entry of the coat. With slopes it follows alpha and eta to first order about the model's own.
+    /// in:     pick  RoughCoat -> T
+    /// throws: std::logic_error where alpha or eta moves with a parameter and prepare_coat_slopes() was not called
+    template <class T, class Pick>
+    [[gnu::always_inline]] static T entry(const Bsdf<T>& b, const Pick& pick) {
+        const BsdfModel& m = *b.model;
+        if (!m.coats) {
+            const T value = pick(m.coat);
+            if constexpr (std::is_same_v<T, float>) return value;
+            if (!has_slopes(b, m.slopes != nullptr)) return value;
+            return value + pick(m.slopes->by_alpha) * (b.alpha_u - T(m.alpha_u)) +
+                   pick(m.slopes->by_eta) * (b.eta - T(m.eta()));
+        }
+        const auto [row, next, t] = m.coats->between(b.alpha_u);
+        const T value = pick(m.coats->rows[row]) * (T(1) - t) + pick(m.coats->rows[next]) * t;
+        if constexpr (std::is_same_v<T, float>) return value;
+        const auto& slopes = m.coats->slopes;
+        if (!has_slopes(b, !slopes.empty())) return value;
+        return value + (pick(slopes[row].by_eta) * (T(1) - t) + pick(slopes[next].by_eta) * t) * (b.eta - T(m.eta()));
+    }
     /// What the coat lets through, by linear interpolation of the table.
     template <class T>
     [[gnu::always_inline]] static T transmittance(const Bsdf<T>& b, const T& cos) {
         const T x = cos * T(n_transmittance - 1);
         const int i = std::min(std::max(static_cast<int>(value_of(x)), 0), n_transmittance - 2);
         const T t = x - T(static_cast<float>(i));
-        const auto at = [&](const RoughCoat& coat) __attribute__((always_inline)) {
-            const float* table = coat.external_transmittance.data();
-            return T(table[i]) * (T(1) - t) + T(table[i + 1]) * t;
-        };
-        if (!b.model->coats) return at(b.model->coat);
-        const RoughCoats::Place place = b.model->coats->place(value_of(b.alpha_u));
-        return at(*place.row) * T(1 - place.t) + at(*place.next) * T(place.t);
+        return entry(
+            b, [&](const RoughCoat& coat) __attribute__((always_inline)) {
+                const float* table = coat.external_transmittance.data();
+                return T(table[i]) * (T(1) - t) + T(table[i + 1]) * t;
+            });
     }
     /// fdr_int or fdr_ext of the coat.
     template <class T>
     [[gnu::always_inline]] static T diffuse_reflectance(const Bsdf<T>& b, float RoughCoat::*side) {
-        if (!b.model->coats) return T(b.model->coat.*side);
-        const RoughCoats::Place place = b.model->coats->place(value_of(b.alpha_u));
-        return T(place.row->*side * (1 - place.t) + place.next->*side * place.t);
+        return entry(
+            b, [&](const RoughCoat& coat) __attribute__((always_inline)) { return T(coat.*side); });
     }
     template <class T>
     [[gnu::always_inline]] static PlasticFamily::Energy<T> energy(const Bsdf<T>& b, const Vector3<T>& wo,
@@ -152,6 +169,14 @@ struct RoughPlasticFamily : SmoothFamily {
     static Rgb<T> albedo(const Bsdf<T>& b, const Vector3<T>& wo) {
         const PlasticFamily::Energy<T> e = energy(b, wo, base(b));
         return select(wo.z > T(0), e.specular + e.diffuse, Rgb<T>());
+    }
+
+  private:
+    template <class T>
+    static bool has_slopes(const Bsdf<T>& b, bool prepared) {
+        if (!prepared && (moves(b.alpha_u) || moves(b.eta)))
+            throw std::logic_error("rough plastic without prepare_coat_slopes()");
+        return prepared;
     }
 };
 
