@@ -51,13 +51,13 @@ Mesh grid_mesh(int columns, int rows, const auto& point) {
 Mesh triangles_of(const Shape& s) {
     if (s.kind == ShapeKind::mesh) return s.mesh;
     const bool sphere = s.kind == ShapeKind::sphere;
-    const Vector3f axis = cross(s.u_axis, s.v_axis);
+    const Vector3f axis = cross(s.round.u_axis, s.round.v_axis);
     return grid_mesh(64, sphere ? 32 : 1, [&](float u, float v) {
         const SinCos phi = sin_cos_turn(u);
-        const Vector3f around = s.u_axis * phi.cos + s.v_axis * phi.sin;
-        if (!sphere) return s.center + around * v;
+        const Vector3f around = s.round.u_axis * phi.cos + s.round.v_axis * phi.sin;
+        if (!sphere) return s.round.center + around * v;
         const float theta = v * pi<float>;
-        return s.center + (around * std::sin(theta) + axis * std::cos(theta)) * s.radius;
+        return s.round.center + (around * std::sin(theta) + axis * std::cos(theta)) * s.round.radius;
     });
 }
 

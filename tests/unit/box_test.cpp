@@ -14,14 +14,14 @@ namespace {
 TEST(Box, OfADiskHasAllItsPointsAndNoMore) {
     Shape disk;
     disk.kind = ShapeKind::disk;
-    disk.center = {1, 2, 3};
-    disk.u_axis = {1, 0.2f, 0};
-    disk.v_axis = {1, 0.1f, 0.5f};
+    disk.round.center = {1, 2, 3};
+    disk.round.u_axis = {1, 0.2f, 0};
+    disk.round.v_axis = {1, 0.1f, 0.5f};
     const Box3f box = disk.bounds();
     Box3f of_points;
     for (int i = 0; i < 10000; ++i) {
         const float angle = 2 * float(pi_double) * float(i) / 10000;
-        of_points.add(disk.center + disk.u_axis * std::cos(angle) + disk.v_axis * std::sin(angle));
+        of_points.add(disk.round.center + disk.round.u_axis * std::cos(angle) + disk.round.v_axis * std::sin(angle));
     }
     for (int k = 0; k < 3; ++k) {
         EXPECT_NEAR(box.lo[k], of_points.lo[k], 1e-5);

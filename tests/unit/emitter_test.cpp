@@ -260,9 +260,9 @@ TEST_F(Emitters, AMapWithoutLightIsNoLight) {
         const auto scene = scene_of(map + "<emitter type='point'/>");
         EXPECT_EQ(environment(*scene, {0, 1, 0}), Spectrum(0));
         std::vector<LightQuery> queries(3);
-        for (LightQuery& query : queries) query.ask = LightQuery::Ask::environment, query.d = {0, 0.6f, 0.8f};
-        queries[1].ask = LightQuery::Ask::point, queries[1].u = {0.1f, 0.5f};
-        queries[2].ask = LightQuery::Ask::point, queries[2].u = {0.9f, 0.5f};
+        for (LightQuery& query : queries) query.kind = LightQuery::Kind::environment, query.d = {0, 0.6f, 0.8f};
+        queries[1].kind = LightQuery::Kind::point, queries[1].u = {0.1f, 0.5f};
+        queries[2].kind = LightQuery::Kind::point, queries[2].u = {0.9f, 0.5f};
         look_up_lights(*scene, queries);
         EXPECT_EQ(queries[0].Le, Spectrum(0));
         EXPECT_EQ(sample_light(*scene, {0, 0, 0}, queries[2]).pdf_w + sample_light(*scene, {0, 0, 0}, queries[1]).pdf_w,
@@ -318,7 +318,7 @@ TEST_F(Emitters, ManyQueriesAtOnceEqualOneByOne) {
         const auto scene = scene_of(emitters);
         std::vector<LightQuery> many(1000);
         for (std::size_t i = 0; i < many.size(); ++i) {
-            many[i].ask = LightQuery::Ask(i % 3);
+            many[i].kind = LightQuery::Kind(i % 3);
             many[i].u = Sampler(SamplerKind::independent, 5, 0, i).pair(0);
             many[i].d = sample_uniform_sphere(many[i].u);
         }
@@ -332,7 +332,7 @@ TEST_F(Emitters, ManyQueriesAtOnceEqualOneByOne) {
             EXPECT_EQ(many[i].point.pmf, one.point.pmf);
             EXPECT_EQ(many[i].pdf_w, one.pdf_w);
             EXPECT_EQ(many[i].Le, one.Le);
-            if (one.ask == LightQuery::Ask::point && !one.placed) {
+            if (one.kind == LightQuery::Kind::point && !one.placed) {
                 EXPECT_EQ(many[i].u.x, one.u.x);
             }
             EXPECT_EQ(many[i].point.Li, one.point.Li);

@@ -19,7 +19,7 @@ void fill(MatteColumns& c, std::size_t n) {
         const auto u2 = [&] { return sampler.pair(pair++); };
         const auto unit = [&] { return sample_uniform_sphere(u2()); };
         const auto colour = [&] { return Spectrum(u2().x, u2().x, u2().x); };
-        const Vector3f ng = octahedral_round(unit());
+        const Vector3f ng = as_stored(unit());
         c.p.set(i, unit() * 3.0f);
         c.ng.set(i, ng);
         c.hit_error[i] = 1e-6f * u2().x;

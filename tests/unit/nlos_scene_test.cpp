@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include "stages/core/scene/build.h"
+#include "stages/core/scene/delta_light.h"
 #include "stages/core/scene/nlos.h"
 #include "stages/core/tracing/path_record.h"
 #include "stages/core/tracing/path_tracer.h"
@@ -104,10 +105,11 @@ TEST_F(NlosScene, ProjectorLightsItsBeam) {
         R"(<emitter type="projector"><rgb name="irradiance" value="2, 3, 4"/><float name="fov" value="90"/></emitter>)";
     const auto scene = load(p);
     const Emitter& e = scene->emitters[0];
-    EXPECT_NEAR(projected(*scene, e, e.frame, {0, 0, 2}).r, pi_double * 2 / 4, 1e-5);
-    EXPECT_NEAR(projected(*scene, e, e.frame, {1.5, -1, 2}).b, pi_double * 4 * std::sqrt(2.25 + 1 + 4) / 8, 1e-4);
-    EXPECT_EQ(projected(*scene, e, e.frame, {2.1, 0, 2}), Spectrum(0));
-    EXPECT_EQ(projected(*scene, e, e.frame, {0, 0, -2}), Spectrum(0));
+    EXPECT_NEAR(projected(*scene, e, EmitterPose<float>(e), Point3f{0, 0, 2}).r, pi_double * 2 / 4, 1e-5);
+    EXPECT_NEAR(projected(*scene, e, EmitterPose<float>(e), Point3f{1.5, -1, 2}).b,
+                pi_double * 4 * std::sqrt(2.25 + 1 + 4) / 8, 1e-4);
+    EXPECT_EQ(projected(*scene, e, EmitterPose<float>(e), Point3f{2.1, 0, 2}), Spectrum(0));
+    EXPECT_EQ(projected(*scene, e, EmitterPose<float>(e), Point3f{0, 0, -2}), Spectrum(0));
 }
 
 constexpr const char* camera_scene = R"(<scene version="3.0.0">
@@ -129,7 +131,9 @@ TEST_F(NlosScene, CameraLooksAtTheWall) {
     EXPECT_EQ(scene->sensor.kind, SensorKind::perspective);
     ASSERT_EQ(c.laser_points.size(), 1u);
     EXPECT_NEAR(c.laser_points[0].p.x, 0.5, 1e-5);
-    const double E = projected(*scene, scene->emitters[0], c.laser_points[0].beam, c.laser_points[0].p).r,
+    const double E = projected(*scene, scene->emitters[0],
+                               EmitterPose<float>(scene->emitters[0], c.laser_points[0].beam), c.laser_points[0].p)
+                         .r,
                  cos_laser = 2 / std::sqrt(2.5 * 2.5 + 4);
     const double albedo = 0.5 / pi_double, area = 1e-4, spot_r2 = 1.25;
     // Both ends of the edge to the spot are parallel: cosine 1 / sqrt(1.25) twice.

@@ -48,18 +48,19 @@ struct Alone {
             const auto& p = shape.mesh.positions;
             const Vector3f e1 = p[1] - p[0], e2 = p[2] - p[0];
             const Vector3<double> n = normalize(cross(Vector3<double>(e1), Vector3<double>(e2)));
-            shape.triangles.push_back({p[0], e1, e2, Normal3f(octahedral_round(Vector3f(n)))});
+            shape.triangles.push_back({p[0], e1, e2, as_stored(Normal3f(n))});
         }
         shape.hit_error = hit_error(shape);
         scene.rays = std::make_shared<RayEngine>(scene.shapes);
     }
     Point3<double> point(Numbers& r) const {
         const Shape& shape = scene.shapes[0];
-        if (shape.kind == ShapeKind::sphere) return Point3<double>(shape.center) + r.direction() * double(shape.radius);
+        if (shape.kind == ShapeKind::sphere)
+            return Point3<double>(shape.round.center) + r.direction() * double(shape.round.radius);
         const double u = r.uniform(), v = r.uniform();
         if (shape.kind == ShapeKind::disk)
-            return Point3<double>(shape.center) + Vector3<double>(shape.u_axis) * (u - 0.5) +
-                   Vector3<double>(shape.v_axis) * (v - 0.5);
+            return Point3<double>(shape.round.center) + Vector3<double>(shape.round.u_axis) * (u - 0.5) +
+                   Vector3<double>(shape.round.v_axis) * (v - 0.5);
         const bool beyond = u + v > 1;
         const TriangleRecord& t = shape.triangles[0];
         return Point3<double>(t.p0) + Vector3<double>(t.e1) * (beyond ? 1 - u : u) +
@@ -81,14 +82,14 @@ std::unique_ptr<Alone> random_shape(Kind kind, Numbers& r) {
         (alone->size * (kind == Kind::far_triangle || r.uniform() < 0.3 ? r.size(0, 4) : 3 * r.uniform()));
     if (kind == Kind::sphere) {
         shape.kind = ShapeKind::sphere;
-        shape.center = Point3f(c);
-        shape.radius = float(alone->size);
-        shape.u_axis = {1, 0, 0}, shape.v_axis = {0, 1, 0}, shape.w_axis = {0, 0, 1};
+        shape.round.center = Point3f(c);
+        shape.round.radius = float(alone->size);
+        shape.round.u_axis = {1, 0, 0}, shape.round.v_axis = {0, 1, 0}, shape.round.w_axis = {0, 0, 1};
     } else if (kind == Kind::disk) {
         shape.kind = ShapeKind::disk;
-        shape.center = Point3f(c);
-        shape.u_axis = Vector3f(a);
-        shape.v_axis = Vector3f(b - a * (0.7 * dot(a, b) / dot(a, a)));
+        shape.round.center = Point3f(c);
+        shape.round.u_axis = Vector3f(a);
+        shape.round.v_axis = Vector3f(b - a * (0.7 * dot(a, b) / dot(a, a)));
     } else {
         const Vector3<double> e2 =
             kind == Kind::sliver ? a * (2 * r.uniform()) + r.direction() * (alone->size * r.size(-3, -1)) : b;

@@ -79,7 +79,7 @@ class FindEdit : public SceneFolder {
             EXPECT_EQ(theirs.at(j).partner, i);
             EXPECT_EQ(theirs[j].changes, mine[i].changes);
             const Shape &a = my_scene.shapes[i], &b = their_scene.shapes[j];
-            std::vector<std::pair<Point3f, Point3f>> points{{a.center, b.center}};
+            std::vector<std::pair<Point3f, Point3f>> points{{a.round.center, b.round.center}};
             if (!a.mesh.positions.empty()) points.clear();
             for (std::size_t k = 0; k < a.mesh.positions.size(); ++k)
                 points.emplace_back(a.mesh.positions[k], b.mesh.positions.at(k));

@@ -27,9 +27,9 @@ std::vector<PathState> states_of(const Scene& scene, const PathOptions& options,
         scene.rays->intersect(&ray, 1, &hit, depth == 1);
         ++path.result.n_rays;
         LightQuery lights;
-        lights.ask = !hit                         ? LightQuery::Ask::environment
-                     : depth == options.max_depth ? LightQuery::Ask::nothing
-                                                  : LightQuery::Ask::point;
+        lights.kind = !hit                         ? LightQuery::Kind::environment
+                      : depth == options.max_depth ? LightQuery::Kind::nothing
+                                                   : LightQuery::Kind::point;
         lights.u = sampler.pair(dimension(depth, Dimension::light));
         lights.d = path.ray.d;
         look_up_light(scene, lights);

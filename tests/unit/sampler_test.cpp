@@ -154,7 +154,7 @@ TEST(Sampler, ColumnsHoldThePairsOnEveryLevel) {
     }
 }
 
-// Seeds that run side by side in one residual, for small seeds as users choose them. Seen to fail with pass() = family().
+// Seeds that run side by side in one residual, for small seeds as users choose them. Detected mutation: pass() without its + 1.
 TEST(Streams, SeedsOfOneResidualDiffer) {
     for (const std::uint64_t seed : {0ull, 1ull, 2ull, 1000ull}) {
         std::set<std::uint64_t> seeds{seed};

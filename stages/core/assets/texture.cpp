@@ -141,16 +141,35 @@ float Texture::eval_float(Point2f uv) const {
     return look_up<float>(*this, uv, [](const auto& v) { return as_float(v); });
 }
 
-Point2f Texture::eval_gradient(Point2f uv) const {
-    if (kind != TextureKind::bitmap || nearest) return {};
-    const Footprint f = footprint(*image, transformed(to_uv, uv), wrap);
-    return with_pixels(*image, [&](const auto& fetch) -> Point2f {
-        const float f00 = as_float(fetch(f.p00)), f10 = as_float(fetch(f.p10));
-        const float f01 = as_float(fetch(f.p01)), f11 = as_float(fetch(f.p11));
-        const float du = lerp(f.y, f10 - f00, f11 - f01) * float(image->width);
-        const float dv = lerp(f.x, f01 - f00, f11 - f10) * float(image->height);
-        return {to_uv[0] * du + to_uv[3] * dv, to_uv[1] * du + to_uv[4] * dv};
+namespace {
+
+/// Derivatives of the bilinear interpolant by (u, v).
+/// in: convert  from a pixel to the value
+template <class Value, class Convert>
+std::pair<Value, Value> gradient(const Texture& texture, Point2f uv, const Convert& convert) {
+    if (texture.kind != TextureKind::bitmap || texture.nearest) return {};
+    const auto& m = texture.to_uv;
+    const TextureImage& image = *texture.image;
+    const Footprint f = footprint(image, transformed(m, uv), texture.wrap);
+    return with_pixels(image, [&](const auto& fetch) -> std::pair<Value, Value> {
+        const Value f00 = convert(fetch(f.p00)), f10 = convert(fetch(f.p10));
+        const Value f01 = convert(fetch(f.p01)), f11 = convert(fetch(f.p11));
+        const Value du = lerp(f.y, f10 - f00, f11 - f01) * float(image.width);
+        const Value dv = lerp(f.x, f01 - f00, f11 - f10) * float(image.height);
+        return {m[0] * du + m[3] * dv, m[1] * du + m[4] * dv};
     });
+}
+
+}  // namespace
+
+Texture::ColourGradient Texture::eval_colour_gradient(Point2f uv) const {
+    const auto [by_u, by_v] = gradient<Spectrum>(*this, uv, [](const auto& v) { return as_spectrum(v); });
+    return {by_u, by_v};
+}
+
+Point2f Texture::eval_gradient(Point2f uv) const {
+    const auto [by_u, by_v] = gradient<float>(*this, uv, [](const auto& v) { return as_float(v); });
+    return {by_u, by_v};
 }
 
 /// Calls use(value, grey) for every value that the texture is interpolated between.

@@ -9,6 +9,7 @@
 #include <utility>
 #include <vector>
 
+#include "stages/core/math/dual.h"
 #include "stages/core/math/vector.h"
 
 namespace loom {
@@ -53,10 +54,18 @@ struct Texture {
     std::string id;
 
     Spectrum eval(Point2f uv) const;
+    /// eval() and, by the chain rule, its derivatives by what uv moves with.
+    template <int N, class Real>
+    Rgb<Dual<N, Real>> eval(const Point2<Dual<N, Real>>& uv) const;
     /// Asks for the memory of the pixels that eval() will read.
     void prefetch(Point2f uv) const;
     /// Luminance of a colour texture, the value of a grey one. [Mitsuba 3.8, checkerboard: eval_1 swaps the colours]
     float eval_float(Point2f uv) const;
+    /// d eval / d(u, v) as eval_gradient().
+    struct ColourGradient {
+        Spectrum by_u, by_v;
+    };
+    ColourGradient eval_colour_gradient(Point2f uv) const;
     /// d eval_float / d(u, v) of the bilinear interpolant; 0 for `nearest`, checkerboard and constant.
     /// differs: Mitsuba 3.8 scales by the image size after a rotation in to_uv, we before it
     Point2f eval_gradient(Point2f uv) const;
@@ -66,6 +75,17 @@ struct Texture {
     Spectrum maximum() const;
     std::pair<float, float> float_range() const;
 };
+
+template <int N, class Real>
+Rgb<Dual<N, Real>> Texture::eval(const Point2<Dual<N, Real>>& uv) const {
+    const Point2f at{float(uv.x.value), float(uv.y.value)};
+    const Spectrum value = eval(at);
+    const ColourGradient gradient = eval_colour_gradient(at);
+    Rgb<Dual<N, Real>> result;
+    for (int c = 0; c < 3; ++c)
+        result[c] = Dual<N, Real>::chain(uv.x, uv.y, value[c], gradient.by_u[c], gradient.by_v[c]);
+    return result;
+}
 
 /// Decodes each (file, decoding) once, however many textures use it. Safe from several threads.
 class TextureCache {

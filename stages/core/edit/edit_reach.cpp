@@ -29,10 +29,11 @@ bool same_bits(const std::vector<T>& a, const std::vector<T>& b) {
 }
 
 bool same_geometry(const Shape& a, const Shape& b) {
-    return a.kind == b.kind && a.flip_normals == b.flip_normals && a.center == b.center && a.radius == b.radius &&
-           a.u_axis == b.u_axis && a.v_axis == b.v_axis && a.w_axis == b.w_axis &&
-           same_bits(a.mesh.positions, b.mesh.positions) && same_bits(a.mesh.normals, b.mesh.normals) &&
-           same_bits(a.mesh.uvs, b.mesh.uvs) && same_bits(a.mesh.indices, b.mesh.indices);
+    return a.kind == b.kind && a.flip_normals == b.flip_normals && a.round.center == b.round.center &&
+           a.round.radius == b.round.radius && a.round.u_axis == b.round.u_axis && a.round.v_axis == b.round.v_axis &&
+           a.round.w_axis == b.round.w_axis && same_bits(a.mesh.positions, b.mesh.positions) &&
+           same_bits(a.mesh.normals, b.mesh.normals) && same_bits(a.mesh.uvs, b.mesh.uvs) &&
+           same_bits(a.mesh.indices, b.mesh.indices);
 }
 
 bool same_image(const TextureImage& a, const TextureImage& b) {
@@ -121,13 +122,14 @@ bool of_both_sides(const Scene& scene, std::uint32_t material, Holds&& holds) {
 Shape enlarged(const Shape& shape) {
     Shape large;
     large.kind = shape.kind;
-    large.center = shape.center;
-    large.radius = shape.radius * (1 + margin) + margin * largest(shape.center);
-    const float more = 1 + margin * (1 + largest(shape.center) /
-                                             std::max(std::min(length(shape.u_axis), length(shape.v_axis)), 1e-20f));
-    large.u_axis = shape.u_axis * more;
-    large.v_axis = shape.v_axis * more;
-    large.w_axis = shape.w_axis;
+    large.round.center = shape.round.center;
+    large.round.radius = shape.round.radius * (1 + margin) + margin * largest(shape.round.center);
+    const float more =
+        1 + margin * (1 + largest(shape.round.center) /
+                              std::max(std::min(length(shape.round.u_axis), length(shape.round.v_axis)), 1e-20f));
+    large.round.u_axis = shape.round.u_axis * more;
+    large.round.v_axis = shape.round.v_axis * more;
+    large.round.w_axis = shape.round.w_axis;
     const auto& index = shape.mesh.indices;
     for (std::size_t i = 0; i + 2 < index.size(); i += 3) {
         const Point3f corners[] = {shape.mesh.positions[index[i]], shape.mesh.positions[index[i + 1]],

@@ -32,13 +32,15 @@ struct Frame {
 using Framef = Frame<float>;
 
 /// Frame whose x follows dp/du, so that maps and anisotropy have a direction.
-inline Framef frame_along(const Normal3f& n, const Vector3f& dp_du) {
-    const Vector3f s = dp_du - Vector3f(n) * dot(n, dp_du);
-    const float len2 = length2(s);
+template <class T>
+inline Frame<T> frame_along(const Normal3<T>& n, const Vector3<T>& dp_du) {
+    using std::sqrt;
+    const Vector3<T> s = dp_du - Vector3<T>(n) * dot(n, dp_du);
+    const T len2 = length2(s);
     // Without a branch, for loops over columns.
-    const bool known = len2 > 0;
-    const Framef any(n);
-    const Vector3f unit = select(known, s / std::sqrt(select(known, len2, 1.0f)), any.s);
+    const bool known = len2 > T(0);
+    const Frame<T> any(n);
+    const Vector3<T> unit = select(known, s / sqrt(select(known, len2, T(1))), any.s);
     return {unit, select(known, cross(n, unit), any.t), n};
 }
 

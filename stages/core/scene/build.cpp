@@ -69,7 +69,7 @@ void fill_shape(const Object& o, Shape& shape, std::vector<std::string>& notes) 
         shape.flip_normals = o.get_bool("flip_normals", false);
     } else if (o.plugin == "sphere") {
         shape.kind = ShapeKind::sphere;
-        shape.center = to_point(world.point(o.get_point("center", {0, 0, 0})));
+        shape.round.center = to_point(world.point(o.get_point("center", {0, 0, 0})));
         const Vector3<double> axis = world.vector({1, 0, 0});
         const double scale = length(axis);
         for (int k = 1; k < 3; ++k) {
@@ -77,32 +77,26 @@ void fill_shape(const Object& o, Shape& shape, std::vector<std::string>& notes) 
             if (std::abs(length(other) - scale) > 1e-3 * scale)
                 o.fail("to_world", "a sphere cannot be scaled differently along its axes; use a mesh");
         }
-        shape.radius = float(o.get_double("radius", 1.0) * scale);
-        if (!(shape.radius > 0)) o.fail("radius", "the radius of a sphere must be positive");
-        shape.u_axis = normalize(column(world, 0));
-        shape.v_axis = normalize(column(world, 1));
-        shape.w_axis = normalize(column(world, 2));
+        shape.round.radius = float(o.get_double("radius", 1.0) * scale);
+        if (!(shape.round.radius > 0)) o.fail("radius", "the radius of a sphere must be positive");
+        shape.round.u_axis = normalize(column(world, 0));
+        shape.round.v_axis = normalize(column(world, 1));
+        shape.round.w_axis = normalize(column(world, 2));
         shape.flip_normals = o.get_bool("flip_normals", false) != mirrored;
     } else if (o.plugin == "disk") {
         shape.kind = ShapeKind::disk;
-        shape.center = to_point(world.point({0, 0, 0}));
-        shape.u_axis = column(world, 0);
-        shape.v_axis = column(world, 1);
+        shape.round.center = to_point(world.point({0, 0, 0}));
+        shape.round.u_axis = column(world, 0);
+        shape.round.v_axis = column(world, 1);
         shape.flip_normals = o.get_bool("flip_normals", false) != mirrored;
     } else {
         shape.mesh = load_mesh(o, notes);
     }
 }
 
-Vector3f face_normal(const Mesh& mesh, std::size_t triangle) {
-    const std::uint32_t* i = &mesh.indices[3 * triangle];
-    const Point3f& p = mesh.positions[i[0]];
-    return normalize(cross(mesh.positions[i[1]] - p, mesh.positions[i[2]] - p));
-}
-
 double shape_area(const Shape& shape, std::vector<double>* triangle_areas) {
-    if (shape.kind == ShapeKind::sphere) return 4 * pi_double * sqr(double(shape.radius));
-    if (shape.kind == ShapeKind::disk) return pi_double * length(cross(shape.u_axis, shape.v_axis));
+    if (shape.kind == ShapeKind::sphere) return 4 * pi_double * sqr(double(shape.round.radius));
+    if (shape.kind == ShapeKind::disk) return pi_double * length(cross(shape.round.u_axis, shape.round.v_axis));
     const Mesh& mesh = shape.mesh;
     double sum = 0;
     for (std::size_t t = 0; t < mesh.n_triangles(); ++t) {
@@ -333,9 +327,9 @@ void record_triangles(Shape& shape) {
     for (std::size_t t = 0; t < mesh.n_triangles(); ++t) {
         const std::uint32_t* i = &mesh.indices[3 * t];
         const Point3f& p0 = mesh.positions[i[0]];
-        const Vector3f n = face_normal(mesh, t);
-        shape.triangles.push_back({p0, mesh.positions[i[1]] - p0, mesh.positions[i[2]] - p0,
-                                   Normal3f(octahedral_round(shape.flip_normals ? -n : n))});
+        const TriangleGeometry<float> triangle{p0, mesh.positions[i[1]] - p0, mesh.positions[i[2]] - p0};
+        const Normal3f n = triangle.normal();
+        shape.triangles.push_back({triangle, as_stored(shape.flip_normals ? -n : n)});
     }
 }
 
@@ -359,8 +353,8 @@ void build_area_light(const Object& o, bool parallelogram, std::uint32_t shape_i
     if (!(e.area > 0)) o.fail("", "the shape of this emitter has no area");
     if (!areas.empty()) e.triangles = Distribution1(areas);
     for (std::size_t t = 0; t < areas.size(); ++t) {
-        const Vector3f n = face_normal(shape.mesh, t);
-        e.normals.push_back(Normal3f(shape.flip_normals ? -n : n));
+        const Normal3f n = shape.triangles[t].normal();
+        e.normals.push_back(shape.flip_normals ? -n : n);
     }
     shape.emitter = int(scene.emitters.size());
     scene.emitters.push_back(std::move(e));
@@ -403,8 +397,8 @@ void find_bounds(Scene& scene) {
         Box3f box = s.bounds();
         // The size of a scene does not depend on how its disks are turned.
         if (s.kind == ShapeKind::disk) {
-            box = {s.center, s.center};
-            box.grow(std::max(length(s.u_axis), length(s.v_axis)));
+            box = {s.round.center, s.round.center};
+            box.grow(std::max(length(s.round.u_axis), length(s.round.v_axis)));
         }
         all.add(box);
     }

@@ -28,9 +28,10 @@ struct AnalyticHit {
 
 /// Roots of the line of a ray, in double: a float quadratic loses the far side of a large sphere. False: none.
 bool sphere_roots(const Shape& s, const Ray& r, double roots[2]) {
-    const Vector3<double> o{double(r.o.x) - s.center.x, double(r.o.y) - s.center.y, double(r.o.z) - s.center.z};
+    const Vector3<double> o{double(r.o.x) - s.round.center.x, double(r.o.y) - s.round.center.y,
+                            double(r.o.z) - s.round.center.z};
     const Vector3<double> d(r.d);
-    const double a = length2(d), half_b = dot(o, d), radius = s.radius;
+    const double a = length2(d), half_b = dot(o, d), radius = s.round.radius;
     // Distance of the line from the centre without cancellation.
     const Vector3<double> nearest = o - d * (half_b / a);
     const double discriminant = a * (radius * radius - length2(nearest));
@@ -54,8 +55,9 @@ bool intersect_sphere(const Shape& s, const Ray& r, AnalyticHit& hit) {
 }
 
 bool intersect_disk(const Shape& s, const Ray& r, AnalyticHit& hit) {
-    const Vector3<double> u(s.u_axis), v(s.v_axis), n = cross(u, v), d(r.d);
-    const Vector3<double> to_center{double(s.center.x) - r.o.x, double(s.center.y) - r.o.y, double(s.center.z) - r.o.z};
+    const Vector3<double> u(s.round.u_axis), v(s.round.v_axis), n = cross(u, v), d(r.d);
+    const Vector3<double> to_center{double(s.round.center.x) - r.o.x, double(s.round.center.y) - r.o.y,
+                                    double(s.round.center.z) - r.o.z};
     const double slope = dot(n, d);
     if (slope == 0) return false;
     const double t = dot(n, to_center) / slope;

@@ -1,7 +1,7 @@
 #include "stages/core/scene/emitter.h"
 
 #include "stages/core/sampling/warp.h"
-#include "stages/core/scene/scene.h"
+#include "stages/core/scene/delta_light.h"
 
 namespace loom {
 namespace {
@@ -32,32 +32,22 @@ float solid_angle_density(float density, const Vector3f& local) {
     return sin_theta > 0 ? density / (two_pi * pi<float> * sin_theta) : 0.0f;
 }
 
-/// 1 inside the beam, falling linearly with the angle to 0 at the cutoff; times the texture.
-Spectrum spot_falloff(const Scene& scene, const Emitter& e, const Vector3f& local) {
-    const float angle = std::acos(clamp(local.z, -1.0f, 1.0f));
-    if (angle >= e.cutoff_rad) return Spectrum(0);
-    const float falloff = angle <= e.beam_rad ? 1.0f : (e.cutoff_rad - angle) / (e.cutoff_rad - e.beam_rad);
-    if (e.texture < 0) return Spectrum(falloff);
-    const float scale = 0.5f / (local.z * std::tan(e.cutoff_rad));
-    return scene.textures[e.texture].eval({0.5f + local.x * scale, 0.5f + local.y * scale}) * falloff;
-}
-
 /// Point on an area light, uniform by area. out: y, geometric normal n, uv
 /// The normal is turned to the side that shines, which is that of the shading normal (as in Mitsuba).
 void sample_area(const Scene& scene, const Emitter& e, Point2f u, Point3f& y, Normal3f& n, Point2f& uv) {
     const Shape& shape = scene.shapes[e.shape];
     if (shape.kind == ShapeKind::disk) {
         const Point2f d = sample_concentric_disk(u);
-        y = shape.center + shape.u_axis * d.x + shape.v_axis * d.y;
-        n = Normal3f(normalize(cross(shape.u_axis, shape.v_axis)) * (shape.flip_normals ? -1.0f : 1.0f));
+        y = shape.round.disk_point(d.x, d.y);
+        n = shape.flip_normals ? -shape.round.disk_normal() : shape.round.disk_normal();
         const float phi = std::atan2(d.y, d.x) / two_pi;
         uv = {std::sqrt(d.x * d.x + d.y * d.y), phi < 0 ? phi + 1 : phi};
         return;
     }
     if (shape.kind == ShapeKind::sphere) {
         n = Normal3f(sample_uniform_sphere(u));
-        y = shape.center + Vector3f(n) * shape.radius;
-        if (e.texture >= 0) uv = shape.sphere_uv(Vector3f(n));
+        y = shape.round.sphere_point(Vector3f(n));
+        if (e.texture >= 0) uv = shape.round.sphere_uv(Vector3f(n));
         if (shape.flip_normals) n = -n;
         return;
     }
@@ -97,9 +87,9 @@ struct Cone {
 };
 Cone sphere_cone(const Shape& shape, const Point3f& from) {
     Cone cone;
-    const Vector3f to_center = shape.center - from;
+    const Vector3f to_center = shape.round.center - from;
     cone.distance = length(to_center);
-    const float sin_max = shape.radius / cone.distance;
+    const float sin_max = shape.round.radius / cone.distance;
     cone.valid = !shape.flip_normals && sin_max < 0.9999f;
     if (cone.valid) {
         cone.axis = to_center / cone.distance;
@@ -131,25 +121,24 @@ void sample_sphere_light(const Scene& scene, const Emitter& e, const Point3f& fr
     if (!cone.valid) {
         LightPoint point;
         sample_area_point(scene, e, u, point);
-        point.emitter = s.emitter;
         s = seen_from(point, from);
         return;
     }
-    const float omc = one_minus_cos(cone, shape.radius);
+    const float omc = one_minus_cos(cone, shape.round.radius);
     const float cos_a = 1 - u.x * omc, sin_a = safe_sqrt(u.x * omc * (2 - u.x * omc));
     const float phi = two_pi * u.y;
     const Frame<float> frame{Normal3f(cone.axis)};
     s.wi = frame.to_world({std::cos(phi) * sin_a, std::sin(phi) * sin_a, cos_a});
     // Nearer intersection of the ray with the sphere.
     const float half = cone.distance * cos_a;
-    const float t = half - safe_sqrt(sqr(shape.radius) - sqr(cone.distance * sin_a));
+    const float t = half - safe_sqrt(sqr(shape.round.radius) - sqr(cone.distance * sin_a));
     const Point3f on_ray = from + s.wi * t;
-    s.n = Normal3f(normalize(on_ray - shape.center));
-    s.y = shape.center + Vector3f(s.n) * shape.radius;
+    s.n = Normal3f(normalize(on_ray - shape.round.center));
+    s.y = shape.round.sphere_point(Vector3f(s.n));
     s.hit_error = shape.hit_error;
     s.wi = normalize(s.y - from);  // as a reader of the stored point computes it
     s.pdf_w = 1.0f / (two_pi * omc);
-    s.Li = e.texture < 0 ? e.radiance : radiance_at(scene, e, shape.sphere_uv(Vector3f(s.n)));
+    s.Li = e.texture < 0 ? e.radiance : radiance_at(scene, e, shape.round.sphere_uv(Vector3f(s.n)));
 }
 
 /// A direction found in the density of an environment map. out: where its radiance stands
@@ -197,26 +186,11 @@ std::size_t choose_emitter(const Scene& scene, float& u, float& pmf) {
 
 }  // namespace
 
-Spectrum beam_radiance(const Scene& scene, const Emitter& projector, float x, float y) {
-    if (projector.texture < 0) return projector.radiance;
-    return projector.radiance * scene.textures[projector.texture].eval({0.5f - 0.5f * x, 0.5f - 0.5f * y});
-}
-
-Spectrum projected(const Scene& scene, const Emitter& projector, const Framef& beam, const Point3f& p) {
-    const Vector3f local = beam.to_local(p - projector.position);
-    if (!(local.z > 0 && std::abs(local.x) <= projector.tan_x * local.z &&
-          std::abs(local.y) <= projector.tan_y * local.z))
-        return Spectrum(0);
-    const Spectrum radiance =
-        beam_radiance(scene, projector, local.x / (local.z * projector.tan_x), local.y / (local.z * projector.tan_y));
-    return radiance * (pi<float> * length(local) / (local.z * local.z * local.z));
-}
-
 void look_up_light(const Scene& scene, LightQuery& query) {
-    if (query.ask == LightQuery::Ask::environment) {
+    if (query.kind == LightQuery::Kind::environment) {
         query.Le = environment(scene, query.d);
         query.pdf_w = scene.environment < 0 ? 0.0f : pdf_environment_w(scene, query.d);
-    } else if (query.ask == LightQuery::Ask::point && !scene.emitters.empty()) {
+    } else if (query.kind == LightQuery::Kind::point && !scene.emitters.empty()) {
         const std::size_t index = choose_emitter(scene, query.u.x, query.point.pmf);
         query.point.emitter = std::uint16_t(index);
         query.placed = sample_point_on(scene, scene.emitters[index], query.u, query.point);
@@ -224,7 +198,7 @@ void look_up_light(const Scene& scene, LightQuery& query) {
 }
 
 void look_up_lights(const Scene& scene, std::span<LightQuery> queries) {
-    using Ask = LightQuery::Ask;
+    using Kind = LightQuery::Kind;
     const bool has_map = scene.environment >= 0 && scene.emitters[scene.environment].kind == EmitterKind::envmap;
     if (!has_map) {
         for (LightQuery& query : queries) look_up_light(scene, query);
@@ -242,8 +216,8 @@ void look_up_lights(const Scene& scene, std::span<LightQuery> queries) {
         const std::size_t n = std::min(block, queries.size() - begin);
         std::size_t n_asking = 0;
         for (std::size_t k = 0; k < n; ++k) {
-            if (q[k].ask == Ask::nothing) continue;
-            if (q[k].ask == Ask::point) {
+            if (q[k].kind == Kind::nothing) continue;
+            if (q[k].kind == Kind::point) {
                 const std::size_t index = choose_emitter(scene, q[k].u.x, q[k].point.pmf);
                 q[k].point.emitter = std::uint16_t(index);
                 if (int(index) != scene.environment) {
@@ -264,10 +238,10 @@ void look_up_lights(const Scene& scene, std::span<LightQuery> queries) {
             for (std::size_t i = 0; i < n_asking; ++i) step(q[asking[i]], searches[asking[i]], places[asking[i]]);
         };
         each([&](const LightQuery& query, Distribution2::Search& search, EnvironmentMap::Place&) {
-            if (query.ask == Ask::point) map.density.guess(search);
+            if (query.kind == Kind::point) map.density.guess(search);
         });
         each([&](LightQuery& query, Distribution2::Search& search, EnvironmentMap::Place& place) {
-            if (query.ask == Ask::environment) {
+            if (query.kind == Kind::environment) {
                 query.pdf_w = pmf * solid_angle_density(map.density.pdf(search), query.d);
                 return;
             }
@@ -277,7 +251,7 @@ void look_up_lights(const Scene& scene, std::span<LightQuery> queries) {
             query.placed = true;
         });
         each([&](LightQuery& query, const Distribution2::Search&, const EnvironmentMap::Place& place) {
-            (query.ask == Ask::point ? query.point.Li : query.Le) = map.at(place);
+            (query.kind == Kind::point ? query.point.Li : query.Le) = map.at(place);
         });
     }
 }
@@ -296,25 +270,11 @@ LightSample sample_light(const Scene& scene, const Point3f& from, const LightQue
     const Emitter& e = scene.emitters[index];
     const Point2f u = query.u;
     LightSample s;
-    s.emitter = std::uint16_t(index);
-    if (e.kind == EmitterKind::area) {
+    if (e.kind == EmitterKind::area)
         sample_sphere_light(scene, e, from, u, s);
-    } else if (e.kind == EmitterKind::directional) {
-        s.delta = s.at_infinity = true;
-        s.wi = -Vector3f(e.frame.n);
-        s.pdf_w = 1;
-        s.Li = e.radiance;
-        s.y = Point3f(s.wi);
-    } else {
-        const Vector3f d = e.position - from;
-        const float d2 = length2(d);
-        s.delta = true;
-        s.y = e.position;
-        s.wi = d / std::sqrt(d2);
-        s.pdf_w = 1;
-        s.Li = e.kind == EmitterKind::projector ? projected(scene, e, e.frame, from) : e.radiance / d2;
-        if (e.kind == EmitterKind::spot) s.Li *= spot_falloff(scene, e, e.frame.to_local(-s.wi));
-    }
+    else
+        s = delta_light(scene, e, EmitterPose<float>(e), from);
+    s.emitter = std::uint16_t(index);
     s.pdf_w *= query.point.pmf;
     if (is_black(s.Li)) s.pdf_w = 0;
     return s;
@@ -326,7 +286,7 @@ float pdf_light_w(const Scene& scene, const Point3f& from, const SurfacePoint& a
     const float pmf = scene.emitters.size() > 1 ? scene.emitter_pmf.pmf(shape.emitter) : 1.0f;
     if (shape.kind == ShapeKind::sphere) {
         if (const Cone cone = sphere_cone(shape, from); cone.valid)
-            return pmf / (two_pi * one_minus_cos(cone, shape.radius));
+            return pmf / (two_pi * one_minus_cos(cone, shape.round.radius));
     }
     const Vector3f d = at.p - from;
     const float d2 = length2(d);

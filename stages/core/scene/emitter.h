@@ -44,52 +44,51 @@ struct Emitter {
     }
 };
 
-/// Irradiance of a plane at p that faces the projector, when its beam goes along z of `beam`.
-///   pi irradiance r / z^3 within the beam: intensity pi irradiance / cos^3        [Mitsuba 3, "projector"]
-Spectrum projected(const Scene& scene, const Emitter& projector, const Frame<float>& beam, const Point3f& p);
-/// The projector's `radiance` with its texture at a point of the beam: x and y in units of half its width and height.
-/// The image stands upright for who looks along the beam, as that of a camera in its place.
-Spectrum beam_radiance(const Scene& scene, const Emitter& projector, float x, float y);
-
-/// A light point seen from a surface point.
-struct LightSample {
-    Vector3f wi;          // unit, towards the light
-    Spectrum Li;          // f_cos * Li / pdf_w estimates the reflected light
-    float pdf_w = 0;      // sr^-1 with the choice of the emitter; a pmf for delta lights
-    Point3f y;            // the light point; meaningless when at_infinity
-    Normal3f n;           // its normal (area lights)
-    float hit_error = 0;  // of its shape (area lights)
+/// A light point and what a surface point receives from it.
+template <class T>
+struct LightSampleOf {
+    Vector3<T> wi;        // unit, towards the light
+    Rgb<T> Li;            // f_cos * Li / pdf_w estimates the reflected light
+    T pdf_w{};            // sr^-1 with the choice of the emitter; a pmf for delta lights
+    Point3<T> y;          // light point; meaningless when at_infinity
+    Normal3<T> n;         // normal at y (area lights)
+    float hit_error = 0;  // Shape::hit_error, m (area lights)
     bool at_infinity = false;
     bool delta = false;
     std::uint16_t emitter = 0;
 
-    RayEnd end() const { return {y, n, hit_error}; }
+    RayEnd end() const requires std::is_same_v<T, float> { return {y, n, hit_error}; }
 };
+using LightSample = LightSampleOf<float>;
 
-/// A point on an emitter, or a direction towards one, chosen without a look at what it will light.
-struct LightPoint {
-    Spectrum Li;          // that it sends to the side of n
-    Point3f y;            // or the direction towards it, when at_infinity
-    Normal3f n;           // unit, of the side that shines; meaningless when at_infinity
-    float hit_error = 0;  // of its shape
-    float area = 1;       // y is uniform over it, m^2
-    float pdf_w = 0;      // of a direction, sr^-1; meaningless for a point
-    float pmf = 1;        // of its emitter
+/// A point on an emitter, or a direction towards one, chosen independently of the surface point.
+template <class T>
+struct LightPointOf {
+    Rgb<T> Li;            // emitted to the side of n
+    Point3<T> y;          // or the direction towards it, when at_infinity
+    Normal3<T> n;         // unit, of the emitting side; meaningless when at_infinity
+    float hit_error = 0;  // Shape::hit_error, m
+    T area{1};            // y is uniform over it, m^2
+    T pdf_w{};            // of a direction, sr^-1; meaningless for a point
+    float pmf = 1;        // of the emitter
     bool at_infinity = false;
     std::uint16_t emitter = 0;
 };
+using LightPoint = LightPointOf<float>;
 
-/// The light point as a surface point sees it.
-inline LightSample seen_from(const LightPoint& point, const Point3f& from) {
-    const Vector3f d = point.y - from;
-    const float d2 = length2(d);
-    const Vector3f towards = d / std::sqrt(d2);
-    const float cos_light = -dot(point.n, towards);
-    const float by_area = select(cos_light > 0, d2 / (cos_light * point.area), 0.0f);
-    LightSample s;
-    s.wi = select(point.at_infinity, Vector3f(point.y), towards);
+/// The light point as a surface point receives it.
+template <class T>
+inline LightSampleOf<T> seen_from(const LightPointOf<T>& point, const Point3<T>& from) {
+    using std::sqrt;
+    const Vector3<T> d = point.y - from;
+    const T d2 = length2(d);
+    const Vector3<T> towards = d / sqrt(d2);
+    const T cos_light = -dot(point.n, towards);
+    const T by_area = select(cos_light > T(0), d2 / (cos_light * point.area), T(0));
+    LightSampleOf<T> s;
+    s.wi = select(point.at_infinity, Vector3<T>(point.y), towards);
     s.Li = point.Li;
-    s.pdf_w = select(is_black(point.Li), 0.0f, select(point.at_infinity, point.pdf_w, by_area) * point.pmf);
+    s.pdf_w = select(is_black(point.Li), T(0), select(point.at_infinity, point.pdf_w, by_area) * T(point.pmf));
     s.y = point.y;
     s.n = point.n;
     s.hit_error = point.hit_error;
@@ -98,29 +97,29 @@ inline LightSample seen_from(const LightPoint& point, const Point3f& from) {
     return s;
 }
 
-/// What a step of a path asks of the lights, whatever its surface is like: at a hit, an emitter by its weight and a
-/// point on it; at a miss, what shines from infinity.
+/// Light look-up of a step of a path, independent of its surface: at a hit, an emitter by its weight and a point on it;
+/// at a miss, the radiance from infinity.
 struct LightQuery {
-    enum class Ask : std::uint8_t {
+    enum class Kind : std::uint8_t {
         nothing,
         point,
         environment
-    } ask = Ask::point;  // at a hit point, at a miss environment
-    Point2f u;           // of a hit; once an emitter is chosen, uniform again
-    Vector3f d;          // of a miss: unit direction of the ray
+    } kind = Kind::point;  // at a hit point, at a miss environment
+    Point2f u;             // of a hit; once an emitter is chosen, uniform again
+    Vector3f d;            // of a miss: unit direction of the ray
     // out, for a hit
     LightPoint point;
-    // false: which point, or what arrives from it, depends on what it lights (spheres, delta lights)
+    // false: the point, or the light from it, depends on the surface point (spheres, delta lights)
     bool placed = false;
     // out, for a miss
     Spectrum Le;
     float pdf_w = 0;  // sr^-1, with which a hit's query finds this direction
 };
 void look_up_light(const Scene& scene, LightQuery& query);
-/// Many at once: the same values, but the tables of an environment map are waited for together.
+/// look_up_light() of many, with overlapping cache misses of an environment map's tables.
 void look_up_lights(const Scene& scene, std::span<LightQuery> queries);
 
-/// The light of an answered query as seen from a point; pdf_w = 0 when nothing arrives.
+/// Light of a looked-up query at a point; pdf_w = 0 when nothing arrives.
 LightSample sample_light(const Scene& scene, const Point3f& from, const LightQuery& query);
 LightSample sample_light(const Scene& scene, const Point3f& from, Point2f u);
 

@@ -54,9 +54,9 @@ float hit_error(const Shape& shape) {
         case ShapeKind::mesh:
             return mesh_error(shape);
         case ShapeKind::sphere:
-            return 2 * rounding_bound * shape.radius;
+            return 2 * rounding_bound * shape.round.radius;
         case ShapeKind::disk: {
-            const Vector3<double> u(shape.u_axis), v(shape.v_axis), n = normalize(cross(u, v));
+            const Vector3<double> u(shape.round.u_axis), v(shape.round.v_axis), n = normalize(cross(u, v));
             return float(rounding_bound * (absolute_dot(n, u) + absolute_dot(n, v)) +
                          least * std::max(length(u), length(v)));
         }

@@ -120,9 +120,9 @@ void list_hidden(const Scene& scene, std::uint32_t wall, NlosCapture& capture) {
             capture.hidden.push_back({s, primitive});
             areas.push_back(area);
         };
-        if (shape.kind == ShapeKind::sphere) add(0, 4 * pi_double * sqr(double(shape.radius)));
+        if (shape.kind == ShapeKind::sphere) add(0, 4 * pi_double * sqr(double(shape.round.radius)));
         if (shape.kind == ShapeKind::disk)
-            add(0, pi_double * length(cross(Vector3<double>(shape.u_axis), Vector3<double>(shape.v_axis))));
+            add(0, pi_double * length(cross(Vector3<double>(shape.round.u_axis), Vector3<double>(shape.round.v_axis))));
         for (std::uint32_t t = 0; t < shape.triangles.size(); ++t) add(t, triangle_area(shape.mesh, t));
     }
     if (areas.empty()) return;
@@ -225,12 +225,12 @@ HiddenPoint sample_hidden(const Scene& scene, Point2f u) {
         }
         case ShapeKind::sphere:
             point.n = Normal3f(sample_uniform_sphere(u));
-            point.p = shape.center + Vector3f(point.n) * shape.radius;
+            point.p = shape.round.sphere_point(Vector3f(point.n));
             break;
         case ShapeKind::disk: {
             const Point2f d = sample_concentric_disk(u);
-            point.p = shape.center + shape.u_axis * d.x + shape.v_axis * d.y;
-            point.n = Normal3f(normalize(cross(shape.u_axis, shape.v_axis)));
+            point.p = shape.round.disk_point(d.x, d.y);
+            point.n = shape.round.disk_normal();
             break;
         }
     }

@@ -2,58 +2,28 @@
 
 #include <span>
 
-#include "formats/io/half.h"
 #include "stages/core/scene/embree.h"
 
 namespace loom {
 namespace {
 
-// The path graph stores normals in 2 x 16 bits and texture-evaluated parameters as halves. The tracer uses
-// the rounded values, so that every later stage computes with exactly what the tracer saw.
-
-constexpr float largest_half = 65504;
-
-float half_round(float value) {
-    return float_from_half(half_from_float(std::min(value, largest_half)));
-}
-
-Spectrum half_round(const Spectrum& s) {
-    return {half_round(s.r), half_round(s.g), half_round(s.b)};
-}
-
-struct Partials {
-    Vector3f dp_du, dp_dv;
-};
-
-/// dp/du and dp/dv of a triangle from its texture coordinates; any two tangents where those are degenerate.
-Partials triangle_partials(const Mesh& mesh, const std::uint32_t* i, const Normal3f& ng) {
-    const Vector3f e1 = mesh.positions[i[1]] - mesh.positions[i[0]], e2 = mesh.positions[i[2]] - mesh.positions[i[0]];
-    if (!mesh.uvs.empty()) {
-        const Point2f &t0 = mesh.uvs[i[0]], &t1 = mesh.uvs[i[1]], &t2 = mesh.uvs[i[2]];
-        const float du1 = t1.x - t0.x, dv1 = t1.y - t0.y, du2 = t2.x - t0.x, dv2 = t2.y - t0.y;
-        const float det = du1 * dv2 - dv1 * du2;
-        if (det != 0) return {(e1 * dv2 - e2 * dv1) / det, (e2 * du1 - e1 * du2) / det};
-    }
-    const Framef frame(ng);
-    return {frame.s, frame.t};
+Tangents<float> triangle_tangents(const Shape& shape, const Hit& hit, const Normal3f& ng) {
+    const Mesh& mesh = shape.mesh;
+    if (mesh.uvs.empty()) return TriangleRecord::any_tangents(ng);
+    const std::uint32_t* i = &mesh.indices[3 * std::size_t(hit.primitive)];
+    return shape.triangles[hit.primitive].tangents(mesh.uvs[i[0]], mesh.uvs[i[1]], mesh.uvs[i[2]], ng);
 }
 
 /// Normal that a map asks for, in world space. A normal that turns away from the viewer while the surface
 /// does not is mirrored about the surface normal, as Mitsuba does, unless the material forbids it.
-Normal3f perturbed_normal(const Scene& scene, const Material& m, const Framef& base, const Partials& d, Point2f uv,
-                          const Vector3f& wo) {
+Normal3f perturbed_normal(const Scene& scene, const Material& m, const Framef& base, const Tangents<float>& tangents,
+                          Point2f uv, const Vector3f& wo) {
     Vector3f local;
     if (m.normal_map >= 0) {
-        const Spectrum rgb = scene.textures[m.normal_map].eval(uv);
-        local = normalize(Vector3f{2 * rgb.r - 1, 2 * rgb.g - 1, 2 * rgb.b - 1});
+        local = mapped_normal(scene.textures[m.normal_map].eval(uv));
     } else {
-        const Point2f grad = scene.textures[m.bump_map].eval_gradient(uv);
-        const Vector3f n(base.n);
-        const Vector3f du = d.dp_du + n * (m.bump_scale * grad.x - dot(n, d.dp_du));
-        const Vector3f dv = d.dp_dv + n * (m.bump_scale * grad.y - dot(n, d.dp_dv));
-        Vector3f bumped = normalize(cross(du, dv));
-        if (dot(bumped, base.n) < 0) bumped = -bumped;
-        local = base.to_local(bumped);
+        const Point2f gradient = scene.textures[m.bump_map].eval_gradient(uv);
+        local = bumped_normal(base, tangents, {m.bump_scale * gradient.x, m.bump_scale * gradient.y});
     }
     if (m.flips_invalid_normals && dot(base.n, wo) * dot(local, base.to_local(wo)) <= 0)
         local = {-local.x, -local.y, local.z};
@@ -110,11 +80,11 @@ Box3f Shape::bounds() const {
     Box3f box;
     for (const Point3f& p : mesh.positions) box.add(p);
     if (kind == ShapeKind::mesh) return box;
-    Vector3f half{radius, radius, radius};
+    Vector3f half{round.radius, round.radius, round.radius};
     if (kind == ShapeKind::disk)
-        for (int k = 0; k < 3; ++k) half[k] = std::sqrt(sqr(u_axis[k]) + sqr(v_axis[k]));
-    box.add(center - half);
-    box.add(center + half);
+        for (int k = 0; k < 3; ++k) half[k] = std::sqrt(sqr(round.u_axis[k]) + sqr(round.v_axis[k]));
+    box.add(round.center - half);
+    box.add(round.center + half);
     return box;
 }
 
@@ -125,7 +95,7 @@ SurfacePoint Scene::surface(const Ray& ray, const Hit& hit) const {
     at.primitive = hit.primitive;
     at.hit_error = shape.hit_error;
     at.material = shape.material;
-    Partials partials;
+    Tangents<float> tangents;
     const Vector3f wo = -ray.d;
     const Material* material = &materials[shape.material];
     const bool wants_uv = material->needs_uv() || material->back >= 0 || shape.emitter >= 0;
@@ -137,41 +107,32 @@ SurfacePoint Scene::surface(const Ray& ray, const Hit& hit) const {
         at.uv = point.uv;
         at.ng = at.ns_smooth = point.ng;
         if (length2(point.n) > 0) at.ns_smooth = smooth_normal(point.n, shape.flip_normals ? -1.0f : 1.0f);
-        if (wants_tangent)
-            partials = triangle_partials(shape.mesh, &shape.mesh.indices[3 * std::size_t(hit.primitive)], at.ng);
+        if (wants_tangent) tangents = triangle_tangents(shape, hit, at.ng);
     } else if (shape.kind == ShapeKind::sphere) {
-        const Vector3f outward = normalize(ray.o + ray.d * hit.t - shape.center);
-        at.p = shape.center + outward * shape.radius;
+        const Vector3f outward = normalize(ray.o + ray.d * hit.t - shape.round.center);
+        at.p = shape.round.sphere_point(outward);
         at.ng = Normal3f(outward);
-        const Vector3f& z = shape.w_axis;
-        const float x = dot(outward, shape.u_axis), y = dot(outward, shape.v_axis);
-        at.uv = shape.sphere_uv(outward);
-        const float rho = std::max(std::sqrt(x * x + y * y), 1e-6f), scale = shape.radius * pi<float>;
-        partials.dp_du = (shape.v_axis * x - shape.u_axis * y) * (2 * scale);
-        partials.dp_dv = ((shape.u_axis * (x / rho) + shape.v_axis * (y / rho)) * dot(outward, z) - z * rho) * scale;
+        at.uv = shape.round.sphere_uv(outward);
+        tangents = shape.round.sphere_tangents(outward);
     } else {
-        at.p = shape.center + shape.u_axis * hit.u + shape.v_axis * hit.v;
-        at.ng = Normal3f(normalize(cross(shape.u_axis, shape.v_axis)));
-        const float r = std::max(std::sqrt(hit.u * hit.u + hit.v * hit.v), 1e-6f);
-        const float phi = std::atan2(hit.v, hit.u) * (0.5f * inv_pi<float>);
-        at.uv = {r, phi < 0 ? phi + 1 : phi};
-        partials.dp_du = (shape.u_axis * hit.u + shape.v_axis * hit.v) / r;
-        partials.dp_dv = (shape.v_axis * hit.u - shape.u_axis * hit.v) * (2 * pi<float>);
+        at.p = shape.round.disk_point(hit.u, hit.v);
+        at.ng = shape.round.disk_normal();
+        at.uv = shape.round.disk_uv(hit.u, hit.v);
+        tangents = shape.round.disk_tangents(hit.u, hit.v);
     }
-    if (shape.kind != ShapeKind::mesh)
-        at.ng = at.ns_smooth = Normal3f(octahedral_round(Vector3f(shape.flip_normals ? -at.ng : at.ng)));
+    if (shape.kind != ShapeKind::mesh) at.ng = at.ns_smooth = as_stored(shape.flip_normals ? -at.ng : at.ng);
     if (material->back >= 0 && dot(at.ns_smooth, wo) < 0) {
         at.material = std::uint32_t(material->back);
         material = &materials[at.material];
     }
     Normal3f ns = at.ns_smooth;
     if (material->perturbed()) {
-        const Framef base = frame_along(at.ns_smooth, partials.dp_du);
-        ns = Normal3f(octahedral_round(Vector3f(perturbed_normal(*this, *material, base, partials, at.uv, wo))));
+        const Framef base = frame_along(at.ns_smooth, tangents.dp_du);
+        ns = as_stored(perturbed_normal(*this, *material, base, tangents, at.uv, wo));
         at.perturbed = true;
     }
     if (features.anisotropic) {
-        at.frame = frame_along(ns, octahedral_round(frame_along(ns, partials.dp_du).s));
+        at.frame = frame_along(ns, as_stored(frame_along(ns, tangents.dp_du).s));
     } else {
         at.frame = Framef(ns);
     }
@@ -179,7 +140,7 @@ SurfacePoint Scene::surface(const Ray& ray, const Hit& hit) const {
 }
 
 Spectrum Scene::diffuse(const Material& m, Point2f uv) const {
-    return m.diffuse >= 0 ? half_round(textures[m.diffuse].eval(uv) * m.reflectance_scale) : m.model.diffuse;
+    return m.diffuse >= 0 ? as_stored(textures[m.diffuse].eval(uv) * m.reflectance_scale) : m.model.diffuse;
 }
 
 Bsdf<float> Scene::bsdf(const SurfacePoint& at) const {
@@ -187,20 +148,20 @@ Bsdf<float> Scene::bsdf(const SurfacePoint& at) const {
     Bsdf<float> b(m.model);
     if (!m.textured()) return b;
     b.diffuse = diffuse(m, at.uv);
-    if (m.specular >= 0) b.specular = half_round(textures[m.specular].eval(at.uv) * m.reflectance_scale);
-    if (m.transmittance >= 0) b.transmittance = half_round(textures[m.transmittance].eval(at.uv));
+    if (m.specular >= 0) b.specular = as_stored(textures[m.specular].eval(at.uv) * m.reflectance_scale);
+    if (m.transmittance >= 0) b.transmittance = as_stored(textures[m.transmittance].eval(at.uv));
     if (m.alpha_u >= 0 || m.alpha_v >= 0) {
         const auto alpha = [&](int texture, float constant) {
-            return half_round(texture >= 0 ? std::max(textures[texture].eval_float(at.uv), smallest_alpha) : constant);
+            return as_stored(texture >= 0 ? std::max(textures[texture].eval_float(at.uv), smallest_alpha) : constant);
         };
         b.alpha_u = alpha(m.alpha_u, m.model.alpha_u);
         b.alpha_v = alpha(m.alpha_v, m.model.alpha_v);
     }
-    if (m.opacity >= 0) b.opacity = half_round(clamp(textures[m.opacity].eval_float(at.uv), 0.0f, 1.0f));
+    if (m.opacity >= 0) b.opacity = as_stored(clamp(textures[m.opacity].eval_float(at.uv), 0.0f, 1.0f));
     if (m.exponent >= 0) b.exponent = std::max(textures[m.exponent].eval_float(at.uv), 0.0f);
     if (m.textured_index()) {
         const auto index = [&](int texture, const Spectrum& constant) {
-            return half_round(texture >= 0 ? textures[texture].eval(at.uv) * m.index_scale : constant);
+            return as_stored(texture >= 0 ? textures[texture].eval(at.uv) * m.index_scale : constant);
         };
         b.eta_c = index(m.eta_c, m.model.eta_c);
         b.k_c = index(m.k_c, m.model.k_c);

@@ -7,7 +7,6 @@
 #include <string>
 #include <vector>
 
-#include "formats/io/octahedral.h"
 #include "stages/core/assets/mesh.h"
 #include "stages/core/assets/texture.h"
 #include "stages/core/math/box.h"
@@ -18,6 +17,8 @@
 #include "stages/core/scene/media.h"
 #include "stages/core/scene/ray.h"
 #include "stages/core/scene/sensor.h"
+#include "stages/core/scene/stored_values.h"
+#include "stages/core/scene/surface_geometry.h"
 
 namespace loom {
 
@@ -66,11 +67,9 @@ struct Material {
 
 enum class ShapeKind : std::uint8_t { mesh, sphere, disk };
 
-/// A triangle of a mesh as shading wants it: one cache line instead of four look-ups.
-struct TriangleRecord {
-    Point3f p0;
-    Vector3f e1, e2;  // to the other vertices
-    Normal3f ng;      // turned by Shape::flip_normals; rounded as the path graph stores it
+/// A triangle of a mesh in one cache line, in place of four look-ups.
+struct TriangleRecord : TriangleGeometry<float> {
+    Normal3f ng;  // turned by Shape::flip_normals; rounded as the path graph stores it
 };
 
 struct Shape {
@@ -80,22 +79,13 @@ struct Shape {
     int emitter = -1;
     Mesh mesh;                              // world space; empty for analytic shapes
     std::vector<TriangleRecord> triangles;  // of the mesh
-    // sphere: centre, radius, and its own x, y, z. disk: centre; u_axis and v_axis span the unit disk.
-    Point3f center;
-    float radius = 1;
-    Vector3f u_axis, v_axis, w_axis;
+    RoundGeometry<float> round;             // of a sphere or disk
     bool flip_normals = false;
     // m along the normal: how far a hit point may be off the plane that the ray engine tests, by the size of the shape;
     // what its distance from the origin adds is in surface_offset()
     float hit_error = 0;
 
     Box3f bounds() const;  // world space
-    /// Texture coordinates of a sphere: longitude about w_axis from u_axis, and colatitude, both over [0, 1].
-    /// needs:   outward  unit, from the centre, whatever flip_normals
-    Point2f sphere_uv(const Vector3f& outward) const {
-        const float phi = std::atan2(dot(outward, v_axis), dot(outward, u_axis)) * (0.5f * inv_pi<float>);
-        return {phi < 0 ? phi + 1 : phi, std::acos(clamp(dot(outward, w_axis), -1.0f, 1.0f)) * inv_pi<float>};
-    }
 };
 
 /// What Shape::hit_error is of a shape.
@@ -182,13 +172,6 @@ struct Scene {
     Bsdf<float> bsdf(const SurfacePoint& at) const;
 };
 
-/// Unit vector after a round trip through the octahedral code that the path graph stores.
-inline Vector3f octahedral_round(const Vector3f& v) {
-    const auto code = octahedral_from_unit(v.x, v.y, v.z);
-    const auto unit = unit_from_octahedral(code[0], code[1]);
-    return {unit[0], unit[1], unit[2]};
-}
-
 /// Where a ray has met a triangle.
 struct TrianglePoint {
     Point3f p;
@@ -202,24 +185,21 @@ inline TrianglePoint triangle_point(const Shape& shape, const Hit& hit, bool wan
     const TriangleRecord& triangle = shape.triangles[hit.primitive];
     const std::uint32_t* i = &mesh.indices[3 * std::size_t(hit.primitive)];
     TrianglePoint at;
-    at.p = triangle.p0 + (triangle.e1 * hit.u + triangle.e2 * hit.v);
+    at.p = triangle.point(hit.u, hit.v);
     at.ng = triangle.ng;
-    const float w = 1 - hit.u - hit.v;
     if (!mesh.normals.empty())
-        at.n = Vector3f(mesh.normals[i[0]]) * w + Vector3f(mesh.normals[i[1]]) * hit.u +
-               Vector3f(mesh.normals[i[2]]) * hit.v;
+        at.n = interpolate(Vector3f(mesh.normals[i[0]]), Vector3f(mesh.normals[i[1]]), Vector3f(mesh.normals[i[2]]),
+                           hit.u, hit.v);
     if (wants_uv) {
         at.uv = {hit.u, hit.v};
-        if (!mesh.uvs.empty())
-            at.uv = {mesh.uvs[i[0]].x * w + mesh.uvs[i[1]].x * hit.u + mesh.uvs[i[2]].x * hit.v,
-                     mesh.uvs[i[0]].y * w + mesh.uvs[i[1]].y * hit.u + mesh.uvs[i[2]].y * hit.v};
+        if (!mesh.uvs.empty()) at.uv = interpolate(mesh.uvs[i[0]], mesh.uvs[i[1]], mesh.uvs[i[2]], hit.u, hit.v);
     }
     return at;
 }
 
 /// Shading normal from the interpolated one, n: unit, turned when `side` is -1, rounded as the path graph stores it.
 inline Normal3f smooth_normal(const Vector3f& n, float side) {
-    return Normal3f(octahedral_round(n * (side / std::sqrt(length2(n)))));
+    return Normal3f(as_stored(n * (side / std::sqrt(length2(n)))));
 }
 
 }  // namespace loom

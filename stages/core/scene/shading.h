@@ -1,6 +1,6 @@
 #pragma once
-// A vertex of a path, ready to be asked for its BSDF in world directions: by the tracer at the point that
-// it has hit, and by every later stage at a vertex (its own or a neighbour's) read from a path graph.
+// A path vertex at which the BSDF can be evaluated in world directions: for the tracer at a hit point, for every later
+// stage at a vertex (its own or a neighbour's) read from a path graph.
 
 #include "stages/core/math/frame.h"
 #include "stages/core/scattering/bsdf.h"
@@ -8,39 +8,59 @@
 
 namespace loom {
 
-struct ShadingPoint {
-    Point3f p;
-    Vector3f wo;        // world, towards where the light leaves
-    Vector3f wo_local;  // the same in `frame`
-    Framef frame;
-    Normal3f ng;
-    float hit_error = 0;  // of its shape, m; what lies between the point and its rays' origins
-    Normal3f n_side;      // shading normal before a bump or normal map; equals frame.n without one
+/// T is float, or a Dual where vertices move with a parameter.
+template <class T>
+struct ShadingPointOf {
+    Point3<T> p;
+    Vector3<T> wo;        // world, direction in which the light leaves
+    Vector3<T> wo_local;  // wo in `frame`
+    Frame<T> frame;
+    Normal3<T> ng;
+    float hit_error = 0;  // Shape::hit_error, m
+    Normal3<T> n_side;    // shading normal before a bump or normal map; equals frame.n without one
     bool perturbed = false;
-    Bsdf<float> bsdf;
+    Bsdf<T> bsdf;
 
-    RayEnd end() const { return {p, ng, hit_error}; }
+    ShadingPointOf() = default;
+    /// A point that moves with no parameter.
+    template <class U>
+    requires(!std::is_same_v<U, T>) explicit ShadingPointOf(const ShadingPointOf<U>& o)
+        : p(o.p),
+          wo(o.wo),
+          wo_local(o.wo_local),
+          frame(Vector3<T>(o.frame.s), Vector3<T>(o.frame.t), Normal3<T>(o.frame.n)),
+          ng(o.ng),
+          hit_error(o.hit_error),
+          n_side(o.n_side),
+          perturbed(o.perturbed),
+          bsdf(o.bsdf) {}
+
+    RayEnd end() const requires std::is_same_v<T, float> { return {p, ng, hit_error}; }
 };
+using ShadingPoint = ShadingPointOf<float>;
 
-/// Shadowing of a bump or normal map for light from wi, so that the darkening at the terminator of the
-/// bumps is smooth; 1 where the material switches it off.       [Estevez2019] "A Microfacet-Based Shadowing Function to
-/// Solve the Bump
-///                        Terminator Problem", section 3.2; 0 when wi lies on different sides of the two normals
-inline float bump_shadowing(const ShadingPoint& at, const Vector3f& wi, float cos_perturbed) {
-    const float cos_side = dot(at.n_side, wi);
-    if (!(cos_side * cos_perturbed > 0)) return 0;
-    if (!at.bsdf.model->bump_shadowing) return 1;
-    const float cos_n = dot(at.n_side, at.frame.n);
-    const float tan2_n = std::max(1 - sqr(cos_n), 0.0f) / sqr(cos_n);
-    const float alpha2 = std::min(0.125f * tan2_n, 1.0f);
-    const float tan2_i = std::max(1 - sqr(cos_side), 0.0f) / sqr(cos_side);
-    return 2 / (1 + std::sqrt(1 + alpha2 * tan2_i));
+/// Factor of a bump or normal map on light from wi: makes the darkening at the terminator of the bumps smooth. 1 where
+/// the material switches it off, 0 where wi lies on different sides of the two normals.
+///                [Estevez2019] "A Microfacet-Based Shadowing Function to Solve the Bump Terminator Problem", section 3.2
+template <class T>
+inline T bump_shadowing(const ShadingPointOf<T>& at, const Vector3<T>& wi, const T& cos_perturbed) {
+    using std::sqrt;
+    const T cos_side = dot(at.n_side, wi);
+    if (!(cos_side * cos_perturbed > T(0))) return T(0);
+    if (!at.bsdf.model->bump_shadowing) return T(1);
+    const T cos_n = dot(at.n_side, at.frame.n);
+    const T rest_n = T(1) - sqr(cos_n), rest_i = T(1) - sqr(cos_side);
+    const T tan2_n = select(rest_n < T(0), T(0), rest_n) / sqr(cos_n);
+    const T rough = T(0.125f) * tan2_n, alpha2 = select(T(1) < rough, T(1), rough);
+    const T tan2_i = select(rest_i < T(0), T(0), rest_i) / sqr(cos_side);
+    return T(2) / (T(1) + sqrt(T(1) + alpha2 * tan2_i));
 }
 
 /// f |cos| for light from wi (world) and the density of BSDF sampling for wi (sr^-1).
-inline BsdfValue<float> f_cos_pdf(const ShadingPoint& at, const Vector3f& wi) {
-    const Vector3f wi_local = at.frame.to_local(wi);
-    BsdfValue<float> value = f_cos_pdf(at.bsdf, at.wo_local, wi_local);
+template <class T>
+inline BsdfValue<T> f_cos_pdf(const ShadingPointOf<T>& at, const Vector3<T>& wi) {
+    const Vector3<T> wi_local = at.frame.to_local(wi);
+    BsdfValue<T> value = f_cos_pdf(at.bsdf, at.wo_local, wi_local);
     if (at.perturbed) value.f_cos *= bump_shadowing(at, wi, wi_local.z);
     return value;
 }

@@ -1,5 +1,6 @@
 #include "stages/core/tracing/nlos_tracer.h"
 
+#include "stages/core/scene/delta_light.h"
 #include "stages/core/scene/nlos.h"
 #include "stages/core/tracing/vertex_rules.h"
 
@@ -153,7 +154,7 @@ class NlosPath {
         if (scene_.shapes[hit_.shape].kind != ShapeKind::sphere) return true;
         // A line hits a sphere twice. From outside the ray hits the front point, from inside the only one ahead.
         const Shape& sphere = scene_.shapes[hit_.shape];
-        const bool inside = length2(path_.ray.o - sphere.center) < sqr(sphere.radius);
+        const bool inside = length2(path_.ray.o - sphere.round.center) < sqr(sphere.round.radius);
         return (dot(aimed.n, path_.ray.d) < 0) != inside;
     }
 
@@ -172,7 +173,7 @@ class NlosPath {
     }
 
     bool light_of_projector(const ShadingPoint& here, Light& light) const {
-        light.Li = projected(scene_, projector_, laser_.beam, here.p);
+        light.Li = projected(scene_, projector_, EmitterPose<float>(projector_, laser_.beam), here.p);
         if (is_black(light.Li)) return false;
         light.y = projector_.position;
         light.wi = normalize(light.y - here.p);
@@ -186,7 +187,7 @@ class NlosPath {
         NlosCapture::Point spot = laser_;
         Spectrum E;  // times area
         if (options_.laser_spot == LaserSpot::unit_area) {
-            E = projected(scene_, projector_, laser_.beam, spot.p);
+            E = projected(scene_, projector_, EmitterPose<float>(projector_, laser_.beam), spot.p);
         } else {
             const Point2f u = path_.sampler.pair(dimension(depth, Dimension::light));
             const float x = 2 * u.x - 1, y = 2 * u.y - 1;
@@ -196,7 +197,7 @@ class NlosPath {
             const float cos_surface = std::abs(dot(spot.ng, spot.ray.d));
             if (!spot.hit || !(cos_surface > 0)) return false;
             // Over the beam's section, irradiance times area is constant but for the surface's slant.
-            E = beam_radiance(scene_, projector_, x, y) *
+            E = beam_radiance(scene_, projector_, projector_.radiance, x, y) *
                 (pi<float> * 4 * projector_.tan_x * projector_.tan_y / cos_surface);
         }
         const Vector3f d = spot.p - here.p;

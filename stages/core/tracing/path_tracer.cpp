@@ -16,7 +16,7 @@ namespace {
 /// in: last  no light is sampled from a hit
 LightQuery light_query(const Hit& hit, const Ray& ray, Point2f u, bool last) {
     LightQuery query;
-    query.ask = !hit ? LightQuery::Ask::environment : last ? LightQuery::Ask::nothing : LightQuery::Ask::point;
+    query.kind = !hit ? LightQuery::Kind::environment : last ? LightQuery::Kind::nothing : LightQuery::Kind::point;
     query.u = u;
     query.d = ray.d;
     return query;

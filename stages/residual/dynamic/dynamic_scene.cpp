@@ -15,8 +15,8 @@ Shape geometry_of(const Shape& shape) {
 
 Normal3f normal_at(const Shape& shape, const Hit& hit, const Point3f& p) {
     if (shape.kind == ShapeKind::mesh) return shape.triangles[hit.primitive].ng;
-    if (shape.kind == ShapeKind::sphere) return Normal3f(normalize(p - shape.center));
-    return Normal3f(normalize(cross(shape.u_axis, shape.v_axis)));
+    if (shape.kind == ShapeKind::sphere) return Normal3f(normalize(p - shape.round.center));
+    return shape.round.disk_normal();
 }
 
 /// Boxes around shapes, one each as long as they are few: as many cost about as much as asking for the shapes.
@@ -57,9 +57,10 @@ void SiteShapes::add(const Scene& scene, std::uint32_t index, Member member, boo
         area = triangles_.back().sum();
     } else {
         triangles_.emplace_back();
-        area = shape.kind == ShapeKind::sphere
-                   ? 4 * pi_double * sqr(double(shape.radius))
-                   : pi_double * length(cross(Vector3<double>(shape.u_axis), Vector3<double>(shape.v_axis)));
+        area =
+            shape.kind == ShapeKind::sphere
+                ? 4 * pi_double * sqr(double(shape.round.radius))
+                : pi_double * length(cross(Vector3<double>(shape.round.u_axis), Vector3<double>(shape.round.v_axis)));
     }
     members_.push_back(member);
     shapes_.push_back(&shape);
@@ -85,14 +86,14 @@ SitePoint SiteShapes::sample(Start start, float u_choice, Point2f u) const {
         point.hit.u = b.x;
         point.hit.v = b.y;
         const TriangleRecord& t = shape.triangles[point.hit.primitive];
-        point.p = t.p0 + (t.e1 * b.x + t.e2 * b.y);
+        point.p = t.point(b.x, b.y);
     } else if (shape.kind == ShapeKind::sphere) {
-        point.p = shape.center + sample_uniform_sphere(u) * shape.radius;
+        point.p = shape.round.sphere_point(sample_uniform_sphere(u));
     } else {
         const Point2f d = sample_concentric_disk(u);
         point.hit.u = d.x;
         point.hit.v = d.y;
-        point.p = shape.center + shape.u_axis * d.x + shape.v_axis * d.y;
+        point.p = shape.round.disk_point(d.x, d.y);
     }
     point.ng = normal_at(shape, point.hit, point.p);
     return point;

@@ -23,7 +23,8 @@ bool TouchObserver::is_target(const Hit& hit, const LightQuery& light) const {
     if (!hit) return targets_.environment;
     const int emitter = scene_.shapes[hit.shape].emitter;
     return targets_.shapes[hit.shape] || (emitter >= 0 && targets_.emitters[std::size_t(emitter)]) ||
-           (light.ask == LightQuery::Ask::point && !scene_.emitters.empty() && targets_.emitters[light.point.emitter]);
+           (light.kind == LightQuery::Kind::point && !scene_.emitters.empty() &&
+            targets_.emitters[light.point.emitter]);
 }
 
 void TouchObserver::add_segment(std::uint32_t path, const Ray& segment) {
