@@ -199,231 +199,321 @@ void PathFinder::show_two_ends(const Interaction* middle, const Vertex* middle_v
 }
 
 void PathFinder::find(Technique technique, Site site, const Numbers& numbers, const Visitor& visit) {
-    const SiteShapes& shapes = scenes_.at(site);
-    const Scene& scene = side_.scene;
-    const int most = longest();
-    if (most < 1) return;
+    if (longest() < 1) return;
     crossings_.all.clear();
     z_.clear();
     y_.clear();
-    const Point2f u_choice = numbers.pair(choice_pair), u_light = numbers.pair(light_pair);
+    const SiteShapes& shapes = scenes_.at(site);
     const Start start = start_of(technique);
     if (!(shapes.area(start) > 0)) return;
+    const Point2f u_choice = numbers.pair(choice_pair), u_light = numbers.pair(light_pair);
     const SitePoint point = shapes.sample(start, u_choice.x, numbers.pair(point_pair));
     const SiteShapes::Member& member = shapes.members()[point.member];
-    const std::uint32_t shape = side_.is_new ? member.new_shape : member.old_shape;
-    Found found{technique, 0};
-
+    const SiteSample from{point, side_.is_new ? member.new_shape : member.old_shape, u_choice.y, u_light, numbers,
+                          visit};
     switch (technique) {
-        case Technique::dynamic_from_emitter: {
-            if (scene.emitters.empty()) return;
-            const LightSample s = sample_light(scene, point.p, u_light);
-            if (!(s.pdf_w > 0)) return;
-            Stop first;
-            first.v = side_.vertex(point, shape, s.wi);
-            first.back = s.wi;
-            if (!scatters(first.v.hit) || !has_smooth_lobe(first.v.here.bsdf)) return;
-            if (!scatters_on_both_sides(scene, first.v.here, first.v) && !(first.v.here.wo_local.z > 0)) return;
-            const LightEnd light = light_end(s);
-            if (occluded(shadow_ray(first.v, light))) return;
-            const Segment light_segment = segment_to_light(side_, first.v, light, crossings_);
-            z_.push_back(first);
-            walk(z_, Towards::sensor, numbers, most);
-            show_to_sensor(light, light_segment, found, visit);
-            return;
-        }
-        case Technique::ghost_from_emitter: {
-            if (scene.emitters.empty()) return;
-            LightQuery query;
-            query.u = u_light;
-            look_up_light(scene, query);
-            const LightSample seen = sample_light(scene, point.p, query);
-            if (!(seen.pdf_w > 0)) return;
-            const Ray away{point.p, -seen.wi};
-            const Hit hit = intersect(away);
-            if (!scatters(hit)) return;
-            Stop first;
-            first.v = side_.vertex(away, hit);
-            const Point3f& p = first.v.at.p;
-            LightEnd light;
-            if (query.placed || seen.delta) {
-                const LightSample s = sample_light(scene, p, query);
-                if (!(s.pdf_w > 0)) return;
-                light = light_end(s);
-            } else {
-                light = light_end(seen);
-                light.pdf = light_pdf(scene, light, p);
-            }
-            first.back = direction_to(light, p);
-            if (occluded(shadow_ray(first.v, light))) return;
-            const Segment light_segment = segment_to_light(side_, first.v, light, crossings_);
-            if (!relocate(light_segment, point, found.place)) return;
-            z_.push_back(first);
-            walk(z_, Towards::sensor, numbers, most);
-            show_to_sensor(light, light_segment, found, visit);
-            return;
-        }
+        case Technique::dynamic_from_emitter:
+            return dynamic_from_emitter(from);
+        case Technique::ghost_from_emitter:
+            return ghost_from_emitter(from);
         case Technique::dynamic_from_sensor:
-        case Technique::ghost_from_sensor: {
-            const bool ghost = technique == Technique::ghost_from_sensor;
-            const std::optional<FilmPoint> film = on_film(point.p);
-            if (!film) return;
-            Stop first;
-            first.back = -film->d;
-            FilmPoint at = *film;
-            if (ghost) {
-                const Ray ray{film->from, film->d, film->t_min, INFINITY};
-                const Hit hit = intersect(ray, true);
-                if (!scatters(hit) || hit.t < film->t) return;
-                first.v = side_.vertex(ray, hit);
-                at.scale *= scene.sensor.kind == SensorKind::perspective ? sqr(double(film->t) / hit.t) : 1.0;
-                at.t = hit.t;
-            } else {
-                first.v = side_.vertex(point, shape, first.back);
-                if (!scatters(first.v.hit)) return;
-                if (!scatters_on_both_sides(scene, first.v.here, first.v) && !(first.v.here.wo_local.z > 0)) return;
-                if (hides_from_sensor(first.v, *film)) return;
-                found.place = 1;
-            }
-            const Segment sensor_segment = segment_to_sensor(first.v, at);
-            if (!(sensor_segment.cos_light > 0)) return;
-            if (ghost && !relocate(sensor_segment, point, found.place)) return;
-            y_.push_back(first);
-            walk(y_, Towards::light, numbers, most, ghost);
-            show_from_sensor({at.film, at.scale}, sensor_segment, found, ghost ? 0 : 1, visit);
-            return;
-        }
-        case Technique::dynamic_two_ends: {
-            Stop middle;
-            middle.v = side_.vertex(point, shape, Vector3f(point.ng));
-            if (!scatters(middle.v.hit)) return;
-            Vector3f local = sample_cosine_hemisphere(u_light);
-            if (scatters_on_both_sides(scene, middle.v.here, middle.v) && u_choice.y >= 0.5f) local.z = -local.z;
-            const Vector3f to_light_d = middle.v.here.frame.to_world(local);
-            const Ray ray = spawn_ray(middle.v.at.end(), to_light_d);
-            const Hit hit = intersect(ray);
-            if (!scatters(hit)) return;
-            middle.back = to_light_d;
-            Stop z, y;
-            if (!step(middle, numbers.pair(walk_pair(0, false, 3)), numbers.pair(lobe_pair), z)) return;
-            const Interaction x = interact(side_, middle.v, middle.ahead, to_light_d, middle.lobe);
-            y.v = side_.vertex(ray, hit);
-            y.back = -to_light_d;
-            const Segment between[2] = {segment_between(side_, z.v, middle.v, crossings_),
-                                        segment_between(side_, middle.v, y.v, crossings_)};
-            z_.push_back(z);
-            y_.push_back(y);
-            walk(z_, Towards::sensor, numbers, most - 2);
-            walk(y_, Towards::light, numbers, most - 2);
-            show_two_ends(&x, &middle.v, between, found, visit);
-            return;
-        }
-        case Technique::ghost_two_ends: {
-            Vector3f local = sample_cosine_hemisphere(u_light);
-            if (u_choice.y >= 0.5f) local.z = -local.z;
-            const Vector3f d = Framef(point.ng).to_world(local);
-            const Ray ahead{point.p, d}, behind{point.p, -d};
-            const Hit light_hit = intersect(ahead);
-            if (!scatters(light_hit)) return;
-            const Hit sensor_hit = intersect(behind);
-            if (!scatters(sensor_hit)) return;
-            Stop z, y;
-            z.v = side_.vertex(behind, sensor_hit);
-            y.v = side_.vertex(ahead, light_hit);
-            y.back = normalize(z.v.at.p - y.v.at.p);
-            z.back = -y.back;
-            const Segment between = segment_between(side_, z.v, y.v, crossings_);
-            if (!relocate(between, point, found.place)) return;
-            z_.push_back(z);
-            y_.push_back(y);
-            walk(z_, Towards::sensor, numbers, most - 1);
-            walk(y_, Towards::light, numbers, most - 1);
-            show_two_ends(nullptr, nullptr, &between, found, visit);
-            return;
-        }
+            return dynamic_from_sensor(from);
+        case Technique::ghost_from_sensor:
+            return ghost_from_sensor(from);
+        case Technique::dynamic_two_ends:
+            return dynamic_two_ends(from);
+        case Technique::ghost_two_ends:
+            return ghost_two_ends(from);
         case Technique::path_tracing:
             return;
     }
 }
 
-bool PathFinder::find_from_camera(PathId id, const Sampler& numbers, const Visitor& visit) {
+bool PathFinder::reflects_back(const Vertex& v) const {
+    return scatters_on_both_sides(side_.scene, v.here, v) || v.here.wo_local.z > 0;
+}
+
+void PathFinder::dynamic_from_emitter(const SiteSample& from) {
+    // Sample a light.
+    if (side_.scene.emitters.empty()) return;
+    const LightSample s = sample_light(side_.scene, from.point.p, from.u_light);
+    if (!(s.pdf_w > 0)) return;
+
+    // Make the point the vertex next to it.
+    Stop first;
+    first.v = side_.vertex(from.point, from.shape, s.wi);
+    first.back = s.wi;
+    if (!scatters(first.v.hit) || !has_smooth_lobe(first.v.here.bsdf) || !reflects_back(first.v)) return;
+
+    from_light(first, light_end(s), nullptr, Technique::dynamic_from_emitter, from);
+}
+
+void PathFinder::ghost_from_emitter(const SiteSample& from) {
+    // Sample a light as seen from the ghost.
     const Scene& scene = side_.scene;
+    if (scene.emitters.empty()) return;
+    LightQuery query;
+    query.u = from.u_light;
+    look_up_light(scene, query);
+    const LightSample seen = sample_light(scene, from.point.p, query);
+    if (!(seen.pdf_w > 0)) return;
+
+    // Find the vertex behind the ghost.
+    const Ray away{from.point.p, -seen.wi};
+    const Hit hit = intersect(away);
+    if (!scatters(hit)) return;
+    Stop first;
+    first.v = side_.vertex(away, hit);
+
+    // Take the light as that vertex sees it.
+    const Point3f& p = first.v.at.p;
+    LightEnd light;
+    if (query.placed || seen.delta) {
+        const LightSample s = sample_light(scene, p, query);
+        if (!(s.pdf_w > 0)) return;
+        light = light_end(s);
+    } else {
+        light = light_end(seen);
+        light.pdf = light_pdf(scene, light, p);
+    }
+    first.back = direction_to(light, p);
+
+    from_light(first, light, &from.point, Technique::ghost_from_emitter, from);
+}
+
+void PathFinder::from_light(const Stop& first, const LightEnd& light, const SitePoint* ghost, Technique technique,
+                            const SiteSample& from) {
+    // Test visibility.
+    if (occluded(shadow_ray(first.v, light))) return;
+
+    // Find the ghost on the segment.
+    Found found{technique, 0};
+    const Segment light_segment = segment_to_light(side_, first.v, light, crossings_);
+    if (ghost && !relocate(light_segment, *ghost, found.place)) return;
+
+    // Walk to the sensor.
+    z_.push_back(first);
+    walk(z_, Towards::sensor, from.numbers, longest());
+    show_to_sensor(light, light_segment, found, from.visit);
+}
+
+void PathFinder::dynamic_from_sensor(const SiteSample& from) {
+    // Project the point onto the film.
+    const std::optional<FilmPoint> film = on_film(from.point.p);
+    if (!film) return;
+
+    // Make it the first vertex of the path.
+    Stop first;
+    first.back = -film->d;
+    first.v = side_.vertex(from.point, from.shape, first.back);
+    if (!scatters(first.v.hit) || !reflects_back(first.v)) return;
+
+    // Test visibility.
+    if (hides_from_sensor(first.v, *film)) return;
+    const Segment sensor_segment = segment_to_sensor(first.v, *film);
+    if (!(sensor_segment.cos_light > 0)) return;
+
+    // Walk to the light. A path of this vertex alone is left to technique 1.
+    y_.push_back(first);
+    walk(y_, Towards::light, from.numbers, longest(), false);
+    show_from_sensor({film->film, film->scale}, sensor_segment, {Technique::dynamic_from_sensor, 1}, 1, from.visit);
+}
+
+void PathFinder::ghost_from_sensor(const SiteSample& from) {
+    // Project the ghost onto the film.
+    const std::optional<FilmPoint> film = on_film(from.point.p);
+    if (!film) return;
+
+    // Find the vertex behind it.
+    const Ray ray{film->from, film->d, film->t_min, INFINITY};
+    const Hit hit = intersect(ray, true);
+    if (!scatters(hit) || hit.t < film->t) return;
+    Stop first;
+    first.back = -film->d;
+    first.v = side_.vertex(ray, hit);
+    FilmPoint at = *film;
+    at.scale *= side_.scene.sensor.kind == SensorKind::perspective ? sqr(double(film->t) / hit.t) : 1.0;
+    at.t = hit.t;
+
+    // Find the ghost on the segment.
+    const Segment sensor_segment = segment_to_sensor(first.v, at);
+    if (!(sensor_segment.cos_light > 0)) return;
+    Found found{Technique::ghost_from_sensor, 0};
+    if (!relocate(sensor_segment, from.point, found.place)) return;
+
+    // Walk to the light.
+    y_.push_back(first);
+    walk(y_, Towards::light, from.numbers, longest());
+    show_from_sensor({at.film, at.scale}, sensor_segment, found, 0, from.visit);
+}
+
+void PathFinder::dynamic_two_ends(const SiteSample& from) {
+    // Sample a direction towards the light by the cosine, and find its vertex.
+    Stop middle;
+    middle.v = side_.vertex(from.point, from.shape, Vector3f(from.point.ng));
+    if (!scatters(middle.v.hit)) return;
+    Vector3f local = sample_cosine_hemisphere(from.u_light);
+    if (scatters_on_both_sides(side_.scene, middle.v.here, middle.v) && from.u_side >= 0.5f) local.z = -local.z;
+    const Vector3f to_light_d = middle.v.here.frame.to_world(local);
+    const Ray ray = spawn_ray(middle.v.at.end(), to_light_d);
+    const Hit hit = intersect(ray);
+    if (!scatters(hit)) return;
+
+    // Sample the BSDF towards the sensor, and find that vertex.
+    middle.back = to_light_d;
+    Stop z, y;
+    if (!step(middle, from.numbers.pair(walk_pair(0, false, 3)), from.numbers.pair(lobe_pair), z)) return;
+    const Interaction x = interact(side_, middle.v, middle.ahead, to_light_d, middle.lobe);
+    y.v = side_.vertex(ray, hit);
+    y.back = -to_light_d;
+    const Segment between[2] = {segment_between(side_, z.v, middle.v, crossings_),
+                                segment_between(side_, middle.v, y.v, crossings_)};
+
+    // Walk to both ends.
+    z_.push_back(z);
+    y_.push_back(y);
+    walk(z_, Towards::sensor, from.numbers, longest() - 2);
+    walk(y_, Towards::light, from.numbers, longest() - 2);
+    show_two_ends(&x, &middle.v, between, {Technique::dynamic_two_ends, 0}, from.visit);
+}
+
+void PathFinder::ghost_two_ends(const SiteSample& from) {
+    // Sample a line through the ghost by the cosine.
+    Vector3f local = sample_cosine_hemisphere(from.u_light);
+    if (from.u_side >= 0.5f) local.z = -local.z;
+    const Vector3f d = Framef(from.point.ng).to_world(local);
+
+    // Find the vertices at both of its ends.
+    const Ray ahead{from.point.p, d}, behind{from.point.p, -d};
+    const Hit light_hit = intersect(ahead);
+    if (!scatters(light_hit)) return;
+    const Hit sensor_hit = intersect(behind);
+    if (!scatters(sensor_hit)) return;
+    Stop z, y;
+    z.v = side_.vertex(behind, sensor_hit);
+    y.v = side_.vertex(ahead, light_hit);
+    y.back = normalize(z.v.at.p - y.v.at.p);
+    z.back = -y.back;
+
+    // Find the ghost on the segment.
+    Found found{Technique::ghost_two_ends, 0};
+    const Segment between = segment_between(side_, z.v, y.v, crossings_);
+    if (!relocate(between, from.point, found.place)) return;
+
+    // Walk to both ends.
+    z_.push_back(z);
+    y_.push_back(y);
+    walk(z_, Towards::sensor, from.numbers, longest() - 1);
+    walk(y_, Towards::light, from.numbers, longest() - 1);
+    show_two_ends(nullptr, nullptr, &between, found, from.visit);
+}
+
+bool PathFinder::find_from_camera(PathId id, const Sampler& numbers, const Visitor& visit) {
     crossings_.all.clear();
     y_.clear();
     first_hit = {};
-    const Ray first = scene.sensor.sample_ray(std::uint32_t(id.pixel % scene.sensor.width),
-                                              std::uint32_t(id.pixel / scene.sensor.width), numbers.pair(film_pair));
-    Ray ray = first;
-    bool touched = !scenes_.same_choice_of_lights, escaped = false, is_straight = true;
-    LightEnd sky;
-    const auto crosses = [&](const Ray& r) { return scenes_.mover_rays && scenes_.mover_rays->occluded(r); };
-    // What the path meets, first; what it is worth only where the edit has a part in it.
+    // Trace the path; evaluate it only where the edit touches it.
+    const CameraPath path = trace_from_camera(id, numbers);
+    if (!path.touched || options_.max_depth == 0) return false;
+    show_camera_path(path, visit);
+    return true;
+}
+
+PathFinder::CameraPath PathFinder::trace_from_camera(PathId id, const Sampler& numbers) {
+    const Scene& scene = side_.scene;
+    CameraPath path;
+    path.touched = !scenes_.same_choice_of_lights;
+    path.first = scene.sensor.sample_ray(std::uint32_t(id.pixel % scene.sensor.width),
+                                         std::uint32_t(id.pixel / scene.sensor.width), numbers.pair(film_pair));
+    Ray ray = path.first;
+    bool is_straight = true;
     for (int depth = 1;; ++depth) {
+        // Intersect the ray.
         const Hit hit = intersect(ray, depth == 1);
         Ray upto = ray;
         if (hit) upto.t_max = hit.t * (1 - point_epsilon);
-        touched = touched || crosses(upto);
+        path.touched = path.touched || crosses_movers(upto);
         if (!hit) {
-            escaped = true;
-            touched = touched || scenes_.lights_changed;
-            if (scene.environment < 0 || hides_sky(scene, is_straight)) break;
-            sky.Le = Radiance(environment(scene, ray.d));
-            sky.y = Point3f(ray.d);
-            sky.at_infinity = true;
-            sky.emitter = std::uint16_t(scene.environment);
-            sky.changed = side_.changed_emitter[std::size_t(scene.environment)];
-            sky.pdf = pdf_environment_w(scene, ray.d);
-            break;
+            path.escaped = true;
+            path.touched = path.touched || scenes_.lights_changed;
+            if (scene.environment >= 0 && !hides_sky(scene, is_straight)) path.sky = sky_end(ray.d);
+            return path;
         }
-        Stop stop;
+
+        // Add its vertex, with the light that it emits.
+        Stop& stop = y_.emplace_back();
         stop.v = side_.vertex(ray, hit);
         stop.back = -ray.d;
-        touched = touched || stop.v.site != no_site;
+        path.touched = path.touched || stop.v.site != no_site;
         if (depth == 1) first_hit = loom::first_hit(stop.v.here, hit.t);
         if (const int emitter = scene.shapes[hit.shape].emitter; emitter >= 0) {
-            stop.met.Le = Radiance(emitted(scene, stop.v.at, stop.back));
-            stop.met.y = stop.v.at.p;
-            stop.met.n = stop.v.at.ng;
-            stop.met.hit_error = stop.v.at.hit_error;
-            stop.met.emitter = std::uint16_t(emitter);
-            stop.met.changed = side_.changed_emitter[std::size_t(emitter)];
-            stop.met.pdf = depth > 1 ? pdf_light_w(scene, y_.back().v.at.p, stop.v.at) : 0.0f;
-            touched = touched || stop.met.changed;
+            stop.met = emitted_end(stop, emitter);
+            stop.met.pdf = depth > 1 ? pdf_light_w(scene, y_[y_.size() - 2].v.at.p, stop.v.at) : 0.0f;
+            path.touched = path.touched || stop.met.changed;
         }
-        if (depth == options_.max_depth || !scatters(hit)) {
-            y_.push_back(stop);
-            break;
-        }
-        ++n_vertices;
-        const ShadingPoint& here = stop.v.here;
-        if (!scene.emitters.empty() && has_smooth_lobe(here.bsdf)) {
-            const LightSample s = sample_light(scene, here.p, numbers.pair(dimension(depth, Dimension::light)));
-            touched = touched || side_.changed_emitter[s.emitter];
-            if (s.pdf_w > 0 && !is_black(f_cos_pdf(here, s.wi).f_cos)) {
-                stop.light = light_end(s);
-                const Ray shadow = shadow_ray(stop.v, stop.light);
-                stop.joined = !occluded(shadow);
-                touched = touched || crosses(shadow);
-            }
-        }
-        const float q = roulette_at(options_, depth) != Roulette::off ? survival(here) : 1.0f;
-        bool goes_on = !roulette_ends(q, numbers, depth);
-        if (goes_on) {
-            const BsdfSample<float> s =
-                draw_unshadowed(here, numbers, depth, numbers.pair(dimension(depth, Dimension::direction)));
-            goes_on = s.lobe != Lobe::none && !is_black(s.weight);
-            if (goes_on) {
-                stop.ahead = here.frame.to_world(s.wi);
-                stop.lobe = s.lobe;
-                is_straight &= goes_straight_on(s.lobe, here.bsdf.model->kind);
-                ray = spawn_ray(here.end(), stop.ahead);
-            }
-        }
-        y_.push_back(stop);
-        if (!goes_on) break;
-    }
-    if (!touched || options_.max_depth == 0) return false;
+        if (depth == options_.max_depth || !scatters(hit)) return path;
 
+        // Sample a light and the next direction.
+        ++n_vertices;
+        join_sampled_light(stop, numbers, depth, path.touched);
+        if (!leave(stop, numbers, depth)) return path;
+        is_straight &= goes_straight_on(stop.lobe, stop.v.here.bsdf.model->kind);
+        ray = spawn_ray(stop.v.here.end(), stop.ahead);
+    }
+}
+
+bool PathFinder::crosses_movers(const Ray& ray) const {
+    return scenes_.mover_rays && scenes_.mover_rays->occluded(ray);
+}
+
+LightEnd PathFinder::sky_end(const Vector3f& d) const {
+    const Scene& scene = side_.scene;
+    LightEnd sky;
+    sky.Le = Radiance(environment(scene, d));
+    sky.y = Point3f(d);
+    sky.at_infinity = true;
+    sky.emitter = std::uint16_t(scene.environment);
+    sky.changed = side_.changed_emitter[std::size_t(scene.environment)];
+    sky.pdf = pdf_environment_w(scene, d);
+    return sky;
+}
+
+LightEnd PathFinder::emitted_end(const Stop& stop, int emitter) const {
+    LightEnd light;
+    light.Le = Radiance(emitted(side_.scene, stop.v.at, stop.back));
+    light.y = stop.v.at.p;
+    light.n = stop.v.at.ng;
+    light.hit_error = stop.v.at.hit_error;
+    light.emitter = std::uint16_t(emitter);
+    light.changed = side_.changed_emitter[std::size_t(emitter)];
+    return light;
+}
+
+void PathFinder::join_sampled_light(Stop& stop, const Sampler& numbers, int depth, bool& touched) {
+    const ShadingPoint& here = stop.v.here;
+    if (side_.scene.emitters.empty() || !has_smooth_lobe(here.bsdf)) return;
+    const LightSample s = sample_light(side_.scene, here.p, numbers.pair(dimension(depth, Dimension::light)));
+    touched = touched || side_.changed_emitter[s.emitter];
+    if (!(s.pdf_w > 0) || is_black(f_cos_pdf(here, s.wi).f_cos)) return;
+    stop.light = light_end(s);
+    const Ray shadow = shadow_ray(stop.v, stop.light);
+    stop.joined = !occluded(shadow);
+    touched = touched || crosses_movers(shadow);
+}
+
+bool PathFinder::leave(Stop& stop, const Sampler& numbers, int depth) const {
+    const ShadingPoint& here = stop.v.here;
+    const float q = roulette_at(options_, depth) != Roulette::off ? survival(here) : 1.0f;
+    if (roulette_ends(q, numbers, depth)) return false;
+    const BsdfSample<float> s =
+        draw_unshadowed(here, numbers, depth, numbers.pair(dimension(depth, Dimension::direction)));
+    if (s.lobe == Lobe::none || is_black(s.weight)) return false;
+    stop.ahead = here.frame.to_world(s.wi);
+    stop.lobe = s.lobe;
+    return true;
+}
+
+void PathFinder::show_camera_path(const CameraPath& path, const Visitor& visit) {
     const auto show = [&](const LightEnd& light, bool next_event) {
         path_.light = light;
         if (max_channel(light.Le) > 0 && path_.dynamic()) visit(path_, {Technique::path_tracing, 0, next_event});
@@ -432,14 +522,17 @@ bool PathFinder::find_from_camera(PathId id, const Sampler& numbers, const Visit
         from.onward = interact(side_, from.v, from.back, from.ahead, from.lobe);
         path_.add(from.onward, from.v, ahead);
     };
-    const FilmPoint film = scene.sensor.film_of(first, y_.empty() ? 1 : first_hit.depth);
+    const FilmPoint film = side_.scene.sensor.film_of(path.first, y_.empty() ? 1 : first_hit.depth);
     const SensorEnd sensor{film.film, film.scale};
     for (std::size_t k = 0; k < y_.size(); ++k) {
+        // Extend the path by one vertex.
         Stop& here = y_[k];
         if (k == 0)
             path_.start(sensor, segment_to_sensor(here.v, film));
         else
             go_on(y_[k - 1], segment_between(side_, y_[k - 1].v, here.v, crossings_));
+
+        // End it at the light that this vertex emits, then at the one sampled from it.
         show(here.met, false);
         if (!here.joined) continue;
         here.end = interact(side_, here.v, here.back, direction_to(here.light, here.v.at.p), Lobe::none);
@@ -447,14 +540,16 @@ bool PathFinder::find_from_camera(PathId id, const Sampler& numbers, const Visit
         show(here.light, true);
         path_.remove_last();
     }
-    if (escaped && y_.empty()) {
+    if (!path.escaped) return;
+
+    // End it at the sky.
+    if (y_.empty()) {
         const auto at = std::uint32_t(crossings_.all.size());
-        path_.start(sensor, {1, 1, at, side_.cross(first, crossings_)});
-    } else if (escaped) {
-        go_on(y_.back(), segment_to_light(side_, y_.back().v, sky, crossings_));
+        path_.start(sensor, {1, 1, at, side_.cross(path.first, crossings_)});
+    } else {
+        go_on(y_.back(), segment_to_light(side_, y_.back().v, path.sky, crossings_));
     }
-    if (escaped) show(sky, false);
-    return true;
+    show(path.sky, false);
 }
 
 }  // namespace loom::residual

@@ -56,6 +56,47 @@ class PathFinder {
     };
     enum class Towards : std::uint8_t { sensor, light };
 
+    /// A point of a site, and the random numbers of the sample that starts from it.
+    struct SiteSample {
+        const SitePoint& point;
+        std::uint32_t shape;  // of the point in this scene
+        float u_side;
+        Point2f u_light;
+        const Numbers& numbers;
+        const Visitor& visit;
+    };
+    void dynamic_from_emitter(const SiteSample& from);
+    void ghost_from_emitter(const SiteSample& from);
+    void dynamic_from_sensor(const SiteSample& from);
+    void ghost_from_sensor(const SiteSample& from);
+    void dynamic_two_ends(const SiteSample& from);
+    void ghost_two_ends(const SiteSample& from);
+    /// Paths from the light through `first`, the vertex next to it.
+    /// in:  ghost  null, or the point that must lie between the two
+    void from_light(const Stop& first, const LightEnd& light, const SitePoint* ghost, Technique technique,
+                    const SiteSample& from);
+    /// Whether a vertex reflects on the side that it is seen from.
+    bool reflects_back(const Vertex& v) const;
+
+    /// A camera path as traced; its vertices are y_.
+    struct CameraPath {
+        Ray first;             // from the camera
+        LightEnd sky;          // where its last ray escaped
+        bool touched = false;  // by the edit
+        bool escaped = false;
+    };
+    CameraPath trace_from_camera(PathId id, const Sampler& numbers);
+    void show_camera_path(const CameraPath& path, const Visitor& visit);
+    bool crosses_movers(const Ray& ray) const;
+    LightEnd sky_end(const Vector3f& d) const;
+    /// Light that a vertex emits; its pdf is left to the caller.
+    LightEnd emitted_end(const Stop& stop, int emitter) const;
+    /// Samples a light from a vertex of a camera path.
+    /// in, out: touched  whether the edit touches the path
+    void join_sampled_light(Stop& stop, const Sampler& numbers, int depth, bool& touched);
+    /// Samples the next direction of a camera path; false where the path ends.
+    bool leave(Stop& stop, const Sampler& numbers, int depth) const;
+
     /// Goes on from the last of the stops, and joins each on the way (the first only if told to).
     void walk(std::vector<Stop>& stops, Towards towards, const Numbers& numbers, int n_max, bool join_first = true);
     /// in:  u_lobe_roulette  x, y
