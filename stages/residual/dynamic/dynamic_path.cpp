@@ -88,8 +88,103 @@ double light_pdf(const Scene& scene, const LightEnd& light, const Point3f& from)
     return pdf_light_w(scene, from, at);
 }
 
+namespace {
+
+/// Adds the densities of techniques 1 to 6.
+class SiteDensities {
+  public:
+    SiteDensities(const DynamicScenes& scenes, const DynamicScene& side, const SampleCounts& counts,
+                  const FullPath& path, double p_light, std::vector<Term>* terms, Evaluation& e)
+        : scenes_(scenes), side_(side), counts_(counts), path_(path), m_(path.m()), terms_(terms), e_(e) {
+        if (m_ > inline_size) {
+            many_.resize(2 * m_);
+            S_ = many_.data();
+            E_ = many_.data() + m_;
+        }
+        from_sensor_ = 1 / (path.sensor.scale * path.segments[0].cos_light);
+        S_[0] = path.vertices[0].specular ? 0 : from_sensor_;
+        for (std::size_t i = 1; i < m_; ++i) {
+            const Interaction& x = path.vertices[i];
+            S_[i] = S_[i - 1] * x.pdf_sensor * x.q_sensor * path.segments[i].cos_sensor / path.segments[i].cos_light;
+        }
+        E_[m_ - 1] = p_light;
+        for (std::size_t i = m_ - 1; i-- > 0;)
+            E_[i] = path.vertices[i].pdf_light * path.vertices[i].q_light * E_[i + 1];
+    }
+
+    void add_dynamic() {
+        for (std::size_t i = 0; i < m_; ++i) {
+            const Interaction& x = path_.vertices[i];
+            if (x.site == no_site) continue;
+            const Site site = Site(x.site);
+            if (i + 1 == m_)
+                add(Technique::dynamic_from_emitter, site, i + 1, S_[i] * E_[i]);
+            else if (i == 0)
+                add(Technique::dynamic_from_sensor, site, i + 1, from_sensor_ * E_[0]);
+            else
+                add(Technique::dynamic_two_ends, site, i + 1, S_[i] * x.pdf_cosine * E_[i + 1]);
+        }
+    }
+
+    void add_ghosts() {
+        const Site site = side_.ghost_site();
+        for (std::size_t i = 0; i <= m_; ++i) {
+            const Segment& s = path_.segments[i];
+            for (std::uint32_t c = s.first; c < s.first + s.n; ++c) {
+                const Crossing& g = (*path_.crossings)[c];
+                if (i == m_) {
+                    if (path_.light.delta && path_.vertices[m_ - 1].specular) continue;
+                    add(Technique::ghost_from_emitter, site, c, light_density(g, s.cos_sensor) * S_[m_ - 1]);
+                } else if (i == 0) {
+                    const std::optional<FilmPoint> film = side_.scene.sensor.project(g.p);
+                    if (film) add(Technique::ghost_from_sensor, site, c, E_[0] / (film->scale * cosine(g.n, film->d)));
+                } else {
+                    add(Technique::ghost_two_ends, site, c, 0.5 * inv_pi<double> * s.cos_sensor * S_[i - 1] * E_[i]);
+                }
+            }
+        }
+    }
+
+  private:
+    static constexpr std::size_t inline_size = 32;
+
+    /// Density with which a ghost on the light's segment leads to the vertex behind it.
+    double light_density(const Crossing& g, float cos_sensor) const {
+        const Point3f& v = path_.places[m_ - 1]->at.p;
+        const Vector3f to_light = direction_to(path_.light, v);
+        double nearer = 1;  // the light of a point falls off from the ghost to the vertex
+        if (path_.light.delta && !path_.light.at_infinity)
+            nearer = double(length2(path_.light.y - g.p)) / length2(path_.light.y - v);
+        return light_pdf(side_.scene, path_.light, g.p) * nearer * cos_sensor / cosine(g.n, to_light);
+    }
+
+    void add(Technique technique, Site site, std::size_t place, double density) {
+        const SampleCounts::FromSite& from = counts_.of(technique, site);
+        if (!(from.n > 0)) return;
+        const double d = from.n / scenes_.at(site).area(start_of(technique)) * density;
+        e_.site_density += d;
+        if (terms_) terms_->push_back({technique, std::uint32_t(place), d, from.family});
+    }
+
+    const DynamicScenes& scenes_;
+    const DynamicScene& side_;
+    const SampleCounts& counts_;
+    const FullPath& path_;
+    std::size_t m_;
+    std::vector<Term>* terms_;
+    Evaluation& e_;
+    // Prefixes from the sensor and from the emitter, S[i] and E[i] of vertex i + 1.
+    std::array<double, inline_size> S_few_, E_few_;
+    std::vector<double> many_;
+    double *S_ = S_few_.data(), *E_ = E_few_.data();
+    double from_sensor_;  // of what is joined to the sensor; techniques 2 and 5 come from there
+};
+
+}  // namespace
+
 Evaluation evaluate(const DynamicScenes& scenes, const DynamicScene& side, const SampleCounts& counts,
                     const PathOptions& options, const FullPath& path, std::vector<Term>* terms) {
+    // Contribution, and the density of path tracing.
     const std::size_t m = path.m();
     Evaluation e;
     if (!path.dynamic()) return e;
@@ -110,63 +205,10 @@ Evaluation evaluate(const DynamicScenes& scenes, const DynamicScene& side, const
     if (terms) terms->push_back({Technique::path_tracing, 0, e.camera_density});
     if (m == 0 || (counts.first_to_camera && path.dynamic_at_first())) return e;
 
-    // Prefixes from the sensor and from the emitter, S[i] and E[i] of vertex i + 1.
-    constexpr std::size_t inline_size = 32;
-    std::array<double, inline_size> S_few, E_few;
-    std::vector<double> many;
-    if (m > inline_size) many.resize(2 * m);
-    double* const S = m > inline_size ? many.data() : S_few.data();
-    double* const E = m > inline_size ? many.data() + m : E_few.data();
-    // Of what is joined to the sensor; techniques 2 and 5 come from there.
-    const double from_sensor = 1 / (path.sensor.scale * path.segments[0].cos_light);
-    S[0] = path.vertices[0].specular ? 0 : from_sensor;
-    for (std::size_t i = 1; i < m; ++i) {
-        const Interaction& x = path.vertices[i];
-        S[i] = S[i - 1] * x.pdf_sensor * x.q_sensor * path.segments[i].cos_sensor / path.segments[i].cos_light;
-    }
-    E[m - 1] = p_light;
-    for (std::size_t i = m - 1; i-- > 0;) E[i] = path.vertices[i].pdf_light * path.vertices[i].q_light * E[i + 1];
-
-    const auto add = [&](Technique technique, Site site, std::size_t place, double density) {
-        const SampleCounts::FromSite& from = counts.of(technique, site);
-        if (!(from.n > 0)) return;
-        const double d = from.n / scenes.at(site).area(start_of(technique)) * density;
-        e.site_density += d;
-        if (terms) terms->push_back({technique, std::uint32_t(place), d, from.family});
-    };
-    for (std::size_t i = 0; i < m; ++i) {
-        const Interaction& x = path.vertices[i];
-        if (x.site == no_site) continue;
-        const Site site = Site(x.site);
-        if (i + 1 == m)
-            add(Technique::dynamic_from_emitter, site, i + 1, S[i] * E[i]);
-        else if (i == 0)
-            add(Technique::dynamic_from_sensor, site, i + 1, from_sensor * E[0]);
-        else
-            add(Technique::dynamic_two_ends, site, i + 1, S[i] * x.pdf_cosine * E[i + 1]);
-    }
-    const Site ghosts = side.ghost_site();
-    for (std::size_t i = 0; i <= m; ++i) {
-        const Segment& s = path.segments[i];
-        for (std::uint32_t c = s.first; c < s.first + s.n; ++c) {
-            const Crossing& g = (*path.crossings)[c];
-            if (i == m) {
-                if (path.light.delta && path.vertices[m - 1].specular) continue;
-                const Point3f& v = path.places[m - 1]->at.p;
-                const Vector3f to_light = direction_to(path.light, v);
-                double nearer = 1;  // the light of a point falls off from the ghost to the vertex
-                if (path.light.delta && !path.light.at_infinity)
-                    nearer = double(length2(path.light.y - g.p)) / length2(path.light.y - v);
-                add(Technique::ghost_from_emitter, ghosts, c,
-                    light_pdf(side.scene, path.light, g.p) * nearer * s.cos_sensor / cosine(g.n, to_light) * S[m - 1]);
-            } else if (i == 0) {
-                const std::optional<FilmPoint> film = side.scene.sensor.project(g.p);
-                if (film) add(Technique::ghost_from_sensor, ghosts, c, E[0] / (film->scale * cosine(g.n, film->d)));
-            } else {
-                add(Technique::ghost_two_ends, ghosts, c, 0.5 * inv_pi<double> * s.cos_sensor * S[i - 1] * E[i]);
-            }
-        }
-    }
+    // Densities of paths from sites.
+    SiteDensities sites(scenes, side, counts, path, p_light, terms, e);
+    sites.add_dynamic();
+    sites.add_ghosts();
     return e;
 }
 
