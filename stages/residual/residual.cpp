@@ -315,109 +315,164 @@ Image take_controlled(const Image& old_picture, const Image& residual, Controlle
     return sum;
 }
 
-void run(const Options& options, app::Report& report) {
-    const bool names_techniques = options.technique == "list";
-    if (!options.plan && !names_techniques) check_endings(options);
-    const std::string& new_file = options.new_scene.empty() ? options.old_scene : options.new_scene;
-    SceneDescription old_description =
-        read_scene(options.old_scene, both(options.defines, options.old_defines), options.sensor);
-    SceneDescription new_description = read_scene(new_file, both(options.defines, options.new_defines), options.sensor);
-    const Edit edit = find_edit(old_description, new_description);
-    std::string plan = plan_of(options.old_graph.empty() ? options.method : Method::correlated, edit);
-    const std::string found = edit.nothing() ? "nothing differs" : fmt::format("{}", fmt::join(edit.changes, "\n"));
-    const std::string counted = fmt::format("shapes: {} dynamic, {} ghosts of them, {} repainted; lights: {} changed",
-                                            edit.n_dynamic(), edit.n_ghosts(), edit.n_dyed(), edit.n_emitters());
-    if (options.plan) {
-        std::string text = found + "\n";
-        for (const std::string& note : edit.notes) text += "note: " + note + "\n";
-        if (!edit.nothing()) text += counted + "\n";
-        report.answer(text + plan + "\n");
-        return;
-    }
+namespace {
+
+std::string text_of(const Edit& edit) {
+    return edit.nothing() ? "nothing differs" : fmt::format("{}", fmt::join(edit.changes, "; "));
+}
+
+/// The answer to --plan.
+std::string answer_of(const Edit& edit, const std::string& plan) {
+    std::string text = edit.nothing() ? "nothing differs" : fmt::format("{}", fmt::join(edit.changes, "\n"));
+    text += "\n";
+    for (const std::string& note : edit.notes) text += fmt::format("note: {}\n", note);
+    if (!edit.nothing())
+        text += fmt::format("shapes: {} dynamic, {} ghosts of them, {} repainted; lights: {} changed\n",
+                            edit.n_dynamic(), edit.n_ghosts(), edit.n_dyed(), edit.n_emitters());
+    return text + plan + "\n";
+}
+
+void report_edit(const Edit& edit, app::Report& report) {
     for (const std::string& note : edit.notes) report.info("{}", note);
     if (edit.nothing()) report.info("edit: nothing differs");
     for (const std::string& line : edit.changes) report.info("edit: {}", line);
-    if (options.residual.empty()) report.info("plan: {}", plan);
+}
 
-    const auto old_scene = build_scene(std::move(old_description)), new_scene = build_scene(std::move(new_description));
-    for (const std::string& note : new_scene->notes) report.info("{}", note);
-    if (names_techniques) {
-        std::string names;
-        for (const Family& family : families_of(DynamicScenes(*old_scene, *new_scene, edit)))
-            names += std::string(family.name) + "\n";
-        report.answer(names);
-        return;
-    }
-    const std::string old_name = file_name(options.old_scene), new_name = file_name(new_file);
-    Image old_picture;
-    if (!options.old_picture.empty()) old_picture = read_old_picture(options.old_picture, *old_scene, old_name, report);
-    const Cost loading = report.cost();
+/// The two scenes of a run under the names of their files.
+struct Scenes {
+    std::unique_ptr<Scene> old_scene, new_scene;
+    std::string old_name, new_name;
 
+    ScenePair pair() const { return {*old_scene, *new_scene}; }
+};
+
+/// The answer to --technique list.
+std::string technique_names(const Scenes& scenes, const Edit& edit) {
+    std::string names;
+    for (const Family& family : families_of(DynamicScenes(*scenes.old_scene, *scenes.new_scene, edit)))
+        names += std::string(family.name) + "\n";
+    return names;
+}
+
+/// A residual, and how it was made.
+struct Residual {
+    Image image;
+    bool existed = false;  // --residual
     PathOptions path;
-    const Ledger before = options.old_picture.empty() ? Ledger() : ledger_of(old_picture);
-    path.seed = streams::edit(options.seed, std::max<std::size_t>(before.size(), 1));
-    path.rr_depth = new_scene->rr_depth;
-    path.max_depth = options.max_depth.value_or(new_scene->max_depth);
+    OldGraph graph;                               // --old-graph
+    bool same_samples = false;                    // the old image is of the graph's samples
+    GraphResidual of_graph;                       // with a graph
+    std::optional<ControlledPicture> controlled;  // --method auto
     Counts counts;
-    const bool made = !options.residual.empty(), stored = !options.old_graph.empty();
-    OldGraph graph;
-    bool same = false;  // the old picture is of the graph's samples
-    if (stored) {
-        graph = read_old_graph(options.old_graph, *old_scene, old_name, path.max_depth);
-        path.seed = graph.path.seed;
-        if (!options.new_picture.empty() && graph.spp < 2)
-            throw InputError(
-                fmt::format("{}: one sample per pixel has no variance, which --new must store; at least 2 are needed",
-                            options.old_graph[0]));
-        same = !options.old_picture.empty() && old_picture.ledger.empty() &&
-               same_samples(old_picture, options.old_picture, graph);
-    }
-    Image residual;
-    std::optional<ControlledPicture> controlled;
-    GraphResidual of_graph;
-    if (made) residual = read_residual(options.residual, *new_scene, new_name);
-    if (!same)
-        check_numbers(before,
-                      made     ? residual.ledger[0].method
-                      : stored ? old_graph_method
-                               : method_name(options.method),
-                      made ? residual.ledger[0].seed : path.seed);
-    if (stored) {
-        of_graph = render_residual({*old_scene, *new_scene}, edit, graph, options.threads,
-                                   same ? &old_picture : nullptr, report);
-        residual = of_graph.image;
-        counts = of_graph.counts;
-        plan += "; old graph: " + of_graph.summary();
-        report.info("old graph: {}", of_graph.summary());
-        if (same)
-            report.info("{}: has the samples of the graph, so the sum is the new scene's image of these samples",
-                        options.old_picture);
-    } else if (!made) {
-        residual = options.method == Method::automatic || options.method == Method::dynamic
-                       ? render_by_dynamic_paths({*old_scene, *new_scene}, edit, options, path,
-                                                 options.new_picture.empty() ? nullptr : &old_picture, report, counts,
-                                                 plan, controlled)
-                       : render_residual({*old_scene, *new_scene}, options.method, path,
-                                         {options.first_sample, options.spp, options.threads}, report, counts);
-    }
-    const std::string how = made ? residual.provenance.plan : plan;
-    const std::uint64_t seed = made ? residual.provenance.seed : stored ? path.seed : options.seed;
-    const std::string in_words = edit.nothing() ? "nothing differs" : fmt::format("{}", fmt::join(edit.changes, "; "));
-    std::vector<InputId> inputs{{old_name, content_hash_text(old_scene->content_hash)},
-                                {new_name, content_hash_text(new_scene->content_hash)}};
+    std::string plan;
+};
+
+PathOptions path_options(const Options& options, const Scene& new_scene, const Ledger& before) {
+    PathOptions path;
+    path.seed = streams::edit(options.seed, std::max<std::size_t>(before.size(), 1));
+    path.rr_depth = new_scene.rr_depth;
+    path.max_depth = options.max_depth.value_or(new_scene.max_depth);
+    return path;
+}
+
+/// Reads the old graph, whose seed is the residual's.
+void read_graph(const Options& options, const Scenes& scenes, const Image& old_picture, Residual& residual) {
+    residual.graph = read_old_graph(options.old_graph, *scenes.old_scene, scenes.old_name, residual.path.max_depth);
+    residual.path.seed = residual.graph.path.seed;
+    if (!options.new_picture.empty() && residual.graph.spp < 2)
+        throw InputError(
+            fmt::format("{}: one sample per pixel has no variance, which --new must store; at least 2 are needed",
+                        options.old_graph[0]));
+    residual.same_samples = !options.old_picture.empty() && old_picture.ledger.empty() &&
+                            same_samples(old_picture, options.old_picture, residual.graph);
+}
+
+void render_by_graph(const Options& options, const Scenes& scenes, const Edit& edit, const Image& old_picture,
+                     app::Report& report, Residual& residual) {
+    residual.of_graph = render_residual(scenes.pair(), edit, residual.graph, options.threads,
+                                        residual.same_samples ? &old_picture : nullptr, report);
+    residual.image = residual.of_graph.image;
+    residual.counts = residual.of_graph.counts;
+    residual.plan += "; old graph: " + residual.of_graph.summary();
+    report.info("old graph: {}", residual.of_graph.summary());
+    if (residual.same_samples)
+        report.info("{}: has the samples of the graph, so the sum is the new scene's image of these samples",
+                    options.old_picture);
+}
+
+/// in, out: residual  path and plan; the rest is filled
+void make_residual(const Options& options, const Scenes& scenes, const Edit& edit, const Image& old_picture,
+                   const Ledger& before, app::Report& report, Residual& residual) {
+    residual.existed = !options.residual.empty();
+    const bool has_graph = !options.old_graph.empty();
+    if (has_graph) read_graph(options, scenes, old_picture, residual);
+    if (residual.existed) residual.image = read_residual(options.residual, *scenes.new_scene, scenes.new_name);
+
+    // Its random numbers must differ from those of the old image.
+    if (residual.existed)
+        check_numbers(before, residual.image.ledger[0].method, residual.image.ledger[0].seed);
+    else if (!residual.same_samples)
+        check_numbers(before, has_graph ? old_graph_method : method_name(options.method), residual.path.seed);
+
+    // Trace it.
+    if (has_graph)
+        render_by_graph(options, scenes, edit, old_picture, report, residual);
+    else if (residual.existed)
+        return;
+    else if (options.method == Method::automatic || options.method == Method::dynamic)
+        residual.image = render_by_dynamic_paths(scenes.pair(), edit, options, residual.path,
+                                                 options.new_picture.empty() ? nullptr : &old_picture, report,
+                                                 residual.counts, residual.plan, residual.controlled);
+    else
+        residual.image = render_residual(scenes.pair(), options.method, residual.path,
+                                         {options.first_sample, options.spp, options.threads}, report, residual.counts);
+}
+
+/// Writes into the residual what it was made from and how.
+void label_residual(const Options& options, const Scenes& scenes, const Edit& edit, const app::Report& report,
+                    Residual& residual) {
+    Image& image = residual.image;
+    const OldGraph& graph = residual.graph;
+    const std::string how = residual.existed ? image.provenance.plan : residual.plan;
+    const std::uint64_t seed = residual.existed             ? image.provenance.seed
+                               : !options.old_graph.empty() ? residual.path.seed
+                                                            : options.seed;
+    std::vector<InputId> inputs{{scenes.old_name, content_hash_text(scenes.old_scene->content_hash)},
+                                {scenes.new_name, content_hash_text(scenes.new_scene->content_hash)}};
     for (std::size_t i = 0; i < graph.passes.size(); ++i)
         inputs.push_back(identify_by_header(graph.passes[i], graph.files[i]));
-    residual.provenance = report.provenance(
-        seed, std::move(inputs), how.starts_with("edit: ") ? how : fmt::format("edit: {}; {}", in_words, how));
-    residual.ledger.back().what = in_words;
-    residual.ledger.back().scene = residual.provenance.inputs[1];
+    image.provenance = report.provenance(
+        seed, std::move(inputs), how.starts_with("edit: ") ? how : fmt::format("edit: {}; {}", text_of(edit), how));
+    image.ledger.back().what = text_of(edit);
+    image.ledger.back().scene = image.provenance.inputs[1];
+}
 
-    Cost cost = report.cost(residual.provenance.plan);
+Cost cost_of(const Options& options, const Scenes& scenes, const Residual& residual, const Cost& loading,
+             const app::Report& report) {
+    Cost cost = report.cost(residual.image.provenance.plan);
     cost.load_s = loading.cpu_s;
-    cost.rays = counts.rays;
-    cost.samples = made ? 0 : stored ? of_graph.touched : new_scene->sensor.n_pixels() * options.spp;
-    cost.sources = {old_name};
-    if (new_name != old_name) cost.sources.push_back(new_name);
+    cost.rays = residual.counts.rays;
+    cost.samples = residual.existed             ? 0
+                   : !options.old_graph.empty() ? residual.of_graph.touched
+                                                : scenes.new_scene->sensor.n_pixels() * options.spp;
+    cost.sources = {scenes.old_name};
+    if (scenes.new_name != scenes.old_name) cost.sources.push_back(scenes.new_name);
+    return cost;
+}
+
+/// The image of the new scene; a weighted one is moved out of the residual.
+Image new_image(const Options& options, const Image& old_picture, Residual& residual) {
+    Image sum = residual.controlled     ? take_controlled(old_picture, residual.image, std::move(*residual.controlled))
+                : residual.same_samples ? add_residual_of_same_samples(old_picture, residual.image, residual.of_graph)
+                                        : add_residual(old_picture, residual.image);
+    sum.provenance.inputs.push_back(identify(options.old_picture));
+    if (residual.existed) sum.provenance.inputs.push_back(identify(options.residual));
+    return sum;
+}
+
+/// out: name of the last file that has a cost
+std::string write_outputs(const Options& options, const Image& old_picture, const Cost& cost, app::Report& report,
+                          Residual& residual) {
     std::string last_output;
     const auto write = [&](const Image& image, const std::string& file, std::vector<std::string> parents) {
         write_image(image, file);
@@ -425,21 +480,64 @@ void run(const Options& options, app::Report& report) {
         write_cost_of(file, cost, parents);
         last_output = file;
     };
-    if (!options.output.empty()) write(residual, options.output, {});
-    if (!options.residual_png.empty()) write_png(false_colours(residual, "", 0), options.residual_png);
-    if (!options.new_picture.empty()) {
-        Image sum = controlled ? take_controlled(old_picture, residual, std::move(*controlled))
-                    : same     ? add_residual_of_same_samples(old_picture, residual, of_graph)
-                               : add_residual(old_picture, residual);
-        sum.provenance.inputs.push_back(identify(options.old_picture));
-        if (made) sum.provenance.inputs.push_back(identify(options.residual));
-        if (!sum.ledger.empty()) say_standing(sum.ledger, options, report);
-        // The new image carries the cost of this run, whether the residual is kept or not.
-        write(sum, options.new_picture, {options.old_picture, made ? options.residual : ""});
-        if (!options.png.empty()) write_png(sum, options.png);
+    if (!options.output.empty()) write(residual.image, options.output, {});
+    if (!options.residual_png.empty()) write_png(false_colours(residual.image, "", 0), options.residual_png);
+    if (options.new_picture.empty()) return last_output;
+    const Image sum = new_image(options, old_picture, residual);
+    if (!sum.ledger.empty()) say_standing(sum.ledger, options, report);
+    // The new image carries the cost of this run, whether the residual is kept or not.
+    write(sum, options.new_picture, {options.old_picture, options.residual});
+    if (!options.png.empty()) write_png(sum, options.png);
+    return last_output;
+}
+
+}  // namespace
+
+void run(const Options& options, app::Report& report) {
+    const bool lists_techniques = options.technique == "list";
+    if (!options.plan && !lists_techniques) check_endings(options);
+
+    // Find the edit.
+    const std::string& new_file = options.new_scene.empty() ? options.old_scene : options.new_scene;
+    SceneDescription old_description =
+        read_scene(options.old_scene, both(options.defines, options.old_defines), options.sensor);
+    SceneDescription new_description = read_scene(new_file, both(options.defines, options.new_defines), options.sensor);
+    const Edit edit = find_edit(old_description, new_description);
+    Residual residual;
+    residual.plan = plan_of(options.old_graph.empty() ? options.method : Method::correlated, edit);
+    if (options.plan) {
+        report.answer(answer_of(edit, residual.plan));
+        return;
     }
+    report_edit(edit, report);
+    if (options.residual.empty()) report.info("plan: {}", residual.plan);
+
+    // Build the scenes.
+    const Scenes scenes{build_scene(std::move(old_description)), build_scene(std::move(new_description)),
+                        file_name(options.old_scene), file_name(new_file)};
+    for (const std::string& note : scenes.new_scene->notes) report.info("{}", note);
+    if (lists_techniques) {
+        report.answer(technique_names(scenes, edit));
+        return;
+    }
+
+    // Read the old image.
+    Image old_picture;
+    Ledger before;
+    if (!options.old_picture.empty()) {
+        old_picture = read_old_picture(options.old_picture, *scenes.old_scene, scenes.old_name, report);
+        before = ledger_of(old_picture);
+    }
+    const Cost loading = report.cost();
+
+    // Make the residual, and add it to the old image.
+    residual.path = path_options(options, *scenes.new_scene, before);
+    make_residual(options, scenes, edit, old_picture, before, report, residual);
+    label_residual(options, scenes, edit, report, residual);
+    const Cost cost = cost_of(options, scenes, residual, loading, report);
+    const std::string last_output = write_outputs(options, old_picture, cost, report, residual);
     report.done("{}: {} pairs of paths, {} vertices, {} rays, {} samples not finite", file_name(last_output),
-                cost.samples, counts.vertices, counts.rays, counts.nonfinite);
+                cost.samples, residual.counts.vertices, residual.counts.rays, residual.counts.nonfinite);
 }
 
 }  // namespace loom::residual
