@@ -52,113 +52,213 @@ bool ResumedPaths::sample_light_again(const ShadingPoint& here, std::uint32_t sh
     return sample_next_event<false>(scene_, path, here, shape, q, lights, shadow, 0);
 }
 
-void ResumedPaths::add(const StoredPaths& paths, const PathChange& change, std::span<const std::uint32_t> again,
-                       PathPair& pair) {
-    const PathGraph& g = paths.graph();
-    const auto& v = g.vertices;
-    const auto& e = g.light_edges;
-    const std::size_t first = g.paths.first_vertex[change.path], last = g.paths.first_vertex[change.path + 1];
-    const Sampler sampler = paths.sampler(change.path);
-    PathState path(sampler);  // in the new scene
-    Spectrum beta(1);         // in the old one
-    pair.before = rgb(g.paths.Le, change.path);
-    // A light that is relit sends the same to wherever it has been seen from.
-    const auto new_light = [&](std::size_t emitter, const Spectrum& old_light) {
-        return reach_.relit[emitter] ? scene_.emitters[emitter].radiance : old_light;
-    };
-    pair.after = Spectrum(0);
-    if (change.cut > 0) {
-        const int seen = paths.seen_emitter(change.path);
-        pair.after = seen < 0 ? pair.before : new_light(std::size_t(seen), pair.before);
+/// One stored path, followed vertex by vertex in both scenes.
+class ResumedPaths::Walk {
+  public:
+    Walk(ResumedPaths& owner, const StoredPaths& paths, const PathChange& change, std::span<const std::uint32_t> again,
+         PathPair& pair)
+        : owner_(owner),
+          paths_(paths),
+          g_(paths.graph()),
+          change_(change),
+          again_(again),
+          pair_(pair),
+          first_(g_.paths.first_vertex[change.path]),
+          last_(g_.paths.first_vertex[change.path + 1]),
+          end_(change.cut != PathChange::never ? first_ + change.cut
+               : change.repainted              ? last_
+               : again.empty()                 ? first_
+                                               : again.back() + 1),
+          sampler_(paths.sampler(change.path)),
+          path_(sampler_),
+          edge_(change.edge),
+          along_(change.cut > 0),
+          resumes_(!along_) {}
+
+    const Sampler& sampler() const { return sampler_; }
+    PathState& path() { return path_; }
+    /// Whether the path in the new scene goes on by itself.
+    bool resumes() const { return resumes_; }
+
+    /// Light that the camera sees straight.
+    void add_first_light() {
+        pair_.before = rgb(g_.paths.Le, change_.path);
+        pair_.after = Spectrum(0);
+        if (change_.cut == 0) return;
+        const int seen = paths_.seen_emitter(change_.path);
+        pair_.after = seen < 0 ? pair_.before : new_light(std::size_t(seen), pair_.before);
     }
-    first_term_ = terms_.size();
 
-    // The new path is followed as long as it goes along the old one. From vertex `end` on it has nothing of its own.
-    bool along = change.cut > 0, resumes = !along, other_weight = false;
-    const std::size_t end = change.cut != PathChange::never ? first + change.cut
-                            : change.repainted              ? last
-                            : again.empty()                 ? first
-                                                            : again.back() + 1;
-    std::size_t k = change.edge;
-    for (std::size_t j = first; j < last; ++j) {
-        const auto done = [&] { return (!along || j >= end) && (k == e.vertex.size() || e.vertex[k] >= last); };
-        if (done()) break;
-        StoredVertex vertex(paths, j);
-        const Point3f p = paths.position(j);
-        const int depth = int(j - first) + 1;
-        const float q = paths.survival(j);
-        const bool ask_again = along && !again.empty() && again.front() == j;
-        const bool repaint = along && reach_.repainted[v.shape[j]] >= 0;
+    void follow() {
+        for (std::size_t j = first_; j < last_ && !done(j); ++j) {
+            Reached here = reach(j);
+            const bool light_seen = add_light_samples(here);
+            if (done(j)) return;
+            const BsdfSample<float> s = here.vertex.redraw(sampler_, here.depth);
+            if (here.step_again)
+                step_again(here, light_seen);
+            else if (along_)
+                step_as_before(here, s);
+            if (along_ && std::uint32_t(here.depth) == change_.cut) {
+                along_ = false;
+                resumes_ = true;
+                path_.ray = spawn_ray(paths_.end(j), direction(here));
+            }
+            beta_ = continued(beta_, s.weight, here.q);
+            add_light_hits(j);
+        }
+    }
+
+  private:
+    /// The vertex that the walk has reached.
+    struct Reached {
+        std::size_t j;
+        StoredVertex vertex;
+        Point3f p;
+        int depth;
+        float q;          // survival probability in the old scene
+        bool ask_again;   // its light sample
+        bool repaint;     // its BSDF is another in the new scene
+        bool step_again;  // what it makes of its random numbers
+    };
+
+    [[gnu::always_inline]] Reached reach(std::size_t j) {
+        const int depth = int(j - first_) + 1;
+        const bool ask_again = along_ && !again_.empty() && again_.front() == j;
+        const bool repaint = along_ && owner_.reach_.repainted[g_.vertices.shape[j]] >= 0;
         // Roulette goes by the throughput of the path.
-        const bool other_survival = other_weight && roulette_at(options_, depth) == Roulette::throughput;
-        const bool step_again = along && (repaint || other_survival) && depth != options_.max_depth;
-        if (ask_again) again = again.subspan(1);
-        if (along) ++path.result.n_vertices;
+        const bool other_survival = other_weight_ && roulette_at(owner_.options_, depth) == Roulette::throughput;
+        const bool step_again = along_ && (repaint || other_survival) && depth != owner_.options_.max_depth;
+        if (ask_again) again_ = again_.subspan(1);
+        if (along_) ++path_.result.n_vertices;
+        return {j,         StoredVertex(paths_, j), paths_.position(j), depth, paths_.survival(j), ask_again, repaint,
+                step_again};
+    }
 
+    /// Whether neither scene has anything to add from vertex j on.
+    bool done(std::size_t j) const {
+        const auto& of = g_.light_edges.vertex;
+        return (!along_ || j >= end_) && (edge_ == of.size() || of[edge_] >= last_);
+    }
+
+    /// Light of an emitter in the new scene: one that is relit sends the same to wherever it has been seen from.
+    Spectrum new_light(std::size_t emitter, const Spectrum& old_light) const {
+        return owner_.reach_.relit[emitter] ? owner_.scene_.emitters[emitter].radiance : old_light;
+    }
+
+    /// Adds the stored light samples of a vertex; returns whether there are any.
+    [[gnu::always_inline]] bool add_light_samples(Reached& here) {
+        const auto& e = g_.light_edges;
         bool seen = false;
-        for (; k < e.vertex.size() && e.vertex[k] == j && e.technique[k] == std::uint8_t(LightTechnique::next_event);
-             ++k) {
-            const Spectrum f_cos = vertex.f_cos(paths.reader().light_direction(p, k)), Li = rgb(e.Li, k);
-            pair.before += light_sample_contribution(beta, f_cos, Li, e.pdf_nee_w[k], e.pdf_bsdf_w[k]);
-            if (along && !ask_again && !step_again)
-                add_light(pair, light_sample_contribution(path.beta, f_cos, new_light(e.emitter[k], Li), e.pdf_nee_w[k],
-                                                          e.pdf_bsdf_w[k]));
+        for (; edge_ < e.vertex.size() && e.vertex[edge_] == here.j &&
+               e.technique[edge_] == std::uint8_t(LightTechnique::next_event);
+             ++edge_) {
+            const std::size_t k = edge_;
+            const Spectrum f_cos = here.vertex.f_cos(paths_.reader().light_direction(here.p, k)), Li = rgb(e.Li, k);
+            pair_.before += light_sample_contribution(beta_, f_cos, Li, e.pdf_nee_w[k], e.pdf_bsdf_w[k]);
+            if (along_ && !here.ask_again && !here.step_again)
+                owner_.add_light(pair_, light_sample_contribution(path_.beta, f_cos, new_light(e.emitter[k], Li),
+                                                                  e.pdf_nee_w[k], e.pdf_bsdf_w[k]));
             seen = true;
         }
-        if (done()) break;
-        const BsdfSample<float> s = vertex.redraw(sampler, depth);
-        const auto wi = [&] { return j + 1 < last ? paths.arrival(j + 1) : vertex.direction(sampler, depth); };
+        return seen;
+    }
 
-        if (step_again) {
-            const ShadingPoint& here = vertex.whole();
-            const ShadingPoint there = repaint ? repainted(here, v.shape[j]) : here;
-            if (repaint && depth == 1) pair.first.albedo = albedo(there.bsdf, there.wo_local);
-            LightQuery lights;
-            lights.u = sampler.pair(dimension(depth, Dimension::light));
-            look_up_light(scene_, lights);
-            ShadowRequest shadow;
-            const Step step = leave<false>(scene_, options_, depth, there, v.shape[j], lights,
-                                           sampler.pair(dimension(depth, Dimension::direction)), path, shadow, {});
-            if (has(step, Step::needs_shadow_ray)) {
-                const auto was_asked = [&] {
-                    return !is_black(f_cos_pdf(here, sample_light(scene_, here.p, lights).wi).f_cos);
-                };
-                if (ask_again)
-                    ask(pair, shadow);
-                else if (seen)
-                    add_light(pair, shadow.contribution);
-                else if (!was_asked())
-                    ask(pair, shadow);
-            }
-            const bool goes_on = has(step, Step::goes_on);
-            along = goes_on && path.lobe == Lobe(v.lobe[j]) && same_bits(path.ray.d, wi());
-            resumes = goes_on && !along;
-            other_weight = true;
-        } else if (along) {
-            ShadowRequest shadow;
-            if (ask_again && sample_light_again(vertex.whole(), v.shape[j], q, depth, path, shadow)) ask(pair, shadow);
-            pass_vertex(path, p, paths.reader().model(v.material[j]), v.shape[j], s, q, v.pdf_w[j]);
-        }
-        if (along && std::uint32_t(depth) == change.cut) {
-            along = false;
-            resumes = true;
-            path.ray = spawn_ray(paths.end(j), wi());
-        }
-        beta = continued(beta, s.weight, q);
-        for (; k < e.vertex.size() && e.vertex[k] == j; ++k) {
+    /// Adds the light that the ray from vertex j has hit.
+    [[gnu::always_inline]] void add_light_hits(std::size_t j) {
+        const auto& e = g_.light_edges;
+        for (; edge_ < e.vertex.size() && e.vertex[edge_] == j; ++edge_) {
+            const std::size_t k = edge_;
             const Spectrum Li = rgb(e.Li, k);
-            pair.before += light_hit_contribution(beta, Li, e.pdf_bsdf_w[k], e.pdf_nee_w[k]);
-            if (along)
-                add_light(pair,
-                          light_hit_contribution(path.beta, new_light(e.emitter[k], Li), path.pdf_w, e.pdf_nee_w[k]));
+            pair_.before += light_hit_contribution(beta_, Li, e.pdf_bsdf_w[k], e.pdf_nee_w[k]);
+            if (along_)
+                owner_.add_light(pair_, light_hit_contribution(path_.beta, new_light(e.emitter[k], Li), path_.pdf_w,
+                                                               e.pdf_nee_w[k]));
         }
     }
-    if (!resumes) return;
+
+    /// Direction in which the old path leaves a vertex.
+    Vector3f direction(Reached& here) const {
+        return here.j + 1 < last_ ? paths_.arrival(here.j + 1) : here.vertex.direction(sampler_, here.depth);
+    }
+
+    /// Steps on in the new scene with the same random numbers.
+    /// in:  light_seen  whether the old path's light sample was not occluded
+    void step_again(Reached& here, bool light_seen) {
+        // Sample a light and the next direction.
+        const std::uint32_t shape = g_.vertices.shape[here.j];
+        const ShadingPoint& before = here.vertex.whole();
+        const ShadingPoint now = here.repaint ? owner_.repainted(before, shape) : before;
+        if (here.repaint && here.depth == 1) pair_.first.albedo = albedo(now.bsdf, now.wo_local);
+        LightQuery lights;
+        lights.u = sampler_.pair(dimension(here.depth, Dimension::light));
+        look_up_light(owner_.scene_, lights);
+        ShadowRequest shadow;
+        const Step step = leave<false>(owner_.scene_, owner_.options_, here.depth, now, shape, lights,
+                                       sampler_.pair(dimension(here.depth, Dimension::direction)), path_, shadow, {});
+
+        // Test visibility, where the old path has not done so.
+        if (has(step, Step::needs_shadow_ray)) {
+            const auto was_asked = [&] {
+                return !is_black(f_cos_pdf(before, sample_light(owner_.scene_, before.p, lights).wi).f_cos);
+            };
+            if (here.ask_again)
+                owner_.ask(pair_, shadow);
+            else if (light_seen)
+                owner_.add_light(pair_, shadow.contribution);
+            else if (!was_asked())
+                owner_.ask(pair_, shadow);
+        }
+
+        // Follow the old path as long as the directions are the same.
+        const bool goes_on = has(step, Step::goes_on);
+        along_ = goes_on && path_.lobe == Lobe(g_.vertices.lobe[here.j]) && same_bits(path_.ray.d, direction(here));
+        resumes_ = goes_on && !along_;
+        other_weight_ = true;
+    }
+
+    /// in:  s  sample of the BSDF, the same in both scenes
+    [[gnu::always_inline]] void step_as_before(Reached& here, const BsdfSample<float>& s) {
+        const auto& v = g_.vertices;
+        ShadowRequest shadow;
+        if (here.ask_again &&
+            owner_.sample_light_again(here.vertex.whole(), v.shape[here.j], here.q, here.depth, path_, shadow))
+            owner_.ask(pair_, shadow);
+        pass_vertex(path_, here.p, paths_.reader().model(v.material[here.j]), v.shape[here.j], s, here.q,
+                    v.pdf_w[here.j]);
+    }
+
+    ResumedPaths& owner_;
+    const StoredPaths& paths_;
+    const PathGraph& g_;
+    const PathChange& change_;
+    std::span<const std::uint32_t> again_;  // vertices ahead
+    PathPair& pair_;
+    std::size_t first_, last_;  // vertices
+    std::size_t end_;           // from this vertex on the path in the new scene has nothing of its own
+    Sampler sampler_;
+    PathState path_;    // in the new scene
+    Spectrum beta_{1};  // in the old one
+    std::size_t edge_;  // next light edge of the graph
+    bool along_;        // the new path goes along the old one
+    bool resumes_;      // it goes on by itself
+    bool other_weight_ = false;
+};
+
+void ResumedPaths::add(const StoredPaths& paths, const PathChange& change, std::span<const std::uint32_t> again,
+                       PathPair& pair) {
+    Walk walk(*this, paths, change, again, pair);
+    walk.add_first_light();
+    first_term_ = terms_.size();
+    walk.follow();
+    if (!walk.resumes()) return;
+
+    // Hand the rest of the path to the batch.
     if (change.cut == 0) {
-        states_.emplace_back(scene_, sampler, paths.id(change.path), sampler.pair(film_pair));
+        states_.emplace_back(scene_, walk.sampler(), paths.id(change.path), walk.sampler().pair(film_pair));
     } else {
-        path.result.first = pair.first;
-        states_.push_back(path);
+        walk.path().result.first = pair.first;
+        states_.push_back(walk.path());
     }
     pairs_.push_back(&pair);
     if (states_.size() == PathBatch::capacity) finish();

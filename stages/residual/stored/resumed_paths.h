@@ -39,6 +39,7 @@ class ResumedPaths {
     Counts counts;  // of what was traced, shadow rays that were asked again included
 
   private:
+    class Walk;
     static constexpr std::uint32_t is_seen = ~0u;
     /// Light that is added to a path if its shadow ray gets through.
     struct Term {
