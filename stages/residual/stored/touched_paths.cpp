@@ -54,91 +54,127 @@ TouchedPaths::FailedLight TouchedPaths::failed_light(std::size_t path, std::size
 
 void TouchedPaths::look_at(std::size_t path) {
     const PathGraph& g = paths_.graph();
-    const auto& v = g.vertices;
-    const auto& e = g.light_edges;
-    const std::size_t first = g.paths.first_vertex[path], last = g.paths.first_vertex[path + 1], edges = next_edge_;
-    while (next_edge_ < e.vertex.size() && e.vertex[next_edge_] < last) ++next_edge_;
-    const std::uint32_t in_block = std::uint32_t(path - begin_), n = std::uint32_t(last - first);
-    const Obstacles& ahead = reach_.new_places;
-    const Scene& scene = paths_.scene();
-    if (!reach_.everything.empty()) return cut(in_block, 0);
+    const auto& edge_vertex = g.light_edges.vertex;
+    const Rows of{path, g.paths.first_vertex[path], g.paths.first_vertex[path + 1], next_edge_,
+                  std::uint32_t(path - begin_)};
+    while (next_edge_ < edge_vertex.size() && edge_vertex[next_edge_] < of.last) ++next_edge_;
+    if (!reach_.everything.empty()) return cut(of.in_block, 0);
 
     if (const int seen = reach_.any_relit ? paths_.seen_emitter(path) : -1;
         seen >= 0 && reach_.relit[std::size_t(seen)])
-        touched_[in_block] = 1;
-    if (first == last) {
-        if (reach_.sky) return cut(in_block, 0);
-        if (ahead.empty()) return;
-        const Ray ray = paths_.camera_ray(path);
-        if (ahead.may_meet(ray.o, ray.d)) through_.add(ray, {in_block, 0, true});
-        return;
-    }
+        touched_[of.in_block] = 1;
+    if (of.first == of.last) return look_at_camera_ray(of);
     // What needs no ray to be known; rays behind that need not be asked.
-    for (std::size_t j = first; j < last; ++j) {
-        if (!reach_.shapes[v.shape[j]]) continue;
-        if (reach_.repainted[v.shape[j]] >= 0) {
-            repainted_[in_block] = touched_[in_block] = 1;
+    look_at_shapes(of);
+    look_at_lights(of);
+    look_at_rays(of);
+}
+
+/// The ray of a path without vertices.
+void TouchedPaths::look_at_camera_ray(const Rows& of) {
+    if (reach_.sky) return cut(of.in_block, 0);
+    if (reach_.new_places.empty()) return;
+    const Ray ray = paths_.camera_ray(of.path);
+    if (reach_.new_places.may_meet(ray.o, ray.d)) through_.add(ray, {of.in_block, 0, true});
+}
+
+void TouchedPaths::look_at_shapes(const Rows& of) {
+    const auto& shape = paths_.graph().vertices.shape;
+    for (std::size_t j = of.first; j < of.last; ++j) {
+        if (!reach_.shapes[shape[j]]) continue;
+        if (reach_.repainted[shape[j]] >= 0) {
+            repainted_[of.in_block] = touched_[of.in_block] = 1;
             continue;
         }
-        cut(in_block, std::uint32_t(j - first));
-        break;
+        cut(of.in_block, std::uint32_t(j - of.first));
+        return;
     }
-    for (std::size_t k = edges; k < next_edge_; ++k) {
+}
+
+void TouchedPaths::look_at_lights(const Rows& of) {
+    const auto& e = paths_.graph().light_edges;
+    const auto& emitters = paths_.scene().emitters;
+    for (std::size_t k = of.edges; k < next_edge_; ++k) {
         const std::size_t emitter = e.emitter[k];
-        if (reach_.relit[emitter]) touched_[in_block] = 1;
+        if (reach_.relit[emitter]) touched_[of.in_block] = 1;
         if (e.technique[k] == std::uint8_t(LightTechnique::bsdf_hit)) {
             // A ray may have ended on a shape that only shines.
-            if (reach_.emitters[emitter] || (e.y[4 * k + 3] == 1 && reach_.shapes[scene.emitters[emitter].shape]))
-                cut(in_block, std::uint32_t(e.vertex[k] - first + 1));
+            if (reach_.emitters[emitter] || (e.y[4 * k + 3] == 1 && reach_.shapes[emitters[emitter].shape]))
+                cut(of.in_block, std::uint32_t(e.vertex[k] - of.first + 1));
         } else if (reach_.emitters[emitter]) {
-            sample_again(in_block, std::uint32_t(e.vertex[k] - first_vertex_));
+            sample_again(of.in_block, std::uint32_t(e.vertex[k] - first_vertex_));
         }
     }
+}
 
-    const std::uint32_t end = cuts_[in_block];
-    std::size_t k = edges;
-    for (std::size_t j = first; j < last && j - first < end; ++j) {
+/// The ray that has found a vertex.
+inline void TouchedPaths::look_at_arriving_ray(const Rows& of, std::size_t j, const Point3f& p) {
+    const Obstacles& ahead = reach_.new_places;
+    const Point3f from = j == of.first ? paths_.camera(of.path) : paths_.position(j - 1);
+    if (ahead.empty() || !ahead.may_meet(from, p)) return;
+    const Vector3f d = paths_.arrival(j);
+    const Point3f o = j == of.first ? from : spawn_ray(paths_.end(j - 1), d).o;
+    through_.add({o, d, 0, beyond(dot(p - o, d), p)}, {of.in_block, std::uint32_t(j - of.first), true});
+}
+
+/// The ray along light edge k.
+inline void TouchedPaths::look_at_light_ray(const Rows& of, std::size_t k, const Point3f& p) {
+    const Obstacles& ahead = reach_.new_places;
+    const auto& e = paths_.graph().light_edges;
+    const std::size_t j = e.vertex[k];
+    const bool by_hit = e.technique[k] == std::uint8_t(LightTechnique::bsdf_hit), at_infinity = e.y[4 * k + 3] == 0;
+    const Point3f y{e.y[4 * k], e.y[4 * k + 1], e.y[4 * k + 2]};
+    const Asked asked = by_hit ? Asked{of.in_block, std::uint32_t(j - of.first + 1), true}
+                               : Asked{of.in_block, std::uint32_t(j - first_vertex_), false};
+    if (at_infinity) {
+        if (ahead.may_meet(p, Vector3f(y))) through_.add(spawn_ray(paths_.end(j), Vector3f(y)), asked);
+    } else if (ahead.may_meet(p, y)) {
+        Ray ray = spawn_segment(paths_.end(j), {y});
+        if (by_hit) {
+            // It lies in the direction of the ray from the vertex, not from where the ray started.
+            const float distance = length(y - p);
+            ray = spawn_ray(paths_.end(j), (y - p) / distance);
+            ray.t_max = beyond(distance, y);
+        }
+        through_.add(ray, asked);
+    }
+}
+
+/// The ray that has left the last vertex and found none.
+/// in:  hit_found  whether it has hit a light
+inline void TouchedPaths::look_at_last_ray(const Rows& of, const Point3f& p, bool hit_found) {
+    const Obstacles& ahead = reach_.new_places;
+    const std::size_t j = of.last - 1;
+    const std::uint32_t n = std::uint32_t(of.last - of.first);
+    const Ending ending = ending_of(paths_.graph().vertices.flags[j]);
+    if ((ending == Ending::escaped && reach_.sky) ||
+        (ending == Ending::hit_emitter && !hit_found && reach_.dark_light)) {
+        cut(of.in_block, n);
+    } else if ((ending == Ending::escaped || ending == Ending::hit_emitter) && !hit_found && !ahead.empty()) {
+        const Ray ray = paths_.sampled_ray(of.path, j);
+        if (ahead.may_meet(p, ray.d)) through_.add(ray, {of.in_block, n, true});
+    }
+}
+
+/// Rays from and to the vertices before the first that is known to be another.
+void TouchedPaths::look_at_rays(const Rows& of) {
+    const auto& e = paths_.graph().light_edges;
+    const std::uint32_t end = cuts_[of.in_block];
+    std::size_t k = of.edges;
+    for (std::size_t j = of.first; j < of.last && j - of.first < end; ++j) {
         if (!candidates_.may_touch(j)) continue;
         while (k < next_edge_ && e.vertex[k] < j) ++k;
-        const Point3f p = paths_.position(j), from = j == first ? paths_.camera(path) : paths_.position(j - 1);
-        const std::uint32_t number = std::uint32_t(j - first), vertex = std::uint32_t(j - first_vertex_);
-        const Asked arriving{in_block, number, true}, leaving{in_block, number + 1, true};
-        if (!ahead.empty() && ahead.may_meet(from, p)) {
-            const Vector3f d = paths_.arrival(j);
-            const Point3f o = j == first ? from : spawn_ray(paths_.end(j - 1), d).o;
-            through_.add({o, d, 0, beyond(dot(p - o, d), p)}, arriving);
-        }
+        const Point3f p = paths_.position(j);
+        look_at_arriving_ray(of, j, p);
         bool light_found = false, hit_found = false;
         for (; k < next_edge_ && e.vertex[k] == j; ++k) {
-            const bool by_hit = e.technique[k] == std::uint8_t(LightTechnique::bsdf_hit),
-                       at_infinity = e.y[4 * k + 3] == 0;
+            const bool by_hit = e.technique[k] == std::uint8_t(LightTechnique::bsdf_hit);
             (by_hit ? hit_found : light_found) = true;
-            if (ahead.empty() || (by_hit && number + 1 >= end)) continue;
-            const Point3f y{e.y[4 * k], e.y[4 * k + 1], e.y[4 * k + 2]};
-            const Asked asked = by_hit ? leaving : Asked{in_block, vertex, false};
-            if (at_infinity) {
-                if (ahead.may_meet(p, Vector3f(y))) through_.add(spawn_ray(paths_.end(j), Vector3f(y)), asked);
-            } else if (ahead.may_meet(p, y)) {
-                Ray ray = spawn_segment(paths_.end(j), {y});
-                if (by_hit) {
-                    // It lies in the direction of the ray from the vertex, not from where the ray started.
-                    const float distance = length(y - p);
-                    ray = spawn_ray(paths_.end(j), (y - p) / distance);
-                    ray.t_max = beyond(distance, y);
-                }
-                through_.add(ray, asked);
-            }
+            if (reach_.new_places.empty() || (by_hit && j - of.first + 1 >= end)) continue;
+            look_at_light_ray(of, k, p);
         }
-        if (!light_found) look_at_failed_light(path, j);
-        if (j + 1 < last || n >= end) continue;
-        const Ending ending = ending_of(v.flags[j]);
-        if ((ending == Ending::escaped && reach_.sky) ||
-            (ending == Ending::hit_emitter && !hit_found && reach_.dark_light)) {
-            cut(in_block, n);
-        } else if ((ending == Ending::escaped || ending == Ending::hit_emitter) && !hit_found && !ahead.empty()) {
-            const Ray ray = paths_.sampled_ray(path, j);
-            if (ahead.may_meet(p, ray.d)) through_.add(ray, leaving);
-        }
+        if (!light_found) look_at_failed_light(of.path, j);
+        if (j + 1 == of.last && of.last - of.first < end) look_at_last_ray(of, p, hit_found);
     }
 }
 

@@ -74,8 +74,21 @@ class TouchedPaths {
     };
     /// Of a vertex at p.
     FailedLight failed_light(std::size_t path, std::size_t vertex, const Point3f& p) const;
+    /// A path and its rows: vertices [first, last), light edges [edges, next_edge_).
+    struct Rows {
+        std::size_t path, first, last, edges;
+        std::uint32_t in_block;
+    };
     void look_at(std::size_t path);
+    void look_at_camera_ray(const Rows& of);
+    void look_at_shapes(const Rows& of);
+    void look_at_lights(const Rows& of);
+    void look_at_rays(const Rows& of);
+    // Of a vertex at p:
+    void look_at_arriving_ray(const Rows& of, std::size_t vertex, const Point3f& p);
+    void look_at_light_ray(const Rows& of, std::size_t edge, const Point3f& p);
     void look_at_failed_light(std::size_t path, std::size_t vertex);
+    void look_at_last_ray(const Rows& of, const Point3f& p, bool hit_found);
     void answer(Queue& queue, const Obstacles& obstacles);
     /// The ray to a vertex may be another.
     void cut(std::uint32_t path, std::uint32_t number) {
