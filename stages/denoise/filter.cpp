@@ -138,6 +138,151 @@ float unit_of(const Layers& layers) {
     return sum > 0 ? float(std::exp2(-std::clamp(std::ilogb(sum / double(3 * layers.n_pixels())), -120, 120))) : 1.0f;
 }
 
+/// Colours and variances by pixel, in units of the mean colour.
+struct Colours {
+    Column color[3], variance[3];
+};
+
+Colours colours_of(Picture& picture, const Layers& layers, float unit) {
+    Colours out;
+    for (int c = 0; c < 3; ++c) {
+        out.color[c] = picture.column([&](int x, int y) { return unit * layers.color[c][picture.at(x, y)]; });
+        out.variance[c] =
+            layers.var_mean[c].empty()
+                ? variance_from_neighbours(picture, out.color[c])
+                : picture.column([&](int x, int y) { return unit * (unit * layers.var_mean[c][picture.at(x, y)]); });
+    }
+    return out;
+}
+
+/// What tiles read, with a border.
+struct TileColumns {
+    Column color[3], variance[3], guide[3], guide_variance[3], feature[n_stored_features], inside;
+};
+
+void add_colours(Picture& picture, const Layers& layers, const Colours& colours, const FilterParameters& parameters,
+                 TileColumns& out) {
+    for (int c = 0; c < 3; ++c) {
+        const Column& color = colours.color[c];
+        const Column smooth = smoothed(picture, colours.variance[c]);
+        out.color[c] = picture.bordered([&](std::size_t i) { return color[i]; });
+        out.variance[c] = picture.bordered([&](std::size_t i) { return smooth[i]; });
+        const auto divisor = [&](std::size_t i) {
+            return layers.albedo[c].empty() ? 1.0f : std::clamp(layers.albedo[c][i], parameters.dark_albedo, 1.0f);
+        };
+        out.guide[c] = picture.bordered([&](std::size_t i) { return color[i] / divisor(i); });
+        out.guide_variance[c] = picture.bordered([&](std::size_t i) { return smooth[i] / (divisor(i) * divisor(i)); });
+    }
+}
+
+void add_features(Picture& picture, const Layers& layers, const FilterParameters& parameters, TileColumns& out) {
+    const auto stored = [&](std::span<const float> layer, auto&& value) {
+        return picture.bordered([&](std::size_t i) { return layer.empty() ? 0.0f : value(layer[i]); });
+    };
+    for (int c = 0; c < 3; ++c) {
+        out.feature[c] =
+            stored(layers.albedo[c], [&](float a) { return parameters.albedo_scale * std::clamp(a, 0.0f, 1.0f); });
+        out.feature[3 + c] =
+            stored(layers.normal[c], [&](float n) { return parameters.normal_scale * std::clamp(n, -1.0f, 1.0f); });
+    }
+    // What no ray hit lies behind everything.
+    const float far = layers.depth.empty() ? 0 : *std::max_element(layers.depth.begin(), layers.depth.end());
+    out.feature[6] = stored(layers.depth, [&](float z) {
+        return parameters.depth_scale * (z > 0 ? std::log(z) : far > 0 ? std::log(far) + 1 : 0.0f);
+    });
+}
+
+Column inside_of(const Picture& picture, std::size_t size) {
+    Column inside(size);
+    for (int y = 0; y < picture.height(); ++y)
+        std::fill_n(inside.begin() + (y + picture.border()) * picture.stride() + picture.border(), picture.width(),
+                    1.0f);
+    return inside;
+}
+
+/// A tile but for its place and outputs.
+FilterTile tile_of(const TileColumns& columns, const Picture& picture, const FilterParameters& parameters) {
+    FilterTile tile{};
+    for (int c = 0; c < 3; ++c) {
+        tile.color[c] = columns.color[c].data();
+        tile.variance[c] = columns.variance[c].data();
+        tile.guide[c] = columns.guide[c].data();
+        tile.guide_variance[c] = columns.guide_variance[c].data();
+    }
+    for (int f = 0; f < n_stored_features; ++f) tile.feature[f] = columns.feature[f].data();
+    tile.inside = columns.inside.data();
+    tile.stride = picture.stride();
+    tile.window_radius = parameters.window_radius;
+    tile.patch_radius = parameters.patch_radius;
+    tile.k_squared = parameters.k * parameters.k;
+    tile.ridge = parameters.ridge;
+    tile.pixel_scale = parameters.pixel_scale;
+    return tile;
+}
+
+/// Sums of a band of tiles: R, G, B, weight, one after the other.
+struct BandSums {
+    BandSums(const Picture& picture, int radius_)
+        : radius(radius_),
+          n_rows(filter_tile_height + 2 * radius_),
+          size(std::size_t(n_rows) * std::size_t(picture.stride())),
+          bands(std::size_t(picture.bands())) {}
+
+    int radius, n_rows;
+    std::size_t size;  // of one of the four
+    std::vector<Column> bands;
+};
+
+/// Centres of a band write to the rows of their windows; bands overlap there and are added up in order.
+void filter_bands(Picture& picture, const FilterTile& whole, BandSums& sums) {
+    static const auto filter_tile = __builtin_cpu_supports("x86-64-v4")   ? v4::filter_tile
+                                    : __builtin_cpu_supports("x86-64-v3") ? v3::filter_tile
+                                                                          : v2::filter_tile;
+    picture.parallel(picture.bands(), [&](int band) {
+        thread_local Column weights;
+        weights.resize(filter_weights_size(sums.radius));
+        Column& own = sums.bands[std::size_t(band)];
+        own.resize(4 * sums.size);
+        FilterTile tile = whole;
+        tile.y = picture.border() + band * filter_tile_height;
+        tile.height = std::min(filter_tile_height, picture.height() - band * filter_tile_height);
+        tile.weights = weights.data();
+        for (std::size_t k = 0; k < 4; ++k) tile.sums[k] = own.data() + k * sums.size;
+        for (int t = 0; t < picture.tiles_across(); ++t) {
+            tile.x = picture.border() + t * filter_tile_width;
+            filter_tile(tile);
+        }
+    });
+}
+
+/// Adds up the bands, and bounds each pixel by the colours around it.
+void finish(Picture& picture, const BandSums& sums, const Colours& colours, float unit, Filtered& out) {
+    for (auto& channel : out.color) channel.resize(picture.n_pixels());
+    picture.parallel(picture.height(), [&](int y) {
+        const int overlap = (2 * sums.radius + filter_tile_height - 1) / filter_tile_height;
+        const int band_of_row = y / filter_tile_height;
+        for (int x = 0; x < picture.width(); ++x) {
+            float total[4] = {};
+            for (int band = std::max(0, band_of_row - overlap);
+                 band <= std::min(picture.bands() - 1, band_of_row + overlap); ++band) {
+                const int row = y - band * filter_tile_height + sums.radius;
+                if (row < 0 || row >= sums.n_rows) continue;
+                const float* at = sums.bands[std::size_t(band)].data() + row * picture.stride() + picture.border() + x;
+                for (std::size_t k = 0; k < 4; ++k) total[k] += at[k * sums.size];
+            }
+            for (int c = 0; c < 3; ++c) {
+                float low = INFINITY, high = -INFINITY;
+                picture.square(x, y, neighbour_radius, [&](std::size_t i, bool) {
+                    low = std::min(low, colours.color[c][i]);
+                    high = std::max(high, colours.color[c][i]);
+                });
+                // A pixel is its own centre with weight 1, so the total is not zero.
+                out.color[c][picture.at(x, y)] = std::clamp(total[c] / total[3], low, high) / unit;
+            }
+        }
+    });
+}
+
 }  // namespace
 
 Filtered filter(const Layers& layers, const FilterParameters& parameters, int threads) {
@@ -148,108 +293,22 @@ Filtered filter(const Layers& layers, const FilterParameters& parameters, int th
     if (layers.n_pixels() == 0) return out;
     Picture picture(layers, parameters, threads);
 
+    // Scale the colours, and bound outliers.
     const float unit = unit_of(layers);
-    Column color[3], variance[3];
-    for (int c = 0; c < 3; ++c) {
-        color[c] = picture.column([&](int x, int y) { return unit * layers.color[c][picture.at(x, y)]; });
-        variance[c] =
-            layers.var_mean[c].empty()
-                ? variance_from_neighbours(picture, color[c])
-                : picture.column([&](int x, int y) { return unit * (unit * layers.var_mean[c][picture.at(x, y)]); });
-    }
+    Colours colours = colours_of(picture, layers, unit);
     if (parameters.outlier_limit > 0)
-        out.n_outliers = bound_outliers(picture, parameters.outlier_limit, color, variance);
+        out.n_outliers = bound_outliers(picture, parameters.outlier_limit, colours.color, colours.variance);
 
-    Column color_b[3], variance_b[3], guide_b[3], guide_variance_b[3], feature[n_stored_features];
-    for (int c = 0; c < 3; ++c) {
-        const Column smooth = smoothed(picture, variance[c]);
-        color_b[c] = picture.bordered([&](std::size_t i) { return color[c][i]; });
-        variance_b[c] = picture.bordered([&](std::size_t i) { return smooth[i]; });
-        const auto divisor = [&](std::size_t i) {
-            return layers.albedo[c].empty() ? 1.0f : std::clamp(layers.albedo[c][i], parameters.dark_albedo, 1.0f);
-        };
-        guide_b[c] = picture.bordered([&](std::size_t i) { return color[c][i] / divisor(i); });
-        guide_variance_b[c] = picture.bordered([&](std::size_t i) { return smooth[i] / (divisor(i) * divisor(i)); });
-    }
-    const auto stored = [&](std::span<const float> layer, auto&& value) {
-        return picture.bordered([&](std::size_t i) { return layer.empty() ? 0.0f : value(layer[i]); });
-    };
-    for (int c = 0; c < 3; ++c) {
-        feature[c] =
-            stored(layers.albedo[c], [&](float a) { return parameters.albedo_scale * std::clamp(a, 0.0f, 1.0f); });
-        feature[3 + c] =
-            stored(layers.normal[c], [&](float n) { return parameters.normal_scale * std::clamp(n, -1.0f, 1.0f); });
-    }
-    // What no ray hit lies behind everything.
-    const float far = layers.depth.empty() ? 0 : *std::max_element(layers.depth.begin(), layers.depth.end());
-    feature[6] = stored(layers.depth, [&](float z) {
-        return parameters.depth_scale * (z > 0 ? std::log(z) : far > 0 ? std::log(far) + 1 : 0.0f);
-    });
-    Column inside(color_b[0].size());
-    for (int y = 0; y < picture.height(); ++y)
-        std::fill_n(inside.begin() + (y + picture.border()) * picture.stride() + picture.border(), picture.width(),
-                    1.0f);
+    // Add borders, so that no tile tests for the edge.
+    TileColumns columns;
+    add_colours(picture, layers, colours, parameters, columns);
+    add_features(picture, layers, parameters, columns);
+    columns.inside = inside_of(picture, columns.color[0].size());
 
-    // Centres of a band write to the rows of their windows; bands overlap there and are added up in order.
-    static const auto filter_tile = __builtin_cpu_supports("x86-64-v4")   ? v4::filter_tile
-                                    : __builtin_cpu_supports("x86-64-v3") ? v3::filter_tile
-                                                                          : v2::filter_tile;
-    const int band_rows = filter_tile_height + 2 * radius;
-    const std::size_t band_size = std::size_t(band_rows) * std::size_t(picture.stride());
-    std::vector<Column> sums(std::size_t(picture.bands()));
-    picture.parallel(picture.bands(), [&](int band) {
-        thread_local Column weights;
-        weights.resize(filter_weights_size(radius));
-        sums[std::size_t(band)].resize(4 * band_size);
-        FilterTile tile{};
-        for (int c = 0; c < 3; ++c) {
-            tile.color[c] = color_b[c].data();
-            tile.variance[c] = variance_b[c].data();
-            tile.guide[c] = guide_b[c].data();
-            tile.guide_variance[c] = guide_variance_b[c].data();
-        }
-        for (int f = 0; f < n_stored_features; ++f) tile.feature[f] = feature[f].data();
-        tile.inside = inside.data();
-        tile.stride = picture.stride();
-        tile.window_radius = radius;
-        tile.patch_radius = parameters.patch_radius;
-        tile.k_squared = parameters.k * parameters.k;
-        tile.ridge = parameters.ridge;
-        tile.pixel_scale = parameters.pixel_scale;
-        tile.y = picture.border() + band * filter_tile_height;
-        tile.height = std::min(filter_tile_height, picture.height() - band * filter_tile_height);
-        tile.weights = weights.data();
-        for (std::size_t k = 0; k < 4; ++k) tile.sums[k] = sums[std::size_t(band)].data() + k * band_size;
-        for (int t = 0; t < picture.tiles_across(); ++t) {
-            tile.x = picture.border() + t * filter_tile_width;
-            filter_tile(tile);
-        }
-    });
-
-    for (auto& channel : out.color) channel.resize(picture.n_pixels());
-    picture.parallel(picture.height(), [&](int y) {
-        const int overlap = (2 * radius + filter_tile_height - 1) / filter_tile_height;
-        const int band_of_row = y / filter_tile_height;
-        for (int x = 0; x < picture.width(); ++x) {
-            float total[4] = {};
-            for (int band = std::max(0, band_of_row - overlap);
-                 band <= std::min(picture.bands() - 1, band_of_row + overlap); ++band) {
-                const int row = y - band * filter_tile_height + radius;
-                if (row < 0 || row >= band_rows) continue;
-                const float* at = sums[std::size_t(band)].data() + row * picture.stride() + picture.border() + x;
-                for (std::size_t k = 0; k < 4; ++k) total[k] += at[k * band_size];
-            }
-            for (int c = 0; c < 3; ++c) {
-                float low = INFINITY, high = -INFINITY;
-                picture.square(x, y, neighbour_radius, [&](std::size_t i, bool) {
-                    low = std::min(low, color[c][i]);
-                    high = std::max(high, color[c][i]);
-                });
-                // A pixel is its own centre with weight 1, so the total is not zero.
-                out.color[c][picture.at(x, y)] = std::clamp(total[c] / total[3], low, high) / unit;
-            }
-        }
-    });
+    // Filter tile by tile.
+    BandSums sums(picture, radius);
+    filter_bands(picture, tile_of(columns, picture, parameters), sums);
+    finish(picture, sums, colours, unit, out);
     return out;
 }
 
