@@ -36,7 +36,10 @@ struct Builder {
     const SystemOptions& options;
     std::span<const std::uint32_t> offsets;  // of light edges
     System& system;
-    bool split = false;                      // coefficients, where they do
+    /// Of a flat cluster, and of the base of split coefficients. What is of rank one for a direction is not for a
+    /// point, nor where successes are counted; the clamp by cluster wants the light of each edge by itself.
+    bool rank_one =
+        options.sharing.reuse == Reuse::directions && !options.sharing.as_printed && options.clamp != Clamp::cluster;
     std::atomic<std::uint64_t> n_bytes = 0;  // of blocks taken
 
     std::span<const std::uint32_t> members(std::size_t c) const {
@@ -75,7 +78,7 @@ struct Builder {
 
     System::Shape shape_of(const ClusterShading& shading) const {
         const ClusterShading::Lobes& lobes = shading.lobes();
-        if (!split || !lobes.split) return {};
+        if (!rank_one || !lobes.split) return {};
         return {.base = lobes.base, .base_plane = lobes.base && !lobes.one_base, .coat = lobes.coat};
     }
 
@@ -169,6 +172,27 @@ struct Builder {
                      std::span<const VertexRow> vertex_rows, ChunkResult& result) {
         const std::uint32_t begin = system.first[c];
         shading.load(members(c), vertex_rows);
+        load_lanes(shading, direct);
+        OwnSums own;
+        add_delta_samples(c, shading, direct, own, result);
+        add_block(c, shading, direct, vertex_rows, own, result);
+        add_direct_light(c, shading, rows, direct, own);
+        if (!system.inv_eta2.empty()) std::copy_n(direct.inv_eta2, shading.size(), system.inv_eta2.data() + begin);
+        for (int l = 0; l < shading.size(); ++l) {
+            const Spectrum &light = own.light[l], &weight = own.weight[l];
+            new (&system.at[begin + l]) System::Row{{direct.r[l], direct.g[l], direct.b[l]},
+                                                    {},
+                                                    {light.r, light.g, light.b},
+                                                    {weight.r, weight.g, weight.b}};
+        }
+    }
+
+    /// What each vertex of a cluster makes of its own samples.
+    struct OwnSums {
+        Spectrum light[max_lanes], weight[max_lanes];  // direct light; of the continuation
+    };
+
+    static void load_lanes(const ClusterShading& shading, Lanes& direct) {
         const int lanes = shading.padded();
         for (int l = 0; l < lanes; ++l) direct.r[l] = direct.g[l] = direct.b[l] = 0;
         for (int l = 0; l < lanes; ++l) {
@@ -178,24 +202,38 @@ struct Builder {
             direct.clamp_weight_alone[l] =
                 there && (shading.row(l).bits & vertex_bit::last_step) ? 0 : direct.clamp_weight[l];
         }
-        Spectrum own_light_of[max_lanes], own_weight[max_lanes];
+    }
+
+    /// Samples of delta lobes, which only their own vertex uses.
+    void add_delta_samples(std::size_t c, const ClusterShading& shading, Lanes& direct, OwnSums& own,
+                           ChunkResult& result) {
+        const std::uint32_t begin = system.first[c];
         for (int l = 0; l < shading.size(); ++l) {
             system.unknown[shading.vertex(l)] = begin + l;
-            Spectrum own(0), weight(0);
+            Spectrum light(0), weight(0);
             if (shading.row(l).bits & vertex_bit::delta)
-                add_private(shading.vertex(l), begin + l, false, own, weight, result);
-            direct.r[l] = own.r, direct.g[l] = own.g, direct.b[l] = own.b;
-            own_light_of[l] = own, own_weight[l] = weight;
+                add_private(shading.vertex(l), begin + l, false, light, weight, result);
+            direct.r[l] = light.r, direct.g[l] = light.g, direct.b[l] = light.b;
+            own.light[l] = light, own.weight[l] = weight;
         }
+    }
+
+    /// The block of coefficients, a column for each continuation.
+    [[gnu::always_inline]] void add_block(std::size_t c, ClusterShading& shading, const Lanes& direct,
+                                          std::span<const VertexRow> vertex_rows, OwnSums& own, ChunkResult& result) {
+        // Reserve memory.
+        const int lanes = shading.padded();
         const auto n_edges = int(std::ranges::count_if(vertex_rows, &VertexRow::continues_shared));
         const System::Shape shape = system.shape[c] = shape_of(shading);
         system.n_edges[c] = std::uint16_t(n_edges);
         system.block[c] = n_bytes.fetch_add(shape.bytes(n_edges, lanes));
         System::BlockAt<std::byte> at(system.blocks.data() + system.block[c], shape, n_edges, lanes);
+
+        // Store tints and columns.
         if (shape.base)
             for (const float* tint : {shading.columns().tint_r, shading.columns().tint_g, shading.columns().tint_b})
                 at.tint = std::copy_n(tint, lanes, at.tint);
-        std::size_t slot = begin;
+        std::size_t slot = system.first[c];
         const auto sink = [&](int lane, std::uint32_t end, float inv_rho) {
             const std::size_t j = shading.vertex(lane);
             const VertexRow& row = shading.row(lane);
@@ -204,11 +242,11 @@ struct Builder {
                 row.bits & vertex_bit::ends_alone ? direct.clamp_weight_alone : direct.clamp_weight;
             if (shape.channels()) {
                 const float back = shading.to_solid_angle(lane);
-                own_weight[lane] = back > 0 ? shading.f(lane, back / row.pdf_w)
+                own.weight[lane] = back > 0 ? shading.f(lane, back / row.pdf_w)
                                             : own_continuation(reader, reader.vertex(j), j, row.next);
                 add_column(shading, clamp_weight, end_eta2, at.scale, at.fraction, inv_rho, result);
             } else {
-                own_weight[lane] = shading.f_of_lobes(lane, 1 / row.pdf_w);
+                own.weight[lane] = shading.f_of_lobes(lane, 1 / row.pdf_w);
                 add_split_column(shading, shape, clamp_weight, end_eta2, at.scale, at.fraction, inv_rho, result);
             }
             if (!system.edge_survival.empty()) system.edge_survival[slot] = row.q * end_eta2;
@@ -220,16 +258,22 @@ struct Builder {
             for_each_indirect_edge(shading, graph, options.sharing, sink);
         else
             for_each_direction(shading, sink);
+    }
+
+    /// Light that arrives directly: the light edges of all vertices, at each vertex.
+    [[gnu::always_inline]] void add_direct_light(std::size_t c, ClusterShading& shading, const ClusterRows& rows,
+                                                 Lanes& direct, OwnSums& own) {
+        const int lanes = shading.padded();
         const auto lights = [&](const ClusterShading&, int lane) {
-            return rows.lights_of(begin + shading.place(lane));
+            return rows.lights_of(system.first[c] + shading.place(lane));
         };
         for_each_light_edge(shading, options.sharing, lights,
                             [&](int lane, const LightRow& edge, const Spectrum& light, float inv_rho) {
                                 const std::size_t j = shading.vertex(lane);
                                 const float back = shading.to_solid_angle(lane);
-                                own_light_of[lane] +=
-                                    back > 0 ? own_light(edge, shading.f(lane, back), shading.row(lane).pdf_w)
-                                             : own_light(reader, reader.vertex(j), j, edge.edge);
+                                own.light[lane] += back > 0
+                                                       ? own_light(edge, shading.f(lane, back), shading.row(lane).pdf_w)
+                                                       : own_light(reader, reader.vertex(j), j, edge.edge);
                                 const Spectrum w = light * inv_rho;
                                 const float *r = shading.f(0), *g = shading.f(1), *b = shading.f(2);
                                 for (int l = 0; l < lanes; ++l) {
@@ -238,20 +282,69 @@ struct Builder {
                                     direct.b[l] += b[l] * w.b;
                                 }
                             });
-        if (!system.inv_eta2.empty()) std::copy_n(direct.inv_eta2, shading.size(), system.inv_eta2.data() + begin);
-        for (int l = 0; l < shading.size(); ++l) {
-            const Spectrum &own = own_light_of[l], &weight = own_weight[l];
-            new (&system.at[begin + l]) System::Row{
-                {direct.r[l], direct.g[l], direct.b[l]}, {}, {own.r, own.g, own.b}, {weight.r, weight.g, weight.b}};
+    }
+
+    /// Builds all clusters; a result for each chunk of them.
+    std::vector<ChunkResult> add_clusters() {
+        const std::size_t n_members = system.first.back();
+        ClusterRows rows(reader, system.unknown, n_members, offsets, options.threads);
+        const VertexRow* vertex_rows = rows.vertices.data();
+        system.at = std::move(rows.vertices).reused<System::Row>();
+        const auto rows_of = [&](std::uint64_t c) {
+            return std::span(vertex_rows + system.first[c], system.first[c + 1] - system.first[c]);
+        };
+        const std::uint64_t n_chunks = (system.n_clusters + clusters_per_chunk - 1) / clusters_per_chunk;
+        std::vector<ChunkResult> results(n_chunks);
+        // Half of the light rows at a time: what is held at once costs more than reading the graph's light edges again.
+        for (const auto& [first_chunk, past_chunks] :
+             {std::pair{std::uint64_t(0), n_chunks / 2}, std::pair{n_chunks / 2, n_chunks}}) {
+            const std::size_t past_end = std::min(past_chunks * clusters_per_chunk, system.n_clusters);
+            rows.load_lights(reader, system.unknown, system.first[first_chunk * clusters_per_chunk],
+                             system.first[past_end], offsets, options.threads);
+            parallel_chunks(past_chunks - first_chunk, 1, options.threads,
+                            [&](std::uint64_t i, std::uint64_t, std::uint64_t) {
+                                const std::uint64_t chunk = first_chunk + i, begin = chunk * clusters_per_chunk;
+                                const auto shading = std::make_unique<ClusterShading>(reader);
+                                const auto flat = std::make_unique<FlatCluster>(reader);
+                                const auto direct = std::make_unique<Lanes>();
+                                for (std::uint64_t c = begin; c < std::min(begin + clusters_per_chunk, past_end); ++c) {
+                                    if (rank_one && flat->load(rows_of(c)))
+                                        add_flat_cluster(c, *flat, rows, results[chunk]);
+                                    else
+                                        add_cluster(c, *shading, *direct, rows, rows_of(c), results[chunk]);
+                                }
+                            });
         }
+        return results;
+    }
+
+    /// Solitary vertices: those that no cluster has.
+    std::vector<ChunkResult> add_solitary() {
+        const std::size_t n_members = system.first.back();
+        if (n_members == system.n_unknowns) return {};
+        std::uint32_t next = std::uint32_t(n_members);
+        std::vector<std::uint32_t> vertices;
+        for (std::size_t j = 0; j < system.n_unknowns; ++j)
+            if (system.unknown[j] == System::nothing) {
+                vertices.push_back(std::uint32_t(j));
+                system.unknown[j] = next++;
+            }
+        std::vector<ChunkResult> results((next - n_members) / 4096 + 1);
+        parallel_chunks(
+            next - n_members, 4096, options.threads, [&](std::uint64_t chunk, std::uint64_t begin, std::uint64_t end) {
+                for (std::uint64_t i = begin; i < end; ++i) {
+                    Spectrum direct(0), weight(0);
+                    add_private(vertices[i], std::uint32_t(n_members + i), true, direct, weight, results[chunk]);
+                    const Light light{direct.r, direct.g, direct.b};
+                    new (&system.at[n_members + i]) System::Row{light, {}, light, {weight.r, weight.g, weight.b}};
+                }
+            });
+        return results;
     }
 };
 
-}  // namespace
-
-System build_system(const PathGraph& graph, const Clusters& clusters, const SystemOptions& options) {
-    const GraphReader reader(graph);
-    const std::vector<std::uint32_t> offsets = light_edge_offsets(graph);
+/// Allocates all but the rows.
+System empty_system(const PathGraph& graph, const Clusters& clusters, const SystemOptions& options) {
     System s;
     s.n_clusters = clusters.n_clusters();
     s.n_unknowns = graph.n_vertices();
@@ -273,71 +366,20 @@ System build_system(const PathGraph& graph, const Clusters& clusters, const Syst
         s.inv_eta2 = HugeArray<float>(n_members);
     }
     s.blocks = HugeArray<std::byte>(most_bytes);
+    return s;
+}
 
-    Builder builder{graph, reader, clusters, options, offsets, s};
-    // What is of rank one for a direction is not for a point, nor where successes are counted; the clamp by cluster
-    // wants the light of each edge by itself.
-    const bool rank_one = builder.split =
-        options.sharing.reuse == Reuse::directions && !options.sharing.as_printed && options.clamp != Clamp::cluster;
-    // Places by cluster; a cluster that is not flat sorts its own once more.
+/// Numbers vertices by cluster; a cluster that is not flat sorts its own once more.
+void number_members(System& s, const Clusters& clusters, int threads) {
+    const std::size_t n_members = s.first.back();
     if (n_members < s.n_unknowns) std::fill_n(s.unknown.data(), s.n_unknowns, System::nothing);
-    parallel_chunks(n_members, 1 << 16, options.threads, [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
+    parallel_chunks(n_members, 1 << 16, threads, [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
         for (std::uint64_t k = begin; k < end; ++k) s.unknown[clusters.member[k]] = std::uint32_t(k);
     });
-    ClusterRows rows(reader, s.unknown, n_members, offsets, options.threads);
-    const VertexRow* vertex_rows = rows.vertices.data();
-    s.at = std::move(rows.vertices).reused<System::Row>();
-    const auto rows_of = [&](std::uint64_t c) {
-        return std::span(vertex_rows + s.first[c], s.first[c + 1] - s.first[c]);
-    };
-    const std::uint64_t n_chunks = (s.n_clusters + clusters_per_chunk - 1) / clusters_per_chunk;
-    std::vector<ChunkResult> results(n_chunks);
-    // Half of the light rows at a time: what is held at once costs more than reading the graph's light edges again.
-    for (const auto& [first_chunk, past_chunks] :
-         {std::pair{std::uint64_t(0), n_chunks / 2}, std::pair{n_chunks / 2, n_chunks}}) {
-        const std::size_t past_end = std::min(past_chunks * clusters_per_chunk, s.n_clusters);
-        rows.load_lights(reader, s.unknown, s.first[first_chunk * clusters_per_chunk], s.first[past_end], offsets,
-                         options.threads);
-        parallel_chunks(past_chunks - first_chunk, 1, options.threads,
-                        [&](std::uint64_t i, std::uint64_t, std::uint64_t) {
-                            const std::uint64_t chunk = first_chunk + i, begin = chunk * clusters_per_chunk;
-                            const auto shading = std::make_unique<ClusterShading>(reader);
-                            const auto flat = std::make_unique<FlatCluster>(reader);
-                            const auto direct = std::make_unique<Lanes>();
-                            for (std::uint64_t c = begin; c < std::min(begin + clusters_per_chunk, past_end); ++c) {
-                                if (rank_one && flat->load(rows_of(c)))
-                                    builder.add_flat_cluster(c, *flat, rows, results[chunk]);
-                                else
-                                    builder.add_cluster(c, *shading, *direct, rows, rows_of(c), results[chunk]);
-                            }
-                        });
-    }
+}
 
-    // Solitary vertices: those that no cluster has.
-    std::uint32_t next = std::uint32_t(n_members);
-    if (n_members < s.n_unknowns) {
-        std::vector<std::uint32_t> solitary_vertices;
-        for (std::size_t j = 0; j < s.n_unknowns; ++j)
-            if (s.unknown[j] == System::nothing) {
-                solitary_vertices.push_back(std::uint32_t(j));
-                s.unknown[j] = next++;
-            }
-        std::vector<ChunkResult> solitary((next - n_members) / 4096 + 1);
-        parallel_chunks(
-            next - n_members, 4096, options.threads, [&](std::uint64_t chunk, std::uint64_t begin, std::uint64_t end) {
-                for (std::uint64_t i = begin; i < end; ++i) {
-                    Spectrum direct(0), weight(0);
-                    builder.add_private(solitary_vertices[i], std::uint32_t(n_members + i), true, direct, weight,
-                                        solitary[chunk]);
-                    const Light light{direct.r, direct.g, direct.b};
-                    new (&s.at[n_members + i]) System::Row{light, {}, light, {weight.r, weight.g, weight.b}};
-                }
-            });
-        results.insert(results.end(), std::make_move_iterator(solitary.begin()),
-                       std::make_move_iterator(solitary.end()));
-    }
-
-    double sum = 0, taken = 0;
+/// Adds up chunks in order.
+void add_results(const std::vector<ChunkResult>& results, System& s, double& sum, double& taken) {
     for (const ChunkResult& r : results) {
         s.privates.insert(s.privates.end(), r.privates.begin(), r.privates.end());
         s.n_clamped += r.n_clamped;
@@ -346,14 +388,34 @@ System build_system(const PathGraph& graph, const Clusters& clusters, const Syst
         sum += r.sum;
         taken += r.taken;
     }
-    s.clamped_share = sum > 0 ? taken / sum : 0;
-    // Ends are vertices so far; the iteration wants unknowns.
+}
+
+/// Ends are vertices so far; the iteration wants unknowns.
+void number_ends(System& s, int threads) {
     for (System::Private& p : s.privates) p.end = s.unknown[p.end];
-    parallel_chunks(s.n_clusters, 4096, options.threads, [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
+    parallel_chunks(s.n_clusters, 4096, threads, [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
         for (std::uint64_t c = begin; c < end; ++c)
             for (std::uint32_t slot = s.first[c]; slot < s.first[c] + s.n_edges[c]; ++slot)
                 s.edges[slot].end = s.unknown[s.edges[slot].end];
     });
+}
+
+}  // namespace
+
+System build_system(const PathGraph& graph, const Clusters& clusters, const SystemOptions& options) {
+    const GraphReader reader(graph);
+    const std::vector<std::uint32_t> offsets = light_edge_offsets(graph);
+    System s = empty_system(graph, clusters, options);
+    number_members(s, clusters, options.threads);
+
+    // Evaluate clusters, then solitary vertices.
+    Builder builder{graph, reader, clusters, options, offsets, s};
+    double sum = 0, taken = 0;
+    add_results(builder.add_clusters(), s, sum, taken);
+    add_results(builder.add_solitary(), s, sum, taken);
+    s.clamped_share = sum > 0 ? taken / sum : 0;
+
+    number_ends(s, options.threads);
     return s;
 }
 
