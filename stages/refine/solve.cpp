@@ -100,6 +100,16 @@ class Reduced {
     /// What cluster c, which is not flat, makes of light L[edge][rgb].
     void give(std::size_t c, const float* L, Given& out) const;
     float clamp(std::size_t c, const float* taken_in, const float* out, Sums& sums) const;
+
+    struct Arriving {
+        Quad all, base;  // light of X, and of B alone
+    };
+    /// What an edge brings in the first step; sets its gain.
+    [[gnu::always_inline]] Arriving first_light_of(std::size_t slot, LightColumn X);
+    [[gnu::always_inline]] void first_step_of_flat(std::size_t c, LightColumn X);
+    [[gnu::always_inline]] void first_step_of_general(std::size_t c, LightColumn X, Edges& edges, Sums& clamped);
+    void first_step_of_privates(LightColumn X);
+    AllSums sums_of_first_step(LightColumn X);
     AllSums sums_of_step() const;
     static AllSums added(const std::vector<AllSums>& parts);
 
@@ -204,15 +214,12 @@ AllSums Reduced::added(const std::vector<AllSums>& parts) {
 }
 
 AllSums Reduced::first_step(LightColumn X) {
+    // Step the clusters.
     const System& s = s_;
-    const std::size_t n_members = s.first.back();
     std::vector<AllSums> clamped(n_chunks());
     for_clusters([&](std::uint64_t chunk, std::uint64_t begin, std::uint64_t end) {
         Edges edges;
         for (std::uint64_t c = begin; c < end; ++c) {
-            const std::uint32_t first = s.first[c];
-            const int n = size(c), lanes = padded_lanes(n), n_edges = s.n_edges[c];
-            const bool flat = s.shape[c].flat;
             if (c + 2 < end)
                 for (std::uint32_t slot = s.first[c + 2], i = 0; i < s.n_edges[c + 2]; ++i) {
                     const std::uint32_t k = s.edges[slot + i].end;
@@ -220,45 +227,72 @@ AllSums Reduced::first_step(LightColumn X) {
                     __builtin_prefetch(&X[k]);
                     __builtin_prefetch(&s.at[k]);
                 }
-            Quad S{}, S_base{};
-            std::fill_n(edges.taken_in, 3, 0.0f);
-            for (int e = 0; e < n_edges; ++e) {
-                const std::size_t slot = first + std::size_t(e);
-                const std::uint32_t k = s.edges[slot].end, from = home_[k];
-                const float w = s.edges[slot].weight;
-                const Quad weight{w, w, w, 0};
-                const bool end_is_flat = from < s.n_clusters;
-                const Quad gain = end_is_flat ? weight * quad(s.at[k].albedo) : weight;
-                gain_[slot] = {gain[0], gain[1], gain[2], from};
-                const Quad in = weight * quad(X[k]), base = end_is_flat ? weight * quad(s.at[k].B) : Quad{};
-                if (flat) {
-                    S += in, S_base += base;
-                } else {
-                    for (int channel = 0; channel < 3; ++channel)
-                        edges.L[3 * e + channel] = in[channel], edges.base[3 * e + channel] = base[channel];
-                    if (options_.clamp == Clamp::cluster)
-                        for (int channel = 0; channel < 3; ++channel)
-                            edges.taken_in[channel] += quad(X[k])[channel] / s.edge_survival[slot];
-                }
-            }
-            if (flat) {
-                Y_[c] = light(S), base_[c] = light(S_base);
-                continue;
-            }
-            give(c, edges.L, edges.out);
-            give(c, edges.base, edges.base_out);
-            const float factor =
-                options_.clamp == Clamp::cluster ? clamp(c, edges.taken_in, edges.out, clamped[chunk].all) : 1.0f;
-            for (int l = 0; l < n; ++l) {
-                const Light& B = s.at[first + std::size_t(l)].B;
-                const float *out = edges.out + l, *base = edges.base_out + l;
-                Y_[rows(c) + std::size_t(l)] = {B.r + out[0] * factor, B.g + out[lanes] * factor,
-                                                B.b + out[2 * lanes] * factor};
-                base_[rows(c) + std::size_t(l)] = {B.r + base[0], B.g + base[lanes], B.b + base[2 * lanes]};
-            }
+            if (s.shape[c].flat)
+                first_step_of_flat(c, X);
+            else
+                first_step_of_general(c, X, edges, clamped[chunk].all);
         }
     });
-    for (std::size_t k = n_members; k < s.n_unknowns; ++k) Y_[home_[k]] = base_[home_[k]] = s.at[k].B;
+
+    // Step all other vertices.
+    for (std::size_t k = s.first.back(); k < s.n_unknowns; ++k) Y_[home_[k]] = base_[home_[k]] = s.at[k].B;
+    first_step_of_privates(X);
+
+    AllSums sums = sums_of_first_step(X);
+    home_ = {};
+    sums.all += added(clamped).all;
+    return sums;
+}
+
+inline Reduced::Arriving Reduced::first_light_of(std::size_t slot, LightColumn X) {
+    const std::uint32_t k = s_.edges[slot].end, from = home_[k];
+    const float w = s_.edges[slot].weight;
+    const Quad weight{w, w, w, 0};
+    const bool end_is_flat = from < s_.n_clusters;
+    const Quad gain = end_is_flat ? weight * quad(s_.at[k].albedo) : weight;
+    gain_[slot] = {gain[0], gain[1], gain[2], from};
+    return {weight * quad(X[k]), end_is_flat ? weight * quad(s_.at[k].B) : Quad{}};
+}
+
+inline void Reduced::first_step_of_flat(std::size_t c, LightColumn X) {
+    Quad S{}, S_base{};
+    for (int e = 0; e < s_.n_edges[c]; ++e) {
+        const Arriving arriving = first_light_of(s_.first[c] + std::size_t(e), X);
+        S += arriving.all, S_base += arriving.base;
+    }
+    Y_[c] = light(S), base_[c] = light(S_base);
+}
+
+inline void Reduced::first_step_of_general(std::size_t c, LightColumn X, Edges& edges, Sums& clamped) {
+    // Gather the light of its edges.
+    const std::uint32_t first = s_.first[c];
+    const int n = size(c), lanes = padded_lanes(n), n_edges = s_.n_edges[c];
+    std::fill_n(edges.taken_in, 3, 0.0f);
+    for (int e = 0; e < n_edges; ++e) {
+        const std::size_t slot = first + std::size_t(e);
+        const Arriving arriving = first_light_of(slot, X);
+        for (int channel = 0; channel < 3; ++channel)
+            edges.L[3 * e + channel] = arriving.all[channel], edges.base[3 * e + channel] = arriving.base[channel];
+        if (options_.clamp == Clamp::cluster)
+            for (int channel = 0; channel < 3; ++channel)
+                edges.taken_in[channel] += quad(X[s_.edges[slot].end])[channel] / s_.edge_survival[slot];
+    }
+
+    // Reflect it at its vertices.
+    give(c, edges.L, edges.out);
+    give(c, edges.base, edges.base_out);
+    const float factor = options_.clamp == Clamp::cluster ? clamp(c, edges.taken_in, edges.out, clamped) : 1.0f;
+    for (int l = 0; l < n; ++l) {
+        const Light& B = s_.at[first + std::size_t(l)].B;
+        const float *out = edges.out + l, *base = edges.base_out + l;
+        Y_[rows(c) + std::size_t(l)] = {B.r + out[0] * factor, B.g + out[lanes] * factor,
+                                        B.b + out[2 * lanes] * factor};
+        base_[rows(c) + std::size_t(l)] = {B.r + base[0], B.g + base[lanes], B.b + base[2 * lanes]};
+    }
+}
+
+void Reduced::first_step_of_privates(LightColumn X) {
+    const System& s = s_;
     private_from_.resize(s.privates.size()), private_to_.resize(s.privates.size());
     private_gain_.resize(s.privates.size());
     parallel_chunks(s.privates.size(), 65536, options_.threads,
@@ -274,8 +308,11 @@ AllSums Reduced::first_step(LightColumn X) {
                             Y_[to] = light(quad(Y_[to]) + weight * quad(X[p.end]));
                         }
                     });
+}
 
-    // Against X vertex by vertex, as it has no S; and what later steps need for the same sums from S alone.
+/// Against X vertex by vertex, as it has no S; and what later steps need for the same sums from S alone.
+AllSums Reduced::sums_of_first_step(LightColumn X) {
+    const System& s = s_;
     std::vector<AllSums> parts(n_chunks() + 1), bases(n_chunks());
     const auto compare = [&](AllSums& sums, std::size_t k, const Quad& now) {
         const double change = magnitude(now - quad(X[k])), total = magnitude(now);
@@ -300,12 +337,9 @@ AllSums Reduced::first_step(LightColumn X) {
             if (s.shape[c].flat) albedo_sum_[c] = light(albedo_sum), image_albedo_sum_[c] = light(image_albedo_sum);
         }
     });
-    for (std::size_t k = n_members; k < s.n_unknowns; ++k) compare(parts.back(), k, quad(Y_[home_[k]]));
-    home_ = {};
+    for (std::size_t k = s.first.back(); k < s.n_unknowns; ++k) compare(parts.back(), k, quad(Y_[home_[k]]));
     flat_base_ = added(bases);
-    AllSums sums = added(parts);
-    sums.all += added(clamped).all;
-    return sums;
+    return added(parts);
 }
 
 AllSums Reduced::step() {
