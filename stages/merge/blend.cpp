@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <optional>
 
 #include "stages/core/math/vector.h"
 #include "stages/core/stats/moments.h"
@@ -360,6 +361,103 @@ struct LayerMeans {
     std::vector<std::vector<double>> sums_;
 };
 
+/// An independent image of emission and direct light.
+struct DirectImage {
+    std::vector<float> rgb, var_mean;
+    Luminances y, var_y;
+
+    explicit DirectImage(const Image& image)
+        : rgb(image.interleaved("")), var_mean(image.interleaved("VarMean")), y(luminances(rgb)) {
+        // Channels rise and fall together: their standard deviations add up.
+        std::vector<float> deviation(var_mean.size());
+        for (std::size_t k = 0; k < deviation.size(); ++k) deviation[k] = std::sqrt(var_mean[k]);
+        var_y = luminances(deviation);
+        for (double& v : var_y) v = sqr(v);
+    }
+};
+
+/// Sums of the estimates, by half of the parts.
+struct HalfSums {
+    std::vector<double> luminance;  // of both halves
+    std::vector<PairSums> direct;   // without an image of direct light
+    std::vector<SharedDirect> shared_direct;
+    std::vector<TripleSums> indirect;
+
+    HalfSums(std::size_t n_pixels, bool has_direct_image) : luminance(n_pixels) {
+        if (has_direct_image)
+            shared_direct.assign(2, SharedDirect(n_pixels));
+        else
+            direct.assign(2, PairSums(n_pixels));
+        indirect.assign(2, TripleSums(n_pixels));
+    }
+
+    void add(std::size_t half, const Image& image) {
+        const auto layer = [&](const char* name) { return luminances(image.interleaved(name)); };
+        const Luminances y = layer("");
+        for (std::size_t p = 0; p < y.size(); ++p) luminance[p] += y[p];
+        if (direct.empty())
+            shared_direct[half].add(layer("Emitted"), layer("DirectCluster"));
+        else
+            direct[half].add(layer("DirectOwn"), layer("DirectCluster"));
+        indirect[half].add(layer("IndirectPath"), layer("IndirectOwn"), layer("IndirectCluster"));
+    }
+
+    /// Weights from the sums of one half.
+    Weights weights(std::size_t half, const DirectImage* image, const std::vector<double>& importance, int width,
+                    int height, bool test_bias) const {
+        Weights w;
+        w.direct =
+            image ? shared_direct[half].weights(image->y, image->var_y, importance, width, height, direct_against_own)
+                  : direct[half].weights(importance, width, height, direct_against_own);
+        w.own = indirect[half].own.weights(importance, width, height, against_own);
+        const PairSums path = indirect[half].against_blend(w.own);
+        w.path = path.weights(importance, width, height, against_path);
+        w.distrust.assign(w.path.size(), 0);
+        if (!test_bias) return w;
+        w.trust_paths(w.path, path.distrust(w.path, width, height));
+        if (!image) w.trust_paths(w.direct, direct[half].distrust(w.direct, width, height));
+        return w;
+    }
+};
+
+/// Adds the blend of one part.
+void add_blend(const Image& image, const Weights& w, const DirectImage* direct_image, std::vector<Moments>& moments) {
+    const auto emitted = image.interleaved("Emitted"), direct_own = image.interleaved("DirectOwn"),
+               direct_cluster = image.interleaved("DirectCluster"), path = image.interleaved("IndirectPath"),
+               own = image.interleaved("IndirectOwn"), cluster = image.interleaved("IndirectCluster");
+    for (std::size_t p = 0; p < w.own.size(); ++p)
+        for (std::size_t k = 3 * p; k < 3 * p + 3; ++k) {
+            const double shared = cluster[k] + w.own[p] * (double(own[k]) - cluster[k]);
+            const double straight = emitted[k] + direct_cluster[k];
+            const double other = direct_image ? direct_image->rgb[k] : emitted[k] + direct_own[k];
+            moments[k].add(straight + w.direct[p] * (other - straight) + shared + w.path[p] * (path[k] - shared));
+        }
+}
+
+/// Adds the mean weights as layers.
+void add_weights(const Weights (&weights)[2], std::size_t n_parts, Image& result) {
+    const double even = double((n_parts + 1) / 2) / double(n_parts);
+    const auto add = [&](const char* layer, std::vector<double> Weights::*of) {
+        const auto values = result.add(layer);
+        for (std::size_t p = 0; p < values.size(); ++p)
+            values[p] = float(lerp(1 - even, (weights[0].*of)[p], (weights[1].*of)[p]));
+    };
+    add("Blend.Direct", &Weights::direct);
+    add("Blend.Own", &Weights::own);
+    add("Blend.Path", &Weights::path);
+    add("Blend.Distrust", &Weights::distrust);
+}
+
+/// The image of direct light is the same in all parts: its own noise does not show between them.
+void add_variance(const DirectImage& direct_image, Image& result) {
+    const auto direct_weight = result.find("Blend.Direct");
+    for (int c = 0; c < 3; ++c) {
+        const auto var_mean = result.add(std::string("VarMean.") + "RGB"[c]);
+        for (std::size_t p = 0; p < var_mean.size(); ++p)
+            var_mean[p] += float(sqr(double(direct_weight[p])) * direct_image.var_mean[3 * p + c]);
+    }
+}
+
 }  // namespace
 
 bool has_estimates(const Image& image) {
@@ -367,98 +465,34 @@ bool has_estimates(const Image& image) {
                                [&](const char* layer) { return !image.find(std::string(layer) + ".R").empty(); });
 }
 
-Image blend_images(std::size_t n_parts, const std::function<Image(std::size_t)>& part, const Image* direct_image,
+Image blend_images(std::size_t n_parts, const std::function<Image(std::size_t)>& part, const Image* direct,
                    bool test_bias) {
+    // Add up the parts.
     LayerMeans layers(n_parts);
-    std::vector<double> luminance_sum;
-    std::vector<PairSums> direct;
-    std::vector<SharedDirect> shared_direct;
-    std::vector<TripleSums> indirect;
+    std::optional<HalfSums> sums;
     for (std::size_t i = 0; i < n_parts; ++i) {
         const Image image = part(i);
         layers.add(image);
-        if (i == 0) {
-            luminance_sum.resize(image.n_pixels());
-            if (direct_image)
-                shared_direct.assign(2, SharedDirect(image.n_pixels()));
-            else
-                direct.assign(2, PairSums(image.n_pixels()));
-            indirect.assign(2, TripleSums(image.n_pixels()));
-        }
-        const Luminances y = luminances(image.interleaved(""));
-        for (std::size_t p = 0; p < y.size(); ++p) luminance_sum[p] += y[p];
-        const auto layer = [&](const char* name) { return luminances(image.interleaved(name)); };
-        if (direct_image)
-            shared_direct[i % 2].add(layer("Emitted"), layer("DirectCluster"));
-        else
-            direct[i % 2].add(layer("DirectOwn"), layer("DirectCluster"));
-        indirect[i % 2].add(layer("IndirectPath"), layer("IndirectOwn"), layer("IndirectCluster"));
+        if (i == 0) sums.emplace(image.n_pixels(), direct != nullptr);
+        sums->add(i % 2, image);
     }
 
+    // Find the weights of each half by the other.
     const int width = int(layers.result.width), height = int(layers.result.height);
-    std::vector<double> importance = window_mean(luminance_sum, width, height, against_own.radius);
+    std::vector<double> importance = window_mean(sums->luminance, width, height, against_own.radius);
     for (double& y : importance) y = 1 / (sqr(y / double(n_parts)) + 0.01);  // errors count relative to brightness
-    std::vector<float> direct_rgb, direct_var;
-    Luminances direct_y, direct_var_y;
-    if (direct_image) {
-        direct_rgb = direct_image->interleaved("");
-        direct_var = direct_image->interleaved("VarMean");
-        direct_y = luminances(direct_rgb);
-        // Channels rise and fall together: their standard deviations add up.
-        std::vector<float> deviation(direct_var.size());
-        for (std::size_t k = 0; k < deviation.size(); ++k) deviation[k] = std::sqrt(direct_var[k]);
-        direct_var_y = luminances(deviation);
-        for (double& y : direct_var_y) y = sqr(y);
-    }
-    Weights weights[2];
-    for (int half = 0; half < 2; ++half) {
-        const TripleSums& other = indirect[1 - half];
-        Weights& w = weights[half];
-        w.direct = direct_image ? shared_direct[1 - half].weights(direct_y, direct_var_y, importance, width, height,
-                                                                  direct_against_own)
-                                : direct[1 - half].weights(importance, width, height, direct_against_own);
-        w.own = other.own.weights(importance, width, height, against_own);
-        const PairSums path = other.against_blend(w.own);
-        w.path = path.weights(importance, width, height, against_path);
-        w.distrust.assign(w.path.size(), 0);
-        if (!test_bias) continue;
-        w.trust_paths(w.path, path.distrust(w.path, width, height));
-        if (!direct_image) w.trust_paths(w.direct, direct[1 - half].distrust(w.direct, width, height));
-    }
+    std::optional<DirectImage> direct_image;
+    if (direct) direct_image.emplace(*direct);
+    const DirectImage* const shared = direct_image ? &*direct_image : nullptr;
+    const Weights weights[2] = {sums->weights(1, shared, importance, width, height, test_bias),
+                                sums->weights(0, shared, importance, width, height, test_bias)};
 
-    const std::size_t n_pixels = layers.result.n_pixels();
-    std::vector<Moments> moments(3 * n_pixels);
-    for (std::size_t i = 0; i < n_parts; ++i) {
-        const Image image = part(i);
-        const auto emitted = image.interleaved("Emitted"), direct_own = image.interleaved("DirectOwn"),
-                   direct_cluster = image.interleaved("DirectCluster"), path = image.interleaved("IndirectPath"),
-                   own = image.interleaved("IndirectOwn"), cluster = image.interleaved("IndirectCluster");
-        const Weights& w = weights[i % 2];
-        for (std::size_t p = 0; p < n_pixels; ++p)
-            for (std::size_t k = 3 * p; k < 3 * p + 3; ++k) {
-                const double shared = cluster[k] + w.own[p] * (double(own[k]) - cluster[k]);
-                const double straight = emitted[k] + direct_cluster[k];
-                const double other = direct_image ? direct_rgb[k] : emitted[k] + direct_own[k];
-                moments[k].add(straight + w.direct[p] * (other - straight) + shared + w.path[p] * (path[k] - shared));
-            }
-    }
+    // Blend each part.
+    std::vector<Moments> moments(3 * layers.result.n_pixels());
+    for (std::size_t i = 0; i < n_parts; ++i) add_blend(part(i), weights[i % 2], shared, moments);
     Image result = std::move(layers).finish(moments);
-    const double even = double((n_parts + 1) / 2) / double(n_parts);
-    const auto direct_weight = result.add("Blend.Direct"), own_weight = result.add("Blend.Own"),
-               path_weight = result.add("Blend.Path"), distrust = result.add("Blend.Distrust");
-    for (std::size_t p = 0; p < n_pixels; ++p) {
-        direct_weight[p] = float(lerp(1 - even, weights[0].direct[p], weights[1].direct[p]));
-        own_weight[p] = float(lerp(1 - even, weights[0].own[p], weights[1].own[p]));
-        path_weight[p] = float(lerp(1 - even, weights[0].path[p], weights[1].path[p]));
-        distrust[p] = float(lerp(1 - even, weights[0].distrust[p], weights[1].distrust[p]));
-    }
-    // The image of direct light is the same in all parts: its own noise does not show between them.
-    if (direct_image)
-        for (int c = 0; c < 3; ++c) {
-            const auto var_mean = result.add(std::string("VarMean.") + "RGB"[c]);
-            for (std::size_t p = 0; p < n_pixels; ++p)
-                var_mean[p] += float(sqr(double(direct_weight[p])) * direct_var[3 * p + c]);
-        }
+    add_weights(weights, n_parts, result);
+    if (shared) add_variance(*shared, result);
     return result;
 }
 
