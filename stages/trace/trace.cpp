@@ -225,22 +225,81 @@ std::string plan(const Scene& scene, const PathOptions& path, bool graph) {
     return "on: " + on + "; off: " + (off.empty() ? "nothing" : off);
 }
 
+namespace {
+
+void check_output(const Options& options, const std::string& ending) {
+    if (options.output.empty()) throw InputError("--output: missing (a .h5 or .exr file)");
+    if (ending != ".h5" && ending != ".exr")
+        throw InputError(fmt::format("{}: the output must end in .h5 (path graph) or .exr (image)", options.output));
+    if (options.passes > 1 && options.output.find('%') == std::string::npos)
+        throw InputError(options.output + ": --passes needs a % in the name of the output, for the pass number");
+    if (options.passes > 1 && options.first_sample % options.spp != 0)
+        throw InputError(
+            fmt::format("--first-sample {}: passes are numbered by it, so it must be a multiple of --spp {}",
+                        options.first_sample, options.spp));
+    check_output_path(options.output);
+}
+
+/// What all passes have in common.
+struct Passes {
+    const Options& options;
+    const Scene& scene;
+    PathOptions path;
+    std::string plan, ending;
+    Cost loading;                                               // what reading the scene has cost
+    std::shared_ptr<Arena> memory = std::make_shared<Arena>();  // of a graph, reused by the next pass
+};
+
+/// Traces one pass into its file.
+Counts trace_pass(const Passes& of, std::uint64_t pass, const std::string& output, app::Report& report) {
+    const Options& options = of.options;
+    Provenance provenance = report.provenance(
+        options.seed, {{app::base_name(options.scene), content_hash_text(of.scene.content_hash)}}, of.plan);
+    provenance.command = command_of_pass(options, report.command(), pass);
+    const Work work{options.first_sample + pass * options.spp, options.spp, options.threads};
+    Counts counts;
+    if (of.ending == ".exr") {
+        Image image = render_image(of.scene, of.path, work, report, counts);
+        image.scene = provenance.inputs[0];
+        image.provenance = std::move(provenance);
+        write_image(image, output);
+        return counts;
+    }
+    PathGraphInPieces graph = render_graph(of.scene, of.path, work, report, counts, of.memory, options.misses);
+    graph.provenance = std::move(provenance);
+    write_path_graph(graph, output);
+    std::uint64_t bytes = 0;
+    for (const ColumnBytes& column : column_bytes(graph)) bytes += column.bytes;
+    report.info("graph: {} vertices, {} light edges, {:.1f} bytes per vertex", graph.n_vertices(),
+                graph.n_light_edges(), double(bytes) / double(std::max<std::size_t>(graph.n_vertices(), 1)));
+    return counts;
+}
+
+/// Writes the cost of a pass beside its file; each pass carries a part of that of reading the scene.
+/// in:  before  cost of the stage before the pass
+void finish_pass(const Passes& of, const std::string& output, const Counts& counts, const Cost& before,
+                 app::Report& report) {
+    const double n_passes = double(of.options.passes);
+    Cost cost = report.cost(of.plan);
+    cost.wall_s += of.loading.wall_s / n_passes - before.wall_s;
+    cost.cpu_s += of.loading.cpu_s / n_passes - before.cpu_s;
+    cost.load_s = of.loading.cpu_s / n_passes;
+    cost.rays = counts.rays;
+    cost.samples = of.scene.sensor.n_pixels() * of.options.spp;
+    cost.sources = {of.options.scene};
+    write_cost_of(output, cost, {});
+    report.done("{}: {} paths, {} vertices, {} rays, {} samples not finite",
+                std::filesystem::path(output).filename().string(), cost.samples, counts.vertices, counts.rays,
+                counts.nonfinite);
+}
+
+}  // namespace
+
 void run(const Options& options, app::Report& report) {
     const std::string ending = std::filesystem::path(options.output).extension();
-    const bool writes = !options.plan && options.replay.empty();
-    if (writes) {
-        if (options.output.empty()) throw InputError("--output: missing (a .h5 or .exr file)");
-        if (ending != ".h5" && ending != ".exr")
-            throw InputError(
-                fmt::format("{}: the output must end in .h5 (path graph) or .exr (image)", options.output));
-        if (options.passes > 1 && options.output.find('%') == std::string::npos)
-            throw InputError(options.output + ": --passes needs a % in the name of the output, for the pass number");
-        if (options.passes > 1 && options.first_sample % options.spp != 0)
-            throw InputError(
-                fmt::format("--first-sample {}: passes are numbered by it, so it must be a multiple of --spp {}",
-                            options.first_sample, options.spp));
-        check_output_path(options.output);
-    }
+    if (!options.plan && options.replay.empty()) check_output(options, ending);
+
+    // Read the scene.
     const auto scene = load_scene(options.scene, parse_defines(options.defines), options.sensor);
     for (const std::string& note : scene->notes) report.info("{}", note);
     const PathOptions path = path_options(options, *scene);
@@ -257,53 +316,21 @@ void run(const Options& options, app::Report& report) {
     }
     report.info("plan: {}", planned);
 
-    // What reading the scene has cost, each pass carries a part of.
-    const Cost loading = report.cost();
-    const auto memory = std::make_shared<Arena>();  // of a graph, reused by the next pass
+    // Trace pass by pass.
+    const Passes passes{options, *scene, path, planned, ending, report.cost()};
     std::uint64_t n_nonfinite_passes = 0;
     for (std::uint64_t pass = 0; pass < options.passes; ++pass) {
         const Cost before = report.cost();
         const std::string output = output_of_pass(options, pass);
-        Provenance provenance = report.provenance(
-            options.seed, {{app::base_name(options.scene), content_hash_text(scene->content_hash)}}, planned);
-        provenance.command = command_of_pass(options, report.command(), pass);
-        const Work work{options.first_sample + pass * options.spp, options.spp, options.threads};
-        Counts counts;
         try {
-            if (ending == ".exr") {
-                Image image = render_image(*scene, path, work, report, counts);
-                image.scene = provenance.inputs[0];
-                image.provenance = std::move(provenance);
-                write_image(image, output);
-            } else {
-                PathGraphInPieces graph = render_graph(*scene, path, work, report, counts, memory, options.misses);
-                graph.provenance = std::move(provenance);
-                write_path_graph(graph, output);
-                std::uint64_t bytes = 0;
-                for (const ColumnBytes& column : column_bytes(graph)) bytes += column.bytes;
-                report.info("graph: {} vertices, {} light edges, {:.1f} bytes per vertex", graph.n_vertices(),
-                            graph.n_light_edges(),
-                            double(bytes) / double(std::max<std::size_t>(graph.n_vertices(), 1)));
-            }
+            const Counts counts = trace_pass(passes, pass, output, report);
+            finish_pass(passes, output, counts, before, report);
         } catch (const NonfiniteError& kept) {
             // The other passes are worth having.
             if (options.passes == 1) throw;
             report.error("{}", kept.what());
             ++n_nonfinite_passes;
-            continue;
         }
-        const std::uint64_t samples = scene->sensor.n_pixels() * options.spp;
-        Cost cost = report.cost(planned);
-        cost.wall_s += loading.wall_s / double(options.passes) - before.wall_s;
-        cost.cpu_s += loading.cpu_s / double(options.passes) - before.cpu_s;
-        cost.load_s = loading.cpu_s / double(options.passes);
-        cost.rays = counts.rays;
-        cost.samples = samples;
-        cost.sources = {options.scene};
-        write_cost_of(output, cost, {});
-        report.done("{}: {} paths, {} vertices, {} rays, {} samples not finite",
-                    std::filesystem::path(output).filename().string(), samples, counts.vertices, counts.rays,
-                    counts.nonfinite);
     }
     if (n_nonfinite_passes > 0)
         throw NonfiniteError(
