@@ -410,12 +410,82 @@ void declare(app::Command& command, Options& options) {
     command.example("loom-compare pt=a.exr pt=b.exr graph=c.exr graph=d.exr --reference reference.exr --cost");
 }
 
+namespace {
+
+/// File of the reference: without --reference the second of two inputs, which is then taken from them.
+std::string take_reference(const Options& options, std::vector<Input>& inputs) {
+    if (!options.reference.empty()) return options.reference;
+    if (inputs.size() != 2) throw InputError("--reference: missing; only two inputs can do without it");
+    std::string file = inputs[1].file;
+    inputs.pop_back();
+    return file;
+}
+
+/// Measures inputs one after the other, a group for each method and number of samples.
+class Loader {
+  public:
+    Loader(const Options& options, const Picture& reference, const std::string& reference_file)
+        : options_(options), reference_(reference), reference_file_(reference_file) {}
+
+    /// in:  hash  of the file
+    void add(const Input& input, const std::string& hash) {
+        Picture picture = read_picture(input.file);
+        check_fit(picture, input.file, reference_, reference_file_);
+        set_scale(picture, reference_.scale);
+        const auto [at, is_new] = group_by_key_.try_emplace({input.label, picture.samples}, loaded.size());
+        if (is_new) loaded.emplace_back();
+        // The same noise twice is no replicate. Two methods may well give the same bytes.
+        const auto [known, first_time] = name_by_hash_.try_emplace(hash + std::to_string(at->second), input.file);
+        if (!first_time) throw InputError(fmt::format("{}: holds the same samples as {}", input.file, known->second));
+        add_replicate(input, std::move(picture), is_new, loaded[at->second]);
+    }
+
+    std::vector<Loaded> loaded;
+
+  private:
+    void add_replicate(const Input& input, Picture picture, bool is_first, Loaded& into) {
+        Measured m = measure(picture, reference_, options_);
+        m.method = input.label;
+        m.file = input.file;
+        m.replicate = into.group.replicates.size();
+        if (options_.cost) add_cost(m);
+        into.group.replicates.push_back(std::move(m));
+        add_tile_errors(into.group.tile_errors, picture, reference_, 1);
+        into.rgb.push_back(std::move(picture.rgb));
+        if (picture.is_cube()) {
+            into.sums.push_back(std::move(picture.sums));
+            if (is_first)
+                into.var_mean = picture.var_mean;
+            else
+                for (std::size_t i = 0; i < into.var_mean.size(); ++i) into.var_mean[i] += picture.var_mean[i];
+        }
+        if (is_first) into.first = std::move(picture);
+    }
+
+    const Options& options_;
+    const Picture& reference_;
+    const std::string& reference_file_;
+    std::map<std::string, std::string> name_by_hash_;
+    std::map<std::pair<std::string, std::uint64_t>, std::size_t> group_by_key_;
+};
+
+void warn_of_noise(const Group& group, app::Report& report) {
+    const double noise = group.replicates[0].reference_noise, relmse = group.estimate(&Measured::relmse).mean;
+    if (noise > 0.1 * relmse)
+        report.warn("{}: {:.0f} % of the relMSE is the reference's own noise; see relmse_net", group.method(),
+                    100 * noise / relmse);
+}
+
+}  // namespace
+
 int run(const Options& options, app::Report& report) {
     if (options.json && options.tsv) throw InputError("--json, --tsv: give only one of them");
     std::vector<Limit> limits;
     parse_limits(options.fail_above, true, limits);
     parse_limits(options.fail_below, false, limits);
     std::vector<Input> inputs = inputs_of(options);
+
+    // Costs alone need no reference.
     if (options.cost && options.reference.empty()) {
         if (!limits.empty() || !options.difference.empty())
             throw InputError(
@@ -424,71 +494,38 @@ int run(const Options& options, app::Report& report) {
         report_costs(options, report);
         return app::exit_done;
     }
-    std::string reference_file = options.reference;
-    if (reference_file.empty()) {
-        if (inputs.size() != 2) throw InputError("--reference: missing; only two inputs can do without it");
-        reference_file = inputs[1].file;
-        inputs.pop_back();
-    }
+
+    // Read the reference.
+    const std::string reference_file = take_reference(options, inputs);
     if (!options.difference.empty() && fs::path(options.difference).extension() != ".exr")
         throw InputError(fmt::format("{}: the difference must end in .exr", options.difference));
-
     const Picture reference = read_reference(options, reference_file);
-    Provenance provenance = report.provenance(0, {}, {});
-    Comparison comparison{
-        options.scene, reference_file, reference.width, reference.height, reference.cube.time.n_bins, {}};
     if (reference.is_cube() && reference.var_mean.empty())
         throw InputError(
             fmt::format("{}: has no variance and cannot be a reference; a cube needs two samples per pixel or more",
                         reference_file));
-    std::map<std::string, std::string> name_by_hash;
-    std::vector<Loaded> loaded;
-    std::map<std::pair<std::string, std::uint64_t>, std::size_t> group_by_key;
+
+    // Measure the inputs.
+    Provenance provenance = report.provenance(0, {}, {});
+    Loader loader(options, reference, reference_file);
     for (const Input& input : inputs) {
         provenance.inputs.push_back(identify(input.file));
-        Picture picture = read_picture(input.file);
-        check_fit(picture, input.file, reference, reference_file);
-        set_scale(picture, reference.scale);
-        const auto [at, is_new] = group_by_key.try_emplace({input.label, picture.samples}, loaded.size());
-        if (is_new) loaded.emplace_back();
-        Loaded& into = loaded[at->second];
-        // The same noise twice is no replicate. Two methods may well give the same bytes.
-        const std::string key = provenance.inputs.back().hash + std::to_string(at->second);
-        const auto [known, first_time] = name_by_hash.try_emplace(key, input.file);
-        if (!first_time) throw InputError(fmt::format("{}: holds the same samples as {}", input.file, known->second));
-
-        Measured m = measure(picture, reference, options);
-        m.method = input.label;
-        m.file = input.file;
-        m.replicate = into.group.replicates.size();
-        if (options.cost) add_cost(m);
-        into.group.replicates.push_back(std::move(m));
-        add_tile_errors(into.group.tile_errors, picture, reference, 1);
-        into.rgb.push_back(std::move(picture.rgb));
-        if (picture.is_cube()) {
-            into.sums.push_back(std::move(picture.sums));
-            if (is_new)
-                into.var_mean = picture.var_mean;
-            else
-                for (std::size_t i = 0; i < into.var_mean.size(); ++i) into.var_mean[i] += picture.var_mean[i];
-        }
-        if (is_new) into.first = std::move(picture);
+        loader.add(input, provenance.inputs.back().hash);
     }
-    if (!options.difference.empty() && loaded.size() != 1)
-        throw InputError(fmt::format("--difference: needs exactly one method, not {}", loaded.size()));
-    for (Loaded& one : loaded) {
+    if (!options.difference.empty() && loader.loaded.size() != 1)
+        throw InputError(fmt::format("--difference: needs exactly one method, not {}", loader.loaded.size()));
+    for (Loaded& one : loader.loaded) {
         for (double& error : one.group.tile_errors) error /= double(one.rgb.size());
         finish(one, reference, options);
-        const double noise = one.group.replicates[0].reference_noise,
-                     relmse = one.group.estimate(&Measured::relmse).mean;
-        if (noise > 0.1 * relmse) {
-            report.warn("{}: {:.0f} % of the relMSE is the reference's own noise; see relmse_net", one.group.method(),
-                        100 * noise / relmse);
-        }
+        warn_of_noise(one.group, report);
     }
+
+    // Write the results.
     provenance.inputs.push_back(identify(reference_file));
-    if (!options.difference.empty()) write_difference(options, loaded[0], reference, provenance, report);
-    for (Loaded& one : loaded) comparison.groups.push_back(std::move(one.group));
+    if (!options.difference.empty()) write_difference(options, loader.loaded[0], reference, provenance, report);
+    Comparison comparison{
+        options.scene, reference_file, reference.width, reference.height, reference.cube.time.n_bins, {}};
+    for (Loaded& one : loader.loaded) comparison.groups.push_back(std::move(one.group));
     report.answer(options.json ? json_of(comparison) : options.tsv ? tsv_of(comparison) : text_of(comparison));
     return judge(limits, comparison, report);
 }
