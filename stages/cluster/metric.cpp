@@ -40,7 +40,6 @@ Metric::Metric(const Pool& pool, float length_scale, float normal_weight, std::u
     : pool_(pool),
       p_rows_(random_rotation(streams::position_rotation(seed), 1 / length_scale)),
       n_rows_(random_rotation(streams::normal_rotation(seed), normal_weight)),
-      origin_{},
       length_scale_(length_scale) {
     // Rounding is smallest near the middle of things; where exactly does not matter.
     if (pool.size() == 0) return;

@@ -350,7 +350,7 @@ TEST(MedianSplits, AreThoseOfSorting) {
             std::vector<Point> points(n);
             for (std::size_t i = 0; i < n; ++i) {
                 Point& p = points[i];
-                p = {{}, std::uint32_t(mix64(i) % n * n + i), 0};
+                p = {{}, std::uint32_t(mix64(i) % n * n + i), {}};
                 for (std::size_t c = 0; c < 3; ++c) {
                     const float u = uniform(3 * i + c);
                     p.x[c] = kind == 1 ? std::floor(4 * u) : kind == 3 ? 0.5f : u;

@@ -20,7 +20,6 @@ using refine::Clamp;
 using refine::Light;
 using refine::path_radiance;
 using refine::System;
-using refine::SystemOptions;
 using testing::clusters_of;
 using testing::own_scene;
 using testing::path_options;
