@@ -12,7 +12,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// How to get a cost file that is not there: the file says how it was made, if it is there itself.
+/// Describes how to remake a missing cost file; the file itself, if it exists, stores its command.
 std::string remedy(const fs::path& file) {
     if (!fs::exists(file)) return fmt::format("make {} again", file.native());
     const std::string command = survey_file(file).attribute("command");

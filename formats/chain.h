@@ -1,5 +1,5 @@
 #pragma once
-// The files that an output came from, by the costs that lie beside them.
+// The chain of files behind an output, read from the cost files beside them.
 
 #include <filesystem>
 #include <vector>
@@ -8,16 +8,16 @@
 
 namespace loom {
 
-/// A file of a chain and what making it took.
+/// A file of a chain and the cost of making it.
 struct ChainFile {
     std::filesystem::path file;
     Cost cost;
 };
 
-/// An output and all its ancestors, each once however many ways lead to it, ancestors before what is made from them.
-///   NEEDS only the .cost.json files: the ancestors themselves may be gone
-/// throws:  InputError naming the missing or damaged cost file, what needs it and what to run again; or the loop
-///          when a file is its own ancestor
+/// Returns an output and all its ancestors, each once, ancestors before the files made from them.
+/// needs:   only the .cost.json files; the ancestors themselves may be deleted
+/// throws:  InputError naming the missing or damaged cost file, the file that needs it and the command to run again; or
+///          naming the loop when a file is its own ancestor
 std::vector<ChainFile> read_chain(const std::filesystem::path& output);
 
 }  // namespace loom

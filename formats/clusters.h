@@ -1,9 +1,9 @@
 #pragma once
 // clusters: which vertices of a path graph share their samples.
 //
-// A cluster is a set of vertices that lie close and face alike; its rows are a run of `clusters/member`. A
-// vertex is in one cluster or in none: the ones without a cluster ("solitary") are those whose scattering is
-// too narrow for a neighbour's sample to be of use.
+// A cluster is a set of vertices that are close in position and normal. Its rows are a run of `clusters/member`. A
+// vertex is in at most one cluster. A vertex without a cluster ("solitary") has scattering too narrow to use a
+// neighbour's sample.
 
 #include <cstdint>
 #include <filesystem>
@@ -25,7 +25,7 @@ struct Clusters {
     static constexpr FormatId format{"clusters", 1, 2};
 
     std::string graph;                 // content hash of the path graph, as in Provenance::inputs
-    std::uint64_t graph_vertices = 0;  // how many vertices that graph has
+    std::uint64_t graph_vertices = 0;  // vertices of that graph
 
     struct Settings {
         std::string method = "balanced";  // or "centres"
@@ -35,7 +35,7 @@ struct Clusters {
         std::uint64_t seed = 0;
     } settings;
 
-    // What was kept apart although it is close and faces alike, in vertices; empty in files of version 1.0.
+    // Numbers of vertices that were separated although close in position and normal; empty in files of version 1.0.
     struct Separation {
         Column<std::uint64_t> other_media;
         Column<std::uint64_t> same_path;  // empty in files of version 1.1
@@ -43,33 +43,33 @@ struct Clusters {
     } separation;
 
     Column<std::uint32_t> first;   // cluster+1 offsets into member
-    Column<std::uint32_t> member;  // rows of the graph's vertices, cluster by cluster
+    Column<std::uint32_t> member;  // rows of the graph's vertices, ordered by cluster
 
     Provenance provenance;
-    std::shared_ptr<const MappedFile> storage;  // what the columns are borrowed from, if from a file
+    std::shared_ptr<const MappedFile> storage;  // memory that the columns borrow; null when they own it
 
     std::size_t n_clusters() const { return first.empty() ? 0 : first.size() - 1; }
     std::size_t n_members() const { return member.size(); }
 
-    /// The invariants that go beyond types, lengths and finite floats; empty when all hold.
+    /// Checks the invariants beyond types, lengths and finite floats. Returns the first violation; empty when all hold.
     std::string problem() const;
 
     template <class Self, class Visitor>
     static void fields(Self& c, Visitor& v);
 };
 
-/// needs:   columns of one axis of one length
+/// needs:   columns that share an axis have the same length
 void write_clusters(const Clusters& clusters, const std::filesystem::path& path, Sync sync = Sync::yes);
 /// Reads, maps and checks the whole file.
 /// throws:  InputError naming the file and the dataset
 Clusters read_clusters(const std::filesystem::path& path);
 
 inline constexpr std::uint32_t no_cluster = 0xffffffffu;
-/// The cluster of each vertex of the graph; no_cluster for the solitary.
+/// Returns the cluster of each vertex of the graph; no_cluster for solitary vertices.
 std::vector<std::uint32_t> cluster_of_vertices(const Clusters& clusters);
 
-/// Refuses clusters of another graph than this one, known as graph_id.
-/// throws:  InputError naming both files and the command that mends it
+/// Refuses clusters of another graph than `graph`, whose content is `graph_id`.
+/// throws:  InputError naming both files and the command that makes matching clusters
 void require_clusters_of(const PathGraph& graph, const InputId& graph_id, const Clusters& clusters,
                          const std::filesystem::path& clusters_path);
 

@@ -3,7 +3,7 @@
 
 namespace loom {
 
-/// The text of FORMATS.md, printed from the declarations of all formats.
+/// Returns the text of FORMATS.md, generated from the declarations of all formats.
 std::string formats_markdown();
 
 }  // namespace loom

@@ -26,8 +26,8 @@
 namespace loom {
 namespace {
 
-// A header may claim any size. Pictures beyond this many bytes must be matched by a file of a size that
-// compression could explain.
+// A header may claim any size. An image above this many bytes is accepted only if compression could explain the size of
+// its file.
 constexpr std::size_t unquestioned_bytes = std::size_t{1} << 30;
 constexpr std::size_t believable_ratio = 4096;
 
@@ -86,12 +86,12 @@ void read_header(const Imf::Header& header, const std::filesystem::path& path, I
     for (std::size_t at = 0, end; (end = inputs.find('\n', at)) != std::string::npos; at = end + 1) {
         image.provenance.inputs.push_back(input_from_text(inputs.substr(at, end - at)));
     }
-    if (image.filetype != Image::format.name) return;  // other programs mean other things by these names
+    if (image.filetype != Image::format.name) return;  // in files of other programs these names have other meanings
     image.scene = input_from_text(text_of(header, "scene"));
     image.ledger = ledger_from_text(text_of(header, "ledger"), path);
 }
 
-/// Width and height of the data window, when a file of this size may hold it.
+/// Returns width and height of the data window, if a file of this size can hold it.
 void check_size(const Imath::Box2i& window, std::size_t n_channels, const std::filesystem::path& path, Image& image) {
     const std::int64_t width = std::int64_t{window.max.x} - window.min.x + 1;
     const std::int64_t height = std::int64_t{window.max.y} - window.min.y + 1;
@@ -144,7 +144,7 @@ Image read_exr(const std::filesystem::path& path, bool needs_rgb) {
     return image;
 }
 
-/// Runs a reader and turns what OpenEXR throws into an InputError that names the file.
+/// Runs a reader and converts OpenEXR's exceptions to an InputError that names the file.
 template <class Body>
 auto as_input(const std::filesystem::path& path, Body body) {
     require_readable(path);
@@ -200,7 +200,7 @@ void write_image(const Image& image, const std::filesystem::path& path, Compress
                                                channel.name, channel.values.size(), image.n_pixels()));
         }
         header.channels().insert(channel.name, Imf::Channel(Imf::FLOAT));
-        // The library takes one kind of slice for reading and writing; it does not write to this one.
+        // The library has one type of slice for reading and writing; it does not write to this one.
         frame.insert(channel.name, Imf::Slice::Make(Imf::FLOAT, const_cast<float*>(channel.values.data()),
                                                     header.dataWindow(), sizeof(float), sizeof(float) * image.width));
     }

@@ -33,7 +33,7 @@ std::size_t write_png(const Image& image, const std::filesystem::path& path, dou
     png.version = PNG_IMAGE_VERSION;
     png.width = image.width;
     png.height = image.height;
-    png.format = PNG_FORMAT_RGB;  // 8 bits, sRGB, and marked so
+    png.format = PNG_FORMAT_RGB;  // 8 bits, marked as sRGB
     OutputStream stream(output);
     if (png_image_write_to_stdio(&png, stream.get(), 0, bytes.data(), 0, nullptr) == 0)
         throw std::runtime_error(fmt::format("{}: cannot write: {}", path.native(), png.message));

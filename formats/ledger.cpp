@@ -9,7 +9,7 @@
 namespace loom {
 namespace {
 
-/// The one list of members, for the writer and the reader.
+/// The single list of members, for writer and reader.
 template <class Link, class Visitor>
 void members(Link& link, Visitor&& visit) {
     visit("scene", link.scene.name);

@@ -1,5 +1,5 @@
 #pragma once
-// radiance: the light that each vertex of a path graph reflects along its path, refined by its neighbours.
+// radiance: reflected radiance of each vertex of a path graph towards its previous vertex, refined with its neighbours.
 
 #include <cstdint>
 #include <filesystem>
@@ -20,7 +20,7 @@ struct Radiance {
     static constexpr FormatId format{"radiance", 1, 0};
 
     std::string graph, clusters;       // content hashes, as in Provenance::inputs; clusters empty when none were used
-    std::uint64_t graph_vertices = 0;  // how many vertices that graph has
+    std::uint64_t graph_vertices = 0;  // vertices of that graph
 
     struct Settings {
         std::string method = "fixed-point";  // or "west"
@@ -33,30 +33,30 @@ struct Radiance {
     } settings;
 
     Column<float> L;                        // reflected radiance, without emission
-    Column<float> direct;                   // the part of L at first vertices that arrives directly; a gather needs it
-    Column<float> indirect_path;            // what paths alone know of the rest; absent for "west"
-    Column<double> residual, image_change;  // by iteration
+    Column<float> direct;                   // direct part of L at first vertices; required by a gather
+    Column<float> indirect_path;            // estimate of the rest by the path's own samples alone; absent for "west"
+    Column<double> residual, image_change;  // [iteration]
     double clamped_share = 0;
 
     Provenance provenance;
     std::shared_ptr<const MappedFile> storage;
 
-    /// The invariants that go beyond types, lengths and finite floats; empty when all hold.
+    /// Checks the invariants beyond types, lengths and finite floats. Returns the first violation; empty when all hold.
     std::string problem() const;
 
     template <class Self, class Visitor>
     static void fields(Self& r, Visitor& v);
 };
 
-/// needs:   columns of one axis of one length
+/// needs:   columns that share an axis have the same length
 void write_radiance(const Radiance& radiance, const std::filesystem::path& path, Sync sync = Sync::yes);
 /// Reads, maps and checks the whole file.
 /// throws:  InputError naming the file and the dataset
 Radiance read_radiance(const std::filesystem::path& path);
 
-/// Refuses the radiance of another graph than this one, known as graph_id, and one that does not say the direct
-/// light of every path.
-/// throws:  InputError naming both files and the command that mends it
+/// Refuses radiance of another graph than `graph`, whose content is `graph_id`, and radiance without the direct light
+/// of every path.
+/// throws:  InputError naming both files and the command that makes matching radiance
 void require_radiance_of(const PathGraph& graph, const InputId& graph_id, const Radiance& radiance,
                          const std::filesystem::path& radiance_path);
 

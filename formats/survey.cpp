@@ -51,7 +51,7 @@ struct Accumulator {
     }
 };
 
-/// Calls `body` with a null pointer of the C++ type of the element.
+/// Calls `body` with a null pointer of the element's C++ type.
 template <class Body>
 void with_element(ElementType type, Body body) {
     switch (type) {
@@ -137,7 +137,7 @@ class DatasetSurveyor {
         if (summary_.values.size() > max_values_shown) summary_.values.resize(max_values_shown);
     }
 
-    /// Block by block along the first axis, as it lies on disk: nothing is converted inside HDF5.
+    /// Reads block by block along the first axis, without conversion inside HDF5.
     template <class T>
     void read_numbers() {
         Accumulator sums;

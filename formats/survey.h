@@ -1,5 +1,5 @@
 #pragma once
-// What is in any HDF5 or EXR file, ours or not, for a person to look at.
+// Contents of any HDF5 or EXR file, of this project or not, for display.
 
 #include <cstdint>
 #include <filesystem>
@@ -9,7 +9,7 @@
 
 namespace loom {
 
-/// Of all numbers of a dataset or channel; min, mean and max are of the finite ones.
+/// Statistics of all numbers of a dataset or channel; min, mean and max cover the finite ones only.
 struct Statistics {
     std::uint64_t n = 0, n_nan = 0, n_inf = 0;
     double min = 0, mean = 0, max = 0;
@@ -18,11 +18,11 @@ struct Statistics {
 struct DatasetSummary {
     std::string name, type, units, axes, description;
     std::vector<std::size_t> extents;
-    std::uint64_t bytes = 0;  // of its numbers, unpacked
+    std::uint64_t bytes = 0;  // size of its numbers, uncompressed
     std::string storage;      // "contiguous", "chunked", "compact"
     bool is_number = false;
-    Statistics statistics;            // of numbers
-    std::vector<std::string> values;  // of text and of single numbers: the first few
+    Statistics statistics;            // only when is_number
+    std::vector<std::string> values;  // the first few texts, or single numbers
 };
 
 using NamedTexts = std::vector<std::pair<std::string, std::string>>;
@@ -33,11 +33,12 @@ struct Survey {
     std::vector<DatasetSummary> datasets;
     std::uint64_t file_bytes = 0;
 
-    /// The value of an attribute; empty when there is none.
+    /// Returns the value of an attribute; empty when it is absent.
     std::string attribute(std::string_view name) const;
 };
 
-/// throws:  InputError when the file is neither HDF5 nor EXR, cut short or damaged
+/// Reads the survey of a file.
+/// throws:  InputError when the file is neither HDF5 nor EXR, truncated or damaged
 Survey survey_file(const std::filesystem::path& path);
 
 }  // namespace loom

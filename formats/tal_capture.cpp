@@ -45,7 +45,7 @@ class TalWriter {
         for (const auto& [text, number] : names) H5Tenum_insert(type.get(), text, &number);
         dataset(name, {1}, type.get(), &value);
     }
-    /// As h5py has truth values.
+    /// Writes a boolean as h5py does.
     void truth(const char* name, bool value) {
         const Hdf5Handle type(H5Tenum_create(H5T_STD_I8LE), H5Tclose);
         const std::int8_t no = 0, yes = 1, said = value;

@@ -1,6 +1,6 @@
 #pragma once
-// A capture around a corner as the TAL tools read it. Not a format of this project: names, types and numbers of
-// enumerations are those of the public package y-tal 0.20 ("HDF5_TAL").
+// An NLOS capture in the format of the TAL tools, not a format of this project. Names, types and enumeration values are
+// those of the public package y-tal 0.20 ("HDF5_TAL").
 
 #include <array>
 #include <cstdint>
@@ -13,7 +13,7 @@
 namespace loom {
 
 struct TalCapture {
-    /// Points of a grid on the wall, x slowest: float[3] each.
+    /// Points of a grid on the relay wall, x slowest: float[3] each.
     struct Grid {
         std::uint32_t width = 0, height = 0;
         std::vector<float> xyz, normals;
@@ -24,12 +24,12 @@ struct TalCapture {
     std::uint32_t n_bins = 0;
     std::vector<float> H;  // [t, sensor x, sensor y], or [t, laser x, laser y, sensor x, sensor y] when exhaustive
     Grid sensor_grid, laser_grid;
-    std::array<float, 3> sensor{}, laser{};  // m, where they stand
+    std::array<float, 3> sensor{}, laser{};  // m, positions
     float delta_t = 0, t_start = 0;          // m of optical path length
     bool accounts_first_and_last = false;
     std::string scene_info;  // YAML
 
-    /// Where H has a bin of a pair of points.
+    /// Returns the index in H of one bin of a (laser, sensor) pair.
     std::size_t place(std::uint32_t bin, std::uint32_t laser_x, std::uint32_t laser_y, std::uint32_t sensor_x,
                       std::uint32_t sensor_y) const {
         std::size_t at = bin;

@@ -77,7 +77,7 @@ TransientCube read_transient_cube(const std::filesystem::path& path) {
 
 namespace {
 
-/// Numbers of a foreign dataset [y, x, bin, channel], one channel made three.
+/// Reads the numbers of a foreign dataset [y, x, bin, channel]; a single channel is copied to three.
 std::vector<float> foreign_numbers(const std::filesystem::path& path, hid_t file, const char* name,
                                    std::vector<std::size_t>& extents) {
     const auto refuse = [&](const std::string& why) { throw InputError(fmt::format("{}: {}", path.native(), why)); };

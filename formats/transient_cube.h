@@ -1,5 +1,5 @@
 #pragma once
-// transient_cube: an image whose pixels are histograms over the optical path length of the light.
+// transient_cube: an image whose pixels are histograms over optical path length.
 
 #include <cstdint>
 #include <filesystem>
@@ -17,10 +17,10 @@ namespace loom {
 
 class Hdf5Writer;
 
-/// m/ns
+/// Unit: m/ns.
 inline constexpr double speed_of_light = 0.299792458;
 
-/// What a cube says of itself. Lengths are optical path lengths in units of the scene, which are metres_per_unit long.
+/// Header of a cube. Lengths are optical path lengths in scene units of metres_per_unit each.
 struct TransientCubeHeader {
     struct Film {
         std::uint32_t width = 0, height = 0;
@@ -30,27 +30,27 @@ struct TransientCubeHeader {
     struct Time {
         std::uint32_t n_bins = 0;
         double start_opl = 0, bin_width_opl = 0, gate_opl = 0;
-        std::string unit = "opl";  // or "ns": in which the user thinks
+        std::string unit = "opl";  // or "ns": unit of the labels
         double metres_per_unit = 1;
         std::uint8_t camera_segment = 1;
     } time;
 
     struct Response {
-        std::string pulse = "delta";  // empty: a file of another program, which does not say
+        std::string pulse = "delta";  // empty: not stored, in a file of another program
         double length_opl = 0, tail_opl = 0, period_opl = 0;
     } response;
 
     Provenance provenance;
 
     std::size_t n_pixels() const { return std::size_t{film.width} * film.height; }
-    std::size_t row_size() const { return std::size_t{film.width} * time.n_bins * 3; }  // numbers of a row y
-    /// Ticks for people: length or time, as `unit` says, of an optical path length.
+    std::size_t row_size() const { return std::size_t{film.width} * time.n_bins * 3; }  // numbers of one row y
+    /// Converts an optical path length into the unit of the labels: length or time, by `unit`.
     double in_unit(double opl) const { return time.unit == "ns" ? opl * time.metres_per_unit / speed_of_light : opl; }
 };
 
-/// Why the bins of `a` do not record what those of `b` do; empty when they do. Labels (unit, length of a unit) may
-/// differ. What one of them does not say (its pulse is empty) is not compared.
-/// in:      slack  share of a bin by which their windows may be apart
+/// Describes why the bins of `a` and `b` differ in meaning; empty when they agree. Labels (unit, length of a unit) may
+/// differ. A response that one cube does not store (empty pulse) is not compared.
+/// in:      slack  allowed offset between their windows, as a share of a bin
 std::string difference_in_words(const TransientCubeHeader& a, const TransientCubeHeader& b, double slack = 0);
 
 template <template <class> class ColumnOf>
@@ -71,19 +71,19 @@ struct TransientCube : TransientCubeOf<Column> {
     std::string problem() const;
 };
 
-/// Rows y of a cube; of each array `row_size()` or 3 width numbers per row.
+/// Rows y of a cube; each array has `row_size()` or 3 width numbers per row.
 struct TransientRows {
     std::span<const float> radiance, var_mean, before, after, never, steady;
 };
 
-/// Writes a cube by rows, in any order, without ever holding it.
+/// Writes a cube row by row, in any order, without holding it in memory.
 class TransientCubeWriter {
   public:
     TransientCubeWriter(const std::filesystem::path& path, const TransientCubeHeader& header);
     ~TransientCubeWriter();
-    /// NEEDS one caller at a time.
+    /// needs:   one caller at a time
     void write_rows(std::uint32_t first_row, const TransientRows& rows);
-    /// Once all rows are written: syncs the file and gives it its name. Without it nothing is left.
+    /// Syncs the file and renames it to its final name, after all rows are written. Without commit() no file remains.
     void commit(Sync sync = Sync::yes);
 
   private:
@@ -95,11 +95,11 @@ class TransientCubeWriter {
 /// throws:  InputError naming the file and the dataset
 TransientCube read_transient_cube(const std::filesystem::path& path);
 
-/// The same of any HDF5 file with float datasets `mean` and `var_mean` [y, x, bin, channel] and numbers `start_opl`,
-/// `bin_width_opl`, `spp` among its attributes. A single channel is taken for all three; before, after, never and
-/// steady stay empty, and its pulse.
+/// Reads any HDF5 file with float datasets `mean` and `var_mean` [y, x, bin, channel] and numeric attributes
+/// `start_opl`, `bin_width_opl`, `spp`. A single channel is copied to all three. Before, after, never, steady and the
+/// pulse stay empty.
 TransientCube read_any_cube(const std::filesystem::path& path);
-/// Whether a file says that it is a transient_cube; false for what is no HDF5 file.
+/// Whether a file is a transient_cube by its attributes; false for a file that is not HDF5.
 bool is_transient_cube(const std::filesystem::path& path);
 
 template <template <class> class ColumnOf>

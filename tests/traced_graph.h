@@ -1,6 +1,6 @@
 #pragma once
-// From a scene to a path graph, its clusters and its radiance within one process, as the stages make them from file
-// to file; for the tests of what lies between.
+// Makes a path graph, its clusters and its radiance from a scene within one process, as the stages make them from
+// files. For tests of single steps.
 
 #include <fmt/format.h>
 #include <unistd.h>
@@ -25,7 +25,7 @@ inline std::filesystem::path scratch_file(const char* ending) {
     return std::filesystem::temp_directory_path() / fmt::format("loom-{}-{}{}", getpid(), n++, ending);
 }
 
-/// A scene file of the project.
+/// Loads a scene file of the project.
 inline std::unique_ptr<Scene> own_scene(const std::string& name, int width, int height, Defines defines = {}) {
     defines.emplace_back("resx", std::to_string(width));
     defines.emplace_back("resy", std::to_string(height));
@@ -63,7 +63,7 @@ inline PathOptions path_options(const Scene& scene, std::uint64_t seed,
     return path;
 }
 
-/// As written and read again; all invariants of the format hold.
+/// Returns the graph written and read again, so that all invariants of the format hold.
 inline PathGraph trace_graph(const Scene& scene, const PathOptions& path, std::uint64_t spp,
                              std::uint64_t first_sample = 0, bool misses = false) {
     app::Report report;
@@ -80,7 +80,7 @@ inline PathGraph trace_graph(const Scene& scene, const PathOptions& path, std::u
     return graph;
 }
 
-/// in:  scene  that the graph was traced in, for the test of visibility; null: no test
+/// in:  scene  scene of the graph, for visibility tests; null: no test
 inline Clusters clusters_of(const PathGraph& graph, std::uint32_t k, std::uint64_t seed = 0,
                             float private_roughness = 0.03f, const Scene* scene = nullptr) {
     cluster::ClusterOptions options;

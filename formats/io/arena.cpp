@@ -44,12 +44,12 @@ void Arena::reset() {
 }
 
 void Arena::map(std::size_t n_bytes) {
-    // One huge page more, so that the blocks can begin at the border of one.
+    // One additional huge page, so that the blocks can start at its boundary.
     const std::size_t size = std::max(mapping_bytes, rounded_up(n_bytes, huge_page_bytes)) + huge_page_bytes;
     mapped_.reserve(mapped_.size() + 1);
     void* at = ::mmap(nullptr, size, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1, 0);
     if (at == MAP_FAILED) throw std::bad_alloc();
-    ::madvise(at, size, MADV_HUGEPAGE);  // a wish: small pages do as well
+    ::madvise(at, size, MADV_HUGEPAGE);  // a hint: small pages work as well
     mapped_.emplace_back(static_cast<std::byte*>(at), size);
 }
 

@@ -6,8 +6,8 @@
 
 namespace loom {
 
-/// Memory for many blocks that live and die together, in huge pages where the kernel gives them. A page is
-/// taken when a block first uses it, so what is reserved ahead costs nothing.
+/// Allocates many blocks that are freed together, in huge pages where the kernel provides them. The kernel assigns a
+/// page at first touch; reserved but untouched memory is free.
 class Arena {
   public:
     Arena() = default;
@@ -15,11 +15,11 @@ class Arena {
     Arena(const Arena&) = delete;
     Arena& operator=(const Arena&) = delete;
 
-    /// A block, aligned for any number, of unknown content; from any thread.
+    /// Returns an uninitialised block, aligned for any arithmetic type. Thread-safe.
     /// throws:  std::bad_alloc
     std::span<std::byte> allocate(std::size_t n_bytes);
 
-    /// Ends all blocks and keeps their pages: memory that has been touched costs nothing to touch again.
+    /// Frees all blocks but keeps their pages: reused pages avoid the cost of a first touch.
     void reset();
 
   private:
@@ -27,8 +27,8 @@ class Arena {
 
     std::mutex mutex_;
     std::vector<std::span<std::byte>> mapped_;
-    std::size_t n_used_ = 0;     // mappings, the last of them in part
-    std::span<std::byte> free_;  // of the last mapping in use
+    std::size_t n_used_ = 0;     // mappings in use; the last one partly
+    std::span<std::byte> free_;  // rest of the last mapping in use
 };
 
 }  // namespace loom

@@ -2,10 +2,10 @@
 
 namespace loom {
 
-/// What is looked at before a file is handed out.
+/// What a reader checks before it returns a file.
 enum class Check {
     everything,
-    structure  // what memory safety asks for: lengths, offsets, numbers of rows; of floats nothing
+    structure  // what memory safety requires: lengths, offsets, row indices; floats are not checked
 };
 
 }  // namespace loom

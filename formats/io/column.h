@@ -8,8 +8,8 @@
 
 namespace loom {
 
-/// One array of a format: its own, or borrowed from a mapped file or an arena. Rows of several numbers
-/// lie behind one another. An optional column that is absent is empty.
+/// One array of a format. It owns its memory or borrows it from a mapped file or an arena. Rows of several numbers are
+/// contiguous. An absent optional column is empty.
 template <class T>
 class Column {
   public:
@@ -26,7 +26,7 @@ class Column {
         return *this;
     }
 
-    /// A column over memory that outlives it.
+    /// Makes a column over memory that must outlive it.
     static Column borrow(std::span<const T> values) {
         Column column;
         column.view_ = values;
@@ -34,7 +34,7 @@ class Column {
     }
 
     std::span<const T> values() const { return view_; }
-    /// All of it in order, as of a PiecedColumn.
+    /// Returns the whole column as one piece (the interface of PiecedColumn).
     std::array<std::span<const T>, 1> pieces() const { return {view_}; }
     operator std::span<const T>() const { return view_; }
     const T* data() const { return view_.data(); }
@@ -43,7 +43,7 @@ class Column {
     const T& operator[](std::size_t i) const { return view_[i]; }
     auto begin() const { return view_.begin(); }
     auto end() const { return view_.end(); }
-    /// Row i of a column of the given width.
+    /// Returns row i of a column of the given width.
     std::span<const T> row(std::size_t i, std::size_t width) const { return view_.subspan(i * width, width); }
 
   private:
@@ -51,14 +51,14 @@ class Column {
     std::span<const T> view_;
 };
 
-/// One array of known length that is being filled where it will stay; empty when it is not wanted.
+/// One array of known length that is filled at its final address; empty when it is not wanted.
 template <class T>
 struct PlacedColumn {
     using Element = T;
     bool wanted = true;
     std::span<T> values;
 
-    /// Row `row` of a column as wide as there are numbers.
+    /// Stores row `row`; the column's width is the count of the arguments.
     template <class... Numbers>
     void put(std::size_t row, Numbers... numbers) const {
         if (!wanted) return;
@@ -71,7 +71,7 @@ struct PlacedColumn {
     }
 };
 
-/// One array of known length whose elements are written to the file one by one: Hdf5Writer::fill.
+/// One array of known length whose elements are written to the file in parts, by Hdf5Writer::fill().
 template <class T>
 class LateColumn {
   public:
@@ -87,8 +87,8 @@ class LateColumn {
     std::size_t size_ = 0;
 };
 
-/// One array whose consecutive pieces lie apart, in memory that outlives it: what a writer takes without
-/// anyone having joined it.
+/// One array in consecutive pieces at separate addresses, in memory that must outlive it. A writer takes the pieces
+/// without joining them.
 template <class T>
 class PiecedColumn {
   public:

@@ -9,7 +9,7 @@
 namespace loom {
 namespace {
 
-/// The one list of members, for the writer and the reader.
+/// The single list of members, for writer and reader.
 template <class Self, class Visitor>
 void members(Self& cost, Visitor&& visit) {
     visit("stage", cost.stage);

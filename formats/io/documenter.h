@@ -27,13 +27,13 @@ class Documenter : public FieldVisitor<Documenter> {
     std::string rows_;
 };
 
-/// What one column takes on disk.
+/// Size of one column on disk.
 struct ColumnBytes {
     std::string name, axis;
     std::size_t rows = 0, bytes = 0;
 };
 
-/// Visits a filled format and measures its columns; absent ones are left out.
+/// Visits a filled format and measures its columns; skips absent ones.
 class ColumnSizer : public FieldVisitor<ColumnSizer> {
   public:
     template <class C>

@@ -1,9 +1,9 @@
 #pragma once
-// The one declaration of a format: a struct with
+// The single declaration of a format: a struct with
 //   static constexpr FormatId format;
 //   template <class Self, class Visitor> static void fields(Self&, Visitor&);
-// in which each array, value and list of names is said once. The writer, the reader, the checker and
-// the documenter below formats/io are visitors of it.
+// fields() lists each array, value and list of names once. The writer, the reader, the checker and the documenter in
+// formats/io visit it.
 
 #include <array>
 #include <cstdint>
@@ -18,11 +18,11 @@
 
 namespace loom {
 
-/// What a file says it is: root attributes `filetype` and `version`.
+/// Identity of a format: root attributes `filetype` and `version`.
 struct FormatId {
     std::string_view name;
     int major = 1, minor = 0;
-    int oldest_major = major;  // that a reader still takes
+    int oldest_major = major;  // oldest major version that a reader accepts
 };
 
 /// Types of elements on disk; all little-endian.
@@ -60,11 +60,11 @@ constexpr ElementType element_type() {
 }
 
 enum class Presence { required, optional };
-/// Floats must be finite, unless a field is an estimate, whose NaNs are counted rather than refused.
+/// Whether non-finite floats are an error. Fields of estimates count NaNs instead.
 enum class Finite { required, counted };
 
-/// What is said of one dataset. `axes` names each axis, slowest first; the first one names the count
-/// that all datasets with that axis share ("vertex"; "path+1" is one more than "path").
+/// Declaration of one dataset. `axes` names each axis, slowest first. All datasets with the same first axis have the
+/// same length ("vertex"; "path+1" is one more than "path").
 struct Field {
     std::string_view name;
     ElementType type;
@@ -80,7 +80,7 @@ struct Field {
     }
 };
 
-/// Shape and memory of a value: a number, a std::array of numbers, or a matrix as arrays of rows.
+/// Shape and element type of a value: a number, a std::array of numbers, or a matrix as an array of rows.
 template <class T>
 struct ValueTraits {
     using Element = T;
@@ -96,8 +96,8 @@ struct ValueTraits<std::array<T, n>> {
     }
 };
 
-/// Turns the calls of a declaration into calls of Derived, which has
-///   column(const Field&, Column<T>&), value(const Field&, T&), names(const Field&, vector<string>&)
+/// Translates the calls of a declaration into calls of Derived, which has
+///   column_of(const Field&, Column<T>&), value_of(const Field&, T&), names_of(const Field&, vector<string>&)
 template <class Derived>
 class FieldVisitor {
   public:
@@ -106,7 +106,7 @@ class FieldVisitor {
                std::string_view text, Finite finite = Finite::required) {
         add(name, column, width, axes, units, text, Presence::required, finite);
     }
-    /// Rows of several axes: `row_shape` has the extents after the first.
+    /// Declares a column whose rows have several axes; `row_shape` has the extents after the first axis.
     template <class C>
     void grid(std::string_view name, C& column, std::vector<std::size_t> row_shape, std::string_view axes,
               std::string_view units, std::string_view text, Finite finite = Finite::required) {

@@ -8,7 +8,7 @@
 namespace loom {
 namespace {
 
-/// Without a branch inside, so that the scan runs at the speed of memory.
+/// Branch-free, so that the scan runs at memory bandwidth.
 template <class Bits, class T>
 std::size_t count_full_exponents(std::span<const T> values, Bits exponent) {
     std::size_t n = 0;
@@ -25,7 +25,7 @@ std::size_t count(std::span<const Half> values) {
     return count_full_exponents(values, std::uint16_t{0x7c00u});
 }
 
-/// A block at a time, then the values of the first block that has one.
+/// Counts block by block, then searches the first block with a hit.
 template <class T>
 std::size_t first(std::span<const T> values) {
     constexpr std::size_t block = 4096;

@@ -9,25 +9,25 @@
 
 namespace loom {
 
-/// Position of the first NaN or infinity; the size when there is none.
+/// Returns the index of the first NaN or infinity; the size when there is none.
 std::size_t first_nonfinite(std::span<const float> values);
 std::size_t first_nonfinite(std::span<const double> values);
 std::size_t first_nonfinite(std::span<const Half> values);
 
-/// Number of NaNs and infinities.
+/// Counts NaNs and infinities.
 std::size_t count_nonfinite(std::span<const float> values);
 std::size_t count_nonfinite(std::span<const double> values);
 std::size_t count_nonfinite(std::span<const Half> values);
-/// Of elements as they lie in memory, aligned; 0 for integers and text.
+/// Counts NaNs and infinities among aligned elements in memory; 0 for integers and text.
 std::size_t count_nonfinite(ElementType type, std::span<const std::byte> bytes);
 
-/// Visits a filled format: columns that share an axis have one length, floats are finite.
+/// Visits a filled format and checks that columns with a common axis have one length and that floats are finite.
 class FieldChecker : public FieldVisitor<FieldChecker> {
   public:
-    /// finite: look at every float too, not just at the lengths.
+    /// in:      finite  check every float, besides the lengths
     explicit FieldChecker(bool finite) : finite_(finite) {}
 
-    /// The first thing that is wrong, naming the dataset; empty when all is well.
+    /// Returns the first problem, naming the dataset; empty when there is none.
     const std::string& problem() const { return problem_; }
 
     template <class C>

@@ -1,6 +1,6 @@
 #pragma once
-// IEEE 754 binary16 as stored on disk. Branch-free, so that loops over arrays vectorise on every
-// x86-64 level and give the same bits on each.
+// IEEE 754 binary16 as stored on disk. The conversions are branch-free, so loops vectorise on every x86-64 level and
+// give the same bits on each.
 
 #include <bit>
 #include <cstdint>
@@ -8,19 +8,19 @@
 
 namespace loom {
 
-/// A stored half: 1 sign, 5 exponent, 10 mantissa bits. Has no arithmetic: convert, then compute.
+/// A stored half: 1 sign, 5 exponent, 10 mantissa bits. It has no arithmetic; convert to float first.
 struct Half {
     std::uint16_t bits = 0;
     bool operator==(const Half&) const = default;
 };
 
-/// Nearest half, ties to even; beyond 65504 (rounded) infinity; NaN stays NaN.
+/// Rounds to the nearest half, ties to even; rounded values beyond 65504 become infinity; NaN stays NaN.
 constexpr Half half_from_float(float value) {
     const auto x = std::bit_cast<std::uint32_t>(value);
     const std::uint32_t sign = (x >> 16) & 0x8000u;
     const std::uint32_t magnitude = x & 0x7fffffffu;
-    // Below 2^-14 the result is a multiple of 2^-24, which is the spacing of floats in [0.5, 1):
-    // the addition rounds as wanted.
+    // Below 2^-14 the result is a multiple of 2^-24, the spacing of floats in [0.5, 1), so this addition rounds
+    // correctly.
     const std::uint32_t tiny =
         std::bit_cast<std::uint32_t>(std::bit_cast<float>(magnitude) + 0.5f) - std::bit_cast<std::uint32_t>(0.5f);
     const std::uint32_t normal = (magnitude + 0xfffu + ((magnitude >> 13) & 1u) - (112u << 23)) >> 13;
@@ -40,7 +40,7 @@ constexpr float float_from_half(Half half) {
     return std::bit_cast<float>(sign | (magnitude < 0x7c00u ? finite : special));
 }
 
-/// Converts arrays of equal length.
+/// Convert arrays of equal length.
 inline void halves_from_floats(std::span<const float> in, std::span<Half> out) {
     for (std::size_t i = 0; i < in.size(); ++i) out[i] = half_from_float(in[i]);
 }

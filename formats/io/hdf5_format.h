@@ -1,7 +1,6 @@
 #pragma once
-// Reading and writing a whole format from its one declaration. A Format has `format`, `fields()`,
-// `provenance`, `storage` (what its columns are borrowed from) and `problem()` (its own invariants; empty
-// when they hold).
+// Reads and writes a whole format from its declaration. A Format has `format`, `fields()`, `provenance`, `storage` (the
+// memory that its columns borrow) and `problem()` (the first violated invariant; empty when all hold).
 
 #include <fmt/format.h>
 
@@ -15,9 +14,9 @@
 
 namespace loom {
 
-/// Writes by write-then-rename; equal data give equal bytes.
-/// in:      as  the version that the file says
-/// needs:   columns of one axis of one length (else std::logic_error: a bug of the caller)
+/// Writes by write-then-rename; equal formats give equal bytes.
+/// in:      as  version stored in the file
+/// needs:   columns that share an axis have the same length (else std::logic_error: a bug of the caller)
 template <class Format>
 void write_format(const Format& data, const std::filesystem::path& path, Sync sync = Sync::yes,
                   const FormatId& as = Format::format) {
@@ -29,8 +28,8 @@ void write_format(const Format& data, const std::filesystem::path& path, Sync sy
     writer.commit(sync);
 }
 
-/// Reads and checks a file; columns of 64 KiB and more are borrowed from the mapped file.
-/// in:      check  a Format that knows less than everything takes it in problem()
+/// Reads and checks a file. Columns of 64 KiB and more borrow the mapped file.
+/// in:      check  extent of the checks; passed to problem() where the Format's problem() takes it
 /// throws:  InputError naming the file and the dataset
 template <class Format>
 Format read_format(const std::filesystem::path& path, Check check = Check::everything) {

@@ -19,7 +19,7 @@ std::size_t product(const std::vector<std::size_t>& extents) {
 }  // namespace
 
 void start_hdf5() {
-    // Every handle closes itself; the library's own cleaning at exit crashes after a write that failed.
+    // Every handle closes itself. The library's own cleanup at exit crashes after a failed write.
     H5dont_atexit();
     H5Eset_auto2(H5E_DEFAULT, nullptr, nullptr);
 }
@@ -123,7 +123,7 @@ Hdf5Handle open_hdf5(const std::filesystem::path& path) {
     if (H5Fis_hdf5(path.c_str()) <= 0) {
         throw InputError(fmt::format("{}: is not an HDF5 file (or is cut off in its first bytes)", path.native()));
     }
-    // Shared folders often have no locks, and files here appear whole or not at all.
+    // Shared folders often have no locks, and files here appear complete or not at all.
     const Hdf5Handle access(H5Pcreate(H5P_FILE_ACCESS), H5Pclose);
     H5Pset_file_locking(access.get(), false, true);
     Hdf5Handle file(H5Fopen(path.c_str(), H5F_ACC_RDONLY, access.get()), H5Fclose);

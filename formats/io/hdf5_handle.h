@@ -1,6 +1,6 @@
 #pragma once
-// HDF5 identifiers that close themselves, and the few calls that writer, reader and survey share.
-// HDF5 is used by one thread at a time.
+// RAII handles of HDF5 identifiers, and calls shared by writer, reader and survey. HDF5 must be used by one thread at a
+// time.
 
 #include <hdf5.h>
 
@@ -32,7 +32,7 @@ class Hdf5Handle {
 
     hid_t get() const { return id_; }
     explicit operator bool() const { return id_ >= 0; }
-    /// False when the library could not close it (a file whose last bytes did not reach the disk).
+    /// Returns false when the library could not close the object (a file whose last bytes did not reach the disk).
     bool close() { return id_ < 0 || closer_(std::exchange(id_, -1)) >= 0; }
 
   private:
@@ -40,32 +40,32 @@ class Hdf5Handle {
     Closer closer_ = nullptr;
 };
 
-/// Before any other call: HDF5 prints no error stack of its own and does nothing at exit.
+/// Initialises HDF5: no printed error stacks, no work at exit. Must be called before any other HDF5 call.
 void start_hdf5();
-/// The innermost message of HDF5's error stack: "No space left on device", …
+/// Returns the innermost message of HDF5's error stack: "No space left on device", …
 std::string hdf5_error_text();
 
-/// The type on disk, which is also the type in memory: nothing is converted inside HDF5.
+/// Returns the type on disk. It is also the type in memory: HDF5 converts nothing.
 Hdf5Handle disk_type(ElementType type);
-/// Fixed-length text, padded with zeros.
+/// Returns the type of fixed-length text, padded with zeros.
 Hdf5Handle text_type(std::size_t n_bytes);
-/// A type in words: "float32", "text[5]", "big-endian float32", "compound".
+/// Describes a type as text: "float32", "text[5]", "big-endian float32", "compound".
 std::string type_text(hid_t type);
-/// Which of our element types this is; nothing for a foreign one.
+/// Returns the project's element type of an HDF5 type; nothing for a foreign one.
 std::optional<ElementType> known_element(hid_t type);
 
-/// Opens for reading; says whether a file is foreign, cut short or damaged.
-/// throws:  InputError
+/// Opens a file for reading.
+/// throws:  InputError saying whether the file is foreign, truncated or damaged
 Hdf5Handle open_hdf5(const std::filesystem::path& path);
 
-/// Texts of a fixed- or variable-length string attribute (one for a scalar); nothing when there is none.
+/// Returns the texts of a fixed- or variable-length string attribute (one for a scalar); nothing when it is absent.
 std::optional<std::vector<std::string>> text_attribute(hid_t object, const char* name);
-/// Numbers of an integer attribute.
+/// Returns the numbers of an integer attribute; nothing when it is absent.
 std::optional<std::vector<std::uint64_t>> integer_attribute(hid_t object, const char* name);
 
-/// Extents of a dataset or attribute space.
+/// Returns the extents of a dataspace.
 std::vector<std::size_t> extents_of(hid_t space);
-/// Texts in a buffer of fixed-length strings.
+/// Splits a buffer of fixed-length strings.
 std::vector<std::string> texts_from_buffer(const std::vector<char>& buffer, std::size_t n_bytes);
 
 }  // namespace loom

@@ -54,7 +54,7 @@ struct Hdf5Reader::Impl {
         return dataset;
     }
 
-    /// Extents of a dataset whose type and rank are as declared.
+    /// Returns the extents of a dataset after checking its type and rank.
     std::vector<std::size_t> checked_extents(const Field& field, hid_t dataset, std::size_t rank) const {
         const Hdf5Handle type(H5Dget_type(dataset), H5Tclose);
         const Hdf5Handle space(H5Dget_space(dataset), H5Sclose);

@@ -8,16 +8,16 @@
 
 namespace loom {
 
-/// Reads the fields of a format: compares type, rank and width of each dataset before it touches a number,
-/// and borrows the columns from the mapped file.
+/// Reads the fields of a format. It compares type, rank and width of each dataset before it reads a number. Its columns
+/// borrow the mapped file.
 class Hdf5Reader : public FieldVisitor<Hdf5Reader> {
   public:
-    /// throws:  InputError when the file is no such format or of a major version that it does not take
+    /// throws:  InputError when the file has another format or an unsupported major version
     Hdf5Reader(const std::filesystem::path& path, const FormatId& format);
     ~Hdf5Reader();
 
     Provenance provenance() const;
-    /// What the columns are borrowed from; keep it as long as them.
+    /// Returns the memory that the columns borrow; must outlive the columns.
     std::shared_ptr<const MappedFile> storage() const { return storage_; }
 
     template <class T>
@@ -46,7 +46,7 @@ class Hdf5Reader : public FieldVisitor<Hdf5Reader> {
     struct Impl;
     struct Found {
         std::size_t n_elements = 0;
-        const std::byte* mapped = nullptr;  // null: small, unaligned or filtered, to be copied
+        const std::byte* mapped = nullptr;  // null: copied, because the dataset is small, unaligned or filtered
     };
     Found find(const Field& field) const;
     void find_value(const Field& field) const;

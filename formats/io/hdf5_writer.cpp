@@ -19,12 +19,12 @@ namespace {
 
 constexpr hsize_t page_bytes = 4096;
 constexpr hsize_t aligned_from_bytes = 65536;
-/// Bytes after which the device is sent to work, so that the sync at the end finds little left.
+/// Bytes after which writeback to the device is started, so that the final sync has little left.
 constexpr off_t writeback_bytes = 32 << 20;
-/// Bytes that are checked, then written while they are in the cache.
+/// Size of a block that is checked, then written while it is cached.
 constexpr std::size_t block_bytes = 256 << 10;
 
-/// Property lists without times: two equal runs then give equal bytes.
+/// Makes property lists without times, so that two equal runs give equal bytes.
 Hdf5Handle timeless(hid_t property_class) {
     Hdf5Handle list(H5Pcreate(property_class), H5Pclose);
     H5Pset_obj_track_times(list.get(), false);
@@ -37,7 +37,7 @@ Hdf5Handle space_of(const std::vector<std::size_t>& extents) {
     return {H5Screate_simple(static_cast<int>(dims.size()), dims.data(), nullptr), H5Sclose};
 }
 
-/// Texts as fixed-length strings, padded with zeros, as long as the longest.
+/// Converts texts to fixed-length strings as long as the longest, padded with zeros.
 std::vector<char> buffer_from_texts(std::span<const std::string> texts, std::size_t& n_bytes) {
     n_bytes = 1;
     for (const auto& text : texts) n_bytes = std::max(n_bytes, text.size());
@@ -114,8 +114,8 @@ struct Hdf5Writer::Impl {
         if (!empty && H5Dwrite(made.get(), type, H5S_ALL, H5S_ALL, H5P_DEFAULT, data) < 0) fail(field.name);
     }
 
-    /// A dataset without its data: one zero is written, at which the library takes the room for all of it
-    /// behind the attributes. (Early allocation would do, but is noted in the file and moves its parts.)
+    /// Makes a dataset without its data. Writing one zero makes the library allocate the whole dataset after the
+    /// attributes. (Early allocation would too, but it is recorded in the file and moves its parts.)
     void reserve(const Field& field, const std::vector<std::size_t>& extents, hid_t type, Pieces pieces) {
         const Hdf5Handle made = make_dataset(field, extents, type);
         if (extents[0] == 0) return;
@@ -130,7 +130,7 @@ struct Hdf5Writer::Impl {
         reserved.push_back({std::string(field.name), field.type, offset, std::move(pieces)});
     }
 
-    /// From here on only the bytes of reserved datasets are written.
+    /// Ends the structure of the file; from here on only the bytes of reserved datasets are written.
     void close_structure() {
         if (fd >= 0) return;
         if (H5Fflush(file.get(), H5F_SCOPE_LOCAL) < 0 || !file.close()) fail("the file");
@@ -138,7 +138,7 @@ struct Hdf5Writer::Impl {
         if (fd < 0) fail("the file", std::strerror(errno));
     }
 
-    /// Fills the reserved datasets whose pieces are known, in the order in which they lie.
+    /// Fills the reserved datasets whose pieces are registered, in the order of their offsets.
     void fill_reserved(Sync sync) {
         bool good = true;
         for (auto r = reserved.begin(); good && r != reserved.end(); ++r) {
@@ -167,7 +167,7 @@ struct Hdf5Writer::Impl {
         Pieces pieces;
     };
 
-    /// Several threads may write at once.
+    /// Writes bytes and counts their non-finite values. Thread-safe.
     bool write_counted(const Reserved& r, std::span<const std::byte> bytes, off_t at) {
         count(r.name, r.type, bytes);
         return write_at(fd, bytes, at);
@@ -185,11 +185,11 @@ struct Hdf5Writer::Impl {
     }
 
     std::vector<Reserved> reserved;
-    std::map<std::string, std::size_t> nonfinite;  // values by dataset
-    std::mutex mutex;                              // of nonfinite
+    std::map<std::string, std::size_t> nonfinite;  // [dataset] number of values
+    std::mutex mutex;                              // guards nonfinite
     OutputFile output;
     Hdf5Handle file;
-    int fd = -1;  // of the file whose structure is complete
+    int fd = -1;  // of the file, once its structure is complete
 
     ~Impl() {
         if (fd >= 0) ::close(fd);
@@ -201,7 +201,7 @@ Hdf5Writer::Hdf5Writer(const std::filesystem::path& path, const FormatId& format
     start_hdf5();
     const Hdf5Handle creation = timeless(H5P_FILE_CREATE);
     const Hdf5Handle access(H5Pcreate(H5P_FILE_ACCESS), H5Pclose);
-    // Checksummed metadata, laid out by one version of the format whatever library writes it.
+    // Checksummed metadata, in one version of the format with any library version.
     H5Pset_libver_bounds(access.get(), H5F_LIBVER_V110, H5F_LIBVER_V110);
     H5Pset_alignment(access.get(), aligned_from_bytes, page_bytes);
     H5Pset_file_locking(access.get(), false, true);

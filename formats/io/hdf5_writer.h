@@ -9,22 +9,23 @@
 
 namespace loom {
 
-/// Writes the fields of a format: contiguous datasets of exact extent, no filter, aligned to pages so that
-/// readers can map them; every dataset with `units`, `axes`, `description`. Equal fields give equal bytes.
+/// Writes the fields of a format as contiguous datasets of exact extent, without filters. Datasets are page-aligned so
+/// that readers can map them; each has `units`, `axes`, `description`. Equal fields give equal bytes.
 class Hdf5Writer : public FieldVisitor<Hdf5Writer> {
   public:
     Hdf5Writer(const std::filesystem::path& path, const FormatId& format, const Provenance& provenance);
     ~Hdf5Writer();
-    /// Once all fields are declared: writes elements of a LateColumn from element `first` on, in any order, at once.
+    /// Writes elements of a LateColumn from element `first` on, immediately and in any order. All fields must be
+    /// declared before.
     template <class T>
     void fill(std::string_view name, std::size_t first, std::span<const T> values) {
         fill_bytes(name, first * sizeof(T), std::as_bytes(values));
     }
-    /// Syncs the file and gives it its name. Without it nothing is left.
+    /// Syncs the file and renames it to its final name. Without commit() no file remains.
     /// throws:  NonfiniteError when a float of a dataset is NaN or infinite
     void commit(Sync sync);
 
-    /// The bytes of a column are taken at commit(); until then it MUST stay where it is.
+    /// Registers a column. Its memory MUST stay valid until commit(), which writes it.
     template <class C>
     void column_of(const Field& field, const C& column) {
         if (field.presence == Presence::optional && column.empty()) return;

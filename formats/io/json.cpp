@@ -15,7 +15,7 @@ std::string quoted(std::string_view text) {
     return nlohmann::json(text).dump(-1, ' ', false, nlohmann::json::error_handler_t::replace);
 }
 
-/// The library's message without its kind and its own way to say where.
+/// Returns the library's message without its kind and its own location.
 std::string_view reason_of(const nlohmann::json::exception& error) {
     std::string_view what = error.what();
     what.remove_prefix(what.find("] ") + 2);

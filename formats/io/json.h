@@ -7,8 +7,8 @@
 
 namespace loom {
 
-/// Writes JSON text with one member or element per line; commas and indents come by themselves. A double has the fewest
-/// digits that read back as the same number. Bytes that are no UTF-8 become U+FFFD.
+/// Writes JSON text with one member or element per line; adds commas and indents itself. A double is written with the
+/// fewest digits that read back as the same number. Bytes that are not UTF-8 become U+FFFD.
 class JsonWriter {
   public:
     void begin_object(std::string_view key = {}) { open(key, '{'); }
@@ -18,7 +18,7 @@ class JsonWriter {
     void text(std::string_view key, std::string_view value);
     void number(std::string_view key, double value);  // NaN and infinity become null
     void integer(std::string_view key, std::uint64_t value);
-    /// The finished text, with a newline at its end.
+    /// Returns the finished text with a final newline.
     std::string str() const { return text_ + "\n"; }
 
   private:
@@ -30,7 +30,7 @@ class JsonWriter {
 };
 
 /// Parses one JSON value of at most 64 levels.
-/// throws:  InputError "FILE:LINE: …" when the text is no such value, or is no UTF-8
+/// throws:  InputError "FILE:LINE: …" when the text is no such value or not UTF-8
 nlohmann::json parse_json(std::string_view text, std::string_view file);
 
 }  // namespace loom

@@ -1,5 +1,5 @@
 #pragma once
-// Members of a JSON object by one list for the writer and the reader: a function calls visit(key, member) for each.
+// Lists the members of a JSON object once for writer and reader: a function calls visit(key, member) for each member.
 
 #include <cstdint>
 #include <string>
@@ -18,7 +18,8 @@ struct MemberWriter {
     void optional(const char* key, const auto& value) const { (*this)(key, value); }
 };
 
-/// throws:  InputError that names the file and the member: missing, of another type, or no such number
+/// Reads members of a JSON object.
+/// throws:  InputError naming the file and the member that is missing, has another type or is out of range
 struct MemberReader {
     const nlohmann::json& json;
     const std::string& file;
@@ -27,7 +28,7 @@ struct MemberReader {
     void operator()(const char* key, double& value) const;
     void operator()(const char* key, std::uint64_t& value) const;
     void operator()(const char* key, std::vector<std::string>& values) const;
-    /// Leaves the value as it is when there is no such member.
+    /// Reads a member; leaves the value unchanged when the member is absent.
     void optional(const char* key, auto& value) const {
         if (has(key)) (*this)(key, value);
     }

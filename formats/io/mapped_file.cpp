@@ -14,7 +14,7 @@
 namespace loom {
 namespace {
 
-/// An open file that can be read; the caller closes it.
+/// Opens a readable regular file; the caller closes it.
 int open_regular(const std::filesystem::path& path, std::size_t& n_bytes) {
     const int fd = ::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK);
     if (fd < 0) {

@@ -5,7 +5,7 @@
 
 namespace loom {
 
-/// A file's bytes, mapped for reading; unmapped when destroyed.
+/// The bytes of a file, mapped for reading; unmapped by the destructor.
 class MappedFile {
   public:
     /// throws:  InputError when the path is missing, a directory or not readable

@@ -1,8 +1,7 @@
 #pragma once
-// Unit vectors in 4 bytes: the sphere is projected on the octahedron |x| + |y| + |z| = 1, whose lower
-// half is folded over the upper one; the two remaining coordinates are stored as signed 16-bit
-// fractions of 32767. Axis directions come back exactly, and what came back once comes back the same; the largest error
-// is 6.4e-5 rad.
+// Unit vectors in 4 bytes. The sphere is projected onto the octahedron |x| + |y| + |z| = 1, whose lower half is folded
+// over the upper one. The two remaining coordinates are stored as signed 16-bit fractions of 32767. Axis directions are
+// exact; decoding and encoding again gives the same vector. The largest error is 6.4e-5 rad.
 //                                          [Cigolle2014] "A Survey of Efficient Representations for
 //                                          Independent Unit Vectors", section 3.3
 
@@ -25,7 +24,7 @@ inline std::array<std::int16_t, 2> octahedral_from_unit(float x, float y, float 
     return {snorm(u), snorm(v)};
 }
 
-/// The code of -n from that of n.
+/// Returns the code of -n from the code of n.
 inline std::array<std::int16_t, 2> octahedral_opposite(std::int16_t u, std::int16_t v) {
     const auto folded = [](std::int16_t from, std::int16_t other) {
         const int rest = 32767 - (other < 0 ? -other : other);
@@ -39,7 +38,7 @@ inline std::array<float, 3> unit_from_octahedral(std::int16_t u, std::int16_t v)
     float y = static_cast<float>(v) * (1.0f / 32767.0f);
     const float z = 1.0f - std::fabs(x) - std::fabs(y);
     const float fold = z < 0.0f ? -z : 0.0f;
-    // On the edges of the fold rounding must not lead across, to where another code is for the same vector.
+    // Rounding must not cross the edges of the fold, where another code stands for the same vector.
     const auto folded = [fold](float c) {
         const float rest = std::fabs(c) - fold;
         return std::copysign(rest > 0.0f ? rest : 0.0f, c);

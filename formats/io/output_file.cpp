@@ -26,8 +26,8 @@ std::string host_name() {
     return ::gethostname(name, HOST_NAME_MAX) == 0 ? name : "host";
 }
 
-/// Removes what killed writers of `path` left. Those of another machine, which may share the folder, are left
-/// alone: whether they live cannot be asked here.
+/// Removes partial files that killed writers of `path` left. Files of another machine, which may share the folder, are
+/// kept: whether their writers run is unknown here.
 void remove_leftovers(const std::filesystem::path& path) {
     const std::string start = path.filename().native() + "." + host_name() + "-", end = ".partial";
     std::error_code ignored;

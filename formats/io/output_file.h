@@ -8,19 +8,19 @@
 
 namespace loom {
 
-/// Whether the bytes must be on the device before the name appears. `no` is for timed runs only.
+/// Whether the bytes must be on the device before the file is renamed. `no` is for timed runs only.
 enum class Sync { no, yes };
 
-/// An output that holds values which are not finite. It is kept under not_finite_name().
+/// Thrown for an output with NaN or infinite values. The file is kept under not_finite_name().
 class NonfiniteError : public std::runtime_error {
     using std::runtime_error::runtime_error;
 };
-/// "x.exr" -> "x.not-finite.exr"
+/// Returns the name of a rejected output: "x.exr" -> "x.not-finite.exr".
 std::filesystem::path not_finite_name(const std::filesystem::path& output);
 
-/// Write-then-rename: the work goes to NAME.HOST-PID.partial in the same folder, where no other writer of NAME
-/// is; commit() syncs it and gives it its name. A writer that throws, or never commits, leaves neither; what a
-/// killed one left is removed by the next writer of NAME on that machine.
+/// Write-then-rename: the bytes go to NAME.HOST-PID.partial in the same folder, a name unique to this writer. commit()
+/// syncs the file and renames it to NAME. A writer that throws or never commits leaves no file. The next writer of NAME
+/// on the same machine removes the partial file of a killed one.
 class OutputFile {
   public:
     /// throws:  InputError when the folder is missing or the path is a directory
@@ -30,11 +30,11 @@ class OutputFile {
     OutputFile& operator=(const OutputFile&) = delete;
 
     const std::filesystem::path& path() const { return path_; }
-    /// The temporary name to write to.
+    /// Returns the temporary name to write to.
     const std::filesystem::path& partial() const { return partial_; }
-    /// NEEDS the partial file to be closed by whoever wrote it. Removes what an earlier writer of the name kept as
-    /// not finite.
-    /// in:      nonfinite  which values are NaN or infinite, as text; empty when none is
+    /// Renames the partial file to its final name, and removes a not_finite_name() file left by an earlier writer.
+    /// needs:   the partial file is closed
+    /// in:      nonfinite  text that names the NaN or infinite values; empty when there are none
     /// throws:  NonfiniteError, after keeping the file under not_finite_name(), when `nonfinite` is not empty
     void commit(Sync sync = Sync::yes, std::string_view nonfinite = {});
 
@@ -43,10 +43,10 @@ class OutputFile {
     bool committed_ = false;
 };
 
-/// Buffered writes to the partial file of an output. Every failure is reported, the last one by close().
+/// Buffered writes to the partial file of an output. Every failure is reported, at the latest by close().
 class OutputStream {
   public:
-    /// throws:  std::runtime_error, as write() and close() do, with the name of the output
+    /// throws:  std::runtime_error with the name of the output, as write() and close() do
     explicit OutputStream(const OutputFile& output);
     ~OutputStream();
     OutputStream(const OutputStream&) = delete;
@@ -54,7 +54,7 @@ class OutputStream {
 
     std::FILE* get() const { return file_; }
     void write(const void* bytes, std::size_t n);
-    /// Flushes and closes. Throws also when an earlier write failed and its caller ignored that.
+    /// Flushes and closes. Throws also when an earlier write failed and its caller ignored the failure.
     void close();
 
   private:
@@ -64,7 +64,7 @@ class OutputStream {
     int error_ = 0;  // errno of the first failure
 };
 
-/// The check that OutputFile makes, for a stage to make before it starts to compute.
+/// Checks an output path as OutputFile does. A stage calls it before it starts to compute.
 /// throws:  InputError
 void check_output_path(const std::filesystem::path& path);
 

@@ -6,27 +6,27 @@
 
 namespace loom {
 
-/// An input by name (no folder: equal inputs give equal bytes wherever they lie) and content.
+/// An input by name and content. The name has no folder, so that equal inputs give equal bytes in any folder.
 struct InputId {
     std::string name;
     std::string hash;  // XXH64, 16 hexadecimal digits
     bool operator==(const InputId&) const = default;
 };
 
-/// Name and content hash of a file.
-/// throws:  InputError when it cannot be read
+/// Computes name and content hash of a file.
+/// throws:  InputError when the file cannot be read
 InputId identify(const std::filesystem::path& path);
 
-/// The same of parts whose samples go together.
-/// throws:  InputError when the same samples are there twice: they would halve the variance without halving the error
+/// Identifies several files whose samples are combined.
+/// throws:  InputError when two files have the same samples: the variance would be halved, but not the error
 std::vector<InputId> identify_parts(const std::vector<std::string>& files);
 
-/// The release and the commit of this build.
+/// Return the release and the commit of this build.
 std::string build_release();
 std::string build_commit();
 
-/// Where a file comes from: the root attributes that all formats have in common. No clock, host or
-/// absolute path.
+/// Origin of a file: the root attributes that all formats have in common. Holds no clock time, host name or absolute
+/// path.
 struct Provenance {
     std::string stage = "unknown";  // "loom-trace"
     std::string release = build_release();
@@ -34,11 +34,11 @@ struct Provenance {
     std::string command;  // resolved options, defaults included
     std::uint64_t seed = 0;
     std::vector<InputId> inputs;
-    std::string plan;  // one line: what is on, what is off and why
+    std::string plan;  // one line: which features are on or off, and why
     bool operator==(const Provenance&) const = default;
 };
 
-// The forms that these take as attributes, the same in HDF5 and EXR.
+// Text forms of these attributes, equal in HDF5 and EXR.
 std::string producer_text(const Provenance& provenance);  // "loom-trace 0.1.0 0123456789ab"
 void set_producer(Provenance& provenance, const std::string& text);
 std::string input_text(const InputId& input);  // "0123456789abcdef scene.xml"

@@ -50,12 +50,12 @@ std::vector<double> logs(const std::vector<Point>& points, auto&& value) {
     return out;
 }
 
-/// A curve as v(u) of logs with the relative standard error of v.
+/// One point of a curve v(u) in logs, with the relative standard error of v.
 struct Sample {
     double log_value, se_log, dof;
 };
 
-/// v at u between two neighbouring points; nothing outside of them.
+/// Interpolates v at u between two neighbouring points; nothing outside of the curve.
 template <class U, class V>
 std::optional<Sample> at(const Curve& curve, double log_u, U&& u_of, V&& v_of, double slope_of_se) {
     std::vector<Point> points = curve.points;
@@ -63,7 +63,7 @@ std::optional<Sample> at(const Curve& curve, double log_u, U&& u_of, V&& v_of, d
     for (std::size_t i = 0; i < points.size(); ++i) {
         const Point &a = points[i], &b = points[std::min(i + 1, points.size() - 1)];
         const double ua = std::log(u_of(a)), ub = std::log(u_of(b));
-        // The ends themselves, whatever their logs round to.
+        // The end points themselves count, even if their logs round outside.
         if (log_u < ua - 1e-12 || log_u > ub + 1e-12) continue;
         const double f = ub > ua ? std::clamp((log_u - ua) / (ub - ua), 0.0, 1.0) : 0;
         const double sa = a.se / a.error, sb = b.se / b.error;
@@ -74,7 +74,7 @@ std::optional<Sample> at(const Curve& curve, double log_u, U&& u_of, V&& v_of, d
     return std::nullopt;
 }
 
-/// in:  u_of  what is equal, v_of what is compared
+/// in:  u_of  the quantity that is equal, v_of the quantity that is compared
 template <class U, class V>
 std::vector<Match> matches(const std::vector<Curve>& curves, U&& u_of, V&& v_of, bool of_costs) {
     std::vector<Match> found;
@@ -87,7 +87,7 @@ std::vector<Match> matches(const std::vector<Curve>& curves, U&& u_of, V&& v_of,
             for (const Point& point : one->points) levels.push_back(u_of(point));
         std::sort(levels.begin(), levels.end());
         levels.erase(std::unique(levels.begin(), levels.end()), levels.end());
-        // An error of the error is one of the cost by the curve's own slope.
+        // Convert an error of the error to one of the cost by the curve's own slope.
         const auto scale = [&](const Curve& one) { return of_costs ? std::abs(1 / one.slope.mean) : 1; };
         for (double level : levels) {
             const auto a = at(first, std::log(level), u_of, v_of, scale(first));

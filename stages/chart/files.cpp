@@ -13,7 +13,7 @@
 namespace loom::chart {
 namespace {
 
-/// Told apart by people with any colour vision too.
+/// Distinguishable with any kind of colour vision.
 constexpr std::array<const char*, 7> colours{"#0072b2", "#d55e00", "#009e73", "#cc79a7",
                                              "#e69f00", "#56b4e9", "#555555"};
 constexpr std::array<int, 7> markers{7, 5, 9, 11, 13, 15, 4};
@@ -37,7 +37,7 @@ std::string words_for(const std::string& column) {
     return at == words.end() ? column : at->second;
 }
 
-/// Ends of a log axis around values, and what stands at it: 1, 2, 5 of each decade, or decades where many.
+/// Range of a log axis around values, and its ticks: 1, 2, 5 of each decade, or decades only where there are many.
 struct LogAxis {
     double low = std::numeric_limits<double>::infinity(), high = 0;
     void add(double value) {
@@ -59,7 +59,7 @@ struct LogAxis {
     }
 };
 
-/// Both pictures from one set of commands.
+/// Makes both images with one set of commands.
 std::string script(const std::string& stem, int width, int height, const std::string& body, const Options& options) {
     return fmt::format(
         "{7}# gnuplot {0}.gp\n"
@@ -126,9 +126,9 @@ Files curve_files(const std::string& stem, const std::vector<Curve>& curves, con
     body +=
         fmt::format("set logscale {}\nset xlabel {}\nset ylabel {}\nset style fill transparent solid 0.2 noborder\n",
                     options.linear_x ? "y" : "xy", in_quotes(words_for(options.x)), in_quotes(words_for(options.y)));
-    // A long key, one in a small panel, or one above curves that rise would lie on them.
+    // Place the key outside where it would cover curves: when it is long, in a small panel, or above rising curves.
     if (methods.size() > 3 || scenes.size() > 1 || options.no_front) body += "set key outside top center horizontal\n";
-    std::size_t row = 1;  // of the data; 0 is its head
+    std::size_t row = 1;  // row of the data; 0 is the header
     for (const std::string& scene : scenes) {
         LogAxis x, y;
         std::string bands, drawn, front;
@@ -176,11 +176,11 @@ Files curve_files(const std::string& stem, const std::vector<Curve>& curves, con
 Files part_files(const std::string& stem, const Table& table, const Options& options) {
     struct Part {
         const char *column, *words, *dash;
-        int marker;  // of the first method; open ones are the filled ones less one
+        int marker;  // of the first method; an open marker is the filled one minus one
     };
     constexpr std::array<Part, 2> parts{{{"variance", "variance", "1", 0}, {"bias2", "bias²", "2", -1}}};
     std::string data = fmt::format("scene\t{}\tpart\t{}\tvalue\n", options.by, options.x), body;
-    // Curves of rows that a log axis has a place for, in the order of all.
+    // Keep curves of rows that are positive (the axis is logarithmic), in the order of all.
     std::vector<std::string> scenes, methods;
     std::array<std::vector<Curve>, 2> curves;
     for (std::size_t k = 0; k < parts.size(); ++k) {
@@ -205,7 +205,7 @@ Files part_files(const std::string& stem, const Table& table, const Options& opt
         "set logscale xy\nset xlabel {}\nset ylabel 'part of the {}'\n"
         "set key outside top center horizontal\n",
         in_quotes(words_for(options.x)), table.has("relmse") || !table.has("mse") ? "relMSE" : "MSE");
-    std::size_t row = 1;  // of the data; 0 is its head
+    std::size_t row = 1;  // row of the data; 0 is the header
     for (const std::string& scene : scenes) {
         LogAxis x, y;
         std::string plotted;
@@ -243,7 +243,7 @@ Files part_files(const std::string& stem, const Table& table, const Options& opt
 Files stage_files(const std::string& stem, const Table& table, const Options& options) {
     struct Bar {
         std::string scene, method, samples;
-        std::map<std::string, double> time_of;  // by stage, summed over the replicates
+        std::map<std::string, double> time_of;  // [stage] sum over the replicates
         std::vector<std::string> replicates;
     };
     const std::size_t time = table.column(options.x), stage = table.column("stage"), by = table.column(options.by),
@@ -258,7 +258,7 @@ Files stage_files(const std::string& stem, const Table& table, const Options& op
         if (bar == bars.end()) bar = bars.insert(bars.end(), {cells[scene], cells[by], cells[samples], {}, {}});
         if (std::find(bar->replicates.begin(), bar->replicates.end(), cells[file]) == bar->replicates.end())
             bar->replicates.push_back(cells[file]);
-        // In the order of the chain: a stage that only some methods have stands behind the one before it.
+        // Order by the chain: a stage that only some methods have follows its predecessor.
         if (std::find(stages.begin(), stages.end(), cells[stage]) == stages.end()) {
             const bool begins = i == 0 || table.rows[i - 1][file] != cells[file];
             const auto before =

@@ -30,13 +30,13 @@ Workspace::~Workspace() = default;
 
 namespace {
 
-/// No piece is wider than this along any of three orthogonal axes of normals: then no two of its normals are farther
-/// apart than 0.8 sqrt(3) < sqrt(2), which is less than 90 degrees.
+/// Largest extent of a piece along each of three orthogonal axes of normals. Two of its normals are then at most 0.8
+/// sqrt(3) < sqrt(2) apart, less than 90 degrees.
 constexpr float normal_spread = 0.8f;
 
-/// Of vertices per task, and of the parts that are counted apart.
+/// Vertices per task, and per separately counted part.
 constexpr std::uint64_t vertices_per_chunk = 1 << 16;
-/// A bucket is worked on in the second-level cache: 128 KiB of points.
+/// A bucket fits into the second-level cache: 128 KiB of points.
 constexpr std::size_t points_per_bucket = 4096;
 constexpr std::uint32_t subset_per_bucket = 32;
 constexpr std::size_t most_buckets = 1 << 15;
@@ -54,7 +54,7 @@ std::size_t count_sharing(const Pool& pool, const ClusterOptions& options) {
     return std::accumulate(counts.begin(), counts.end(), std::size_t{0});
 }
 
-/// All sharing vertices as points, bucket by bucket, in each bucket in the order of the pool.
+/// All sharing vertices as points, ordered by bucket, in each bucket in the order of the pool.
 struct BucketedPoints {
     std::span<Point> points;
     std::vector<std::size_t> first;  // bucket+1 offsets into points
@@ -108,7 +108,7 @@ BucketedPoints fill_buckets(const Pool& pool, std::size_t n_sharing, const Metri
         }
         out.first[bucket + 1] = place;
     }
-    // Making a point again is cheaper than storing it twice.
+    // Recomputing a point is cheaper than storing it twice.
     parallel_chunks(n, vertices_per_chunk, options.threads,
                     [&](std::uint64_t chunk, std::uint64_t begin, std::uint64_t end) {
                         std::size_t* mine = places.data() + chunk * n_buckets;
@@ -127,7 +127,7 @@ Splits with_seed(Splits splits, std::uint64_t seed) {
     return splits;
 }
 
-/// Sizes of the clusters that each task has made, in the order of the tasks, as offsets.
+/// Converts the cluster sizes of all tasks, in their order, to offsets.
 std::vector<std::uint32_t> offsets_of(const std::vector<std::vector<std::uint32_t>>& sizes_of_tasks) {
     std::size_t n = 0;
     for (const auto& sizes : sizes_of_tasks) n += sizes.size();
@@ -151,7 +151,7 @@ Separation added(const std::vector<Separation>& parts) {
     return sum;
 }
 
-/// Separates while the points of a bucket are in the cache: in the order of the graph each would be a page of its own.
+/// Separates while the points of a bucket are cached: in the order of the graph each point would touch its own page.
 Cells balanced_cells(const BucketedPoints& in, const ClusterOptions& options, const Splits& splits,
                      const Separator& separator) {
     const std::size_t n_buckets = in.first.size() - 1;
@@ -168,7 +168,7 @@ Cells balanced_cells(const BucketedPoints& in, const ClusterOptions& options, co
     return {offsets_of(sizes), std::move(member), added(separations)};
 }
 
-/// Bits of x with two zeros after each; x < 1024.
+/// Returns the bits of x with two zeros after each; x < 1024.
 std::uint32_t spread_bits(std::uint32_t x) {
     x = (x | (x << 16)) & 0x030000ffu;
     x = (x | (x << 8)) & 0x0300f00fu;
@@ -200,7 +200,7 @@ void sort_along_curve(std::span<Point> points) {
     for (std::size_t i = 0; i < points.size(); ++i) points[i] = before[std::uint32_t(keys[i])];
 }
 
-/// n of the points, each subset of n as likely as any other, in their order.
+/// Selects n of the points in their order; all subsets of n are equally likely.
 ///                                              [Knuth1981] The Art of Computer Programming 2, 3.4.2, algorithm S
 void select(std::span<const Point> points, std::span<Point> chosen, std::uint64_t seed) {
     std::size_t taken = 0;
@@ -210,7 +210,7 @@ void select(std::span<const Point> points, std::span<Point> chosen, std::uint64_
     }
 }
 
-/// in: mean_size  of a cell;  splits  of what is larger than a cell may be
+/// in: mean_size  of a cell;  splits  applied to cells that are too large
 Cells centre_cells(const BucketedPoints& in, const ClusterOptions& options, std::uint32_t mean_size,
                    const Splits& splits, const Separator& separator, Workspace::Parts& memory) {
     const std::size_t n = in.points.size();
@@ -288,7 +288,7 @@ void set_separation(Clusters& clusters, const Separation& separation) {
     if (separation.tested_visibility) clusters.separation.occluded = {separation.n_occluded};
 }
 
-/// The members of each cell that are vertices [begin, end) of the pool, as clusters of a graph of its own.
+/// Makes clusters of one graph from the members of each cell that are vertices [begin, end) of the pool.
 Clusters clusters_within(const PooledCells& pooled, std::size_t begin, std::size_t end) {
     std::vector<std::uint32_t> first{0}, member;
     for (std::size_t c = 0; c + 1 < pooled.cells.first.size(); ++c) {

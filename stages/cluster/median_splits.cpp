@@ -30,8 +30,8 @@ Extent extent_of(std::span<const Point> points) {
     return e;
 }
 
-/// Puts the points with the n_left smallest coordinates first: by bins of the range, so that only those of one bin are
-/// compared with each other, and without a branch on where a point goes.
+/// Moves the points with the n_left smallest coordinates to the front. The range is binned, so that only points of one
+/// bin are compared, and points are moved without a branch.
 class Divider {
   public:
     void operator()(std::span<Point> points, int axis, std::size_t n_left, float low, float high) {
@@ -58,7 +58,7 @@ class Divider {
 
   private:
     static constexpr int n_bins = 256;
-    static constexpr std::size_t compared = 48;  // points that are faster compared than counted
+    static constexpr std::size_t compared = 48;  // below this number of points comparing is faster than counting
 
     static void select(std::span<Point> points, std::size_t c, std::size_t n_left) {
         std::nth_element(points.begin(), points.begin() + std::ptrdiff_t(n_left), points.end(),
@@ -70,21 +70,21 @@ class Divider {
     std::vector<Point> spare_;
     std::vector<std::uint8_t> bins_;
 };
-/// Kept by each thread: as much memory as a bucket has points, which fresh for each would be fresh pages.
+/// Kept by each thread, because a new one per bucket would first-touch as many pages as the bucket has.
 thread_local Divider divide;
 
-/// Puts the points below the middle of the range first; both sides get some.
+/// Moves the points below the middle of the range to the front; neither side is empty.
 std::size_t divide_range(std::span<Point> points, int axis, float low, float high) {
     const auto c = std::size_t(axis);
     float middle = low + (high - low) * 0.5f;
-    if (!(middle < high)) middle = low;  // neighbouring floats
+    if (!(middle < high)) middle = low;  // adjacent floats
     const auto right = std::partition(points.begin(), points.end(), [=](const Point& p) { return p.x[c] <= middle; });
     return std::size_t(right - points.begin());
 }
 
-/// Moves a cut of sorted sides (all of the first n_left at most as large as any other) to where the value changes, the
-/// nearer way: points at one place then stay together.
-/// out: n_left where all values are one
+/// Moves a cut to the nearest change of value, so that points at one position stay together.
+/// needs: sorted sides: each of the first n_left is at most as large as the others
+/// out: n_left; unchanged where all values are equal
 std::size_t off_ties(std::span<Point> points, std::size_t c, std::size_t n_left) {
     float at = points[n_left].x[c];
     for (const Point& p : points.subspan(n_left)) at = std::min(at, p.x[c]);
@@ -113,7 +113,7 @@ class Splitter {
         const std::size_t n_counted = counted(points);
         const bool small = n_counted <= splits_.k;
         if (small && !(extent.width(normal) > splits_.normal_spread)) {
-            // In the order of the graph: as good as any for the eye, and kinder to caches.
+            // In the order of the graph: equally random for the image, and better for caches.
             std::sort(points.begin(), points.end(), [](const Point& a, const Point& b) { return a.vertex < b.vertex; });
             sizes_.push_back(std::uint32_t(n));
             return;
@@ -139,7 +139,7 @@ class Splitter {
     bool joint() const { return splits_.second_graph != Splits::no_second; }
     bool of_second(const Point& p) const { return p.vertex >= splits_.second_graph; }
 
-    /// Of the graph that has more points here.
+    /// Returns the number of points of the graph that has more of them here.
     std::size_t counted(std::span<const Point> points) const {
         if (!joint()) return points.size();
         const auto n_second =
@@ -147,7 +147,7 @@ class Splitter {
         return std::max(n_second, points.size() - n_second);
     }
 
-    /// More points at one place than a piece may have: half of each graph's, in its order.
+    /// Divides too many points at one position: half of each graph's, in its order.
     std::size_t divide_place(std::span<Point> points) {
         std::sort(points.begin(), points.end(), [](const Point& a, const Point& b) { return a.vertex < b.vertex; });
         const auto second = std::ranges::partition_point(points, [this](const Point& p) { return !of_second(p); });
@@ -167,7 +167,7 @@ void split_by_medians(std::span<Point> points, const Splits& splits, std::vector
 }
 
 Buckets::Buckets(std::span<Point> subset, std::uint32_t subset_per_bucket, std::uint64_t seed) {
-    if (subset.size() <= subset_per_bucket) {  // one bucket: a cut with both sides the same
+    if (subset.size() <= subset_per_bucket) {  // one bucket: a cut with equal sides
         cuts_.push_back({0, 0, {~0, ~0}});
         n_buckets_ = 1;
     } else {
@@ -186,7 +186,7 @@ std::int32_t Buckets::cut(std::span<Point> points, std::uint32_t per_bucket, std
     if (by_normal) {
         n_left = divide_range(points, normal, extent.low[axis], extent.high[axis]);
     } else {
-        // Off the median by up to a tenth, so that borders of the largest pieces move from pass to pass too.
+        // Cut off the median by up to a tenth, so that borders of the largest pieces differ from pass to pass too.
         const double part = 0.4 + 0.2 * double(unit_float(std::uint32_t(mix64(key) >> 32)));
         n_left = std::clamp<std::size_t>(std::size_t(part * double(n)), 1, n - 1);
         divide(points, position, n_left, extent.low[axis], extent.high[axis]);

@@ -13,35 +13,36 @@ namespace loom::cluster {
 inline constexpr float infinite_spread = std::numeric_limits<float>::infinity();
 
 struct Splits {
-    std::uint32_t k = 16;                    // largest piece
-    float normal_spread = infinite_spread;   // widest piece along each axis of the normals' half, in its units (w)
-    std::uint64_t seed = 0;                  // where the larger half goes when a split cannot be even
-    std::uint32_t second_graph = no_second;  // vertices from here on are of another graph than those before
+    std::uint32_t k = 16;                    // largest number of points in a piece
+    float normal_spread = infinite_spread;   // largest extent of a piece along each normal axis, in units of w
+    std::uint64_t seed = 0;                  // decides which side gets the larger half of an uneven split
+    std::uint32_t second_graph = no_second;  // vertices from this index on belong to the second graph
 
     static constexpr std::uint32_t no_second = 0xffffffffu;
 };
 
-/// Cuts points into pieces of at most k, each cut across the axis in which the set is widest.
-/// Across positions, so that the pieces on both sides get equal sizes (k or one less). Across normals, in the middle
-/// of the range and not at the median: surfaces that meet at an edge come apart exactly there, however many points
-/// each has; so pieces at edges can be smaller. A piece with k points or fewer is still cut while it is wider than
-/// normal_spread.
+/// Cuts points into pieces of at most k, each cut across the axis of largest extent.
+///
+/// A cut across positions gives both sides equal sizes (pieces of k or one less). A cut across normals is in the middle
+/// of the range, not at the median: surfaces that share an edge are separated exactly there, at any ratio of their
+/// points. Pieces at edges can therefore be smaller. A piece of k points or fewer is still cut while its extent exceeds
+/// normal_spread. Ties are broken by vertex, so that the pieces depend on the set alone and not on its order.
+///
+/// For two graphs, a piece has at most k points of either. Points at one position are in one piece, unless it would
+/// become too large. A path vertex of one graph and its counterpart in the other then share with the same pieces.
 /// in/out:  points  reordered: piece by piece, neighbouring pieces close together
 /// out:     sizes   size of each piece, appended
-/// Ties are broken by vertex, so that the pieces depend on the set alone and not on its order.
-/// Of two graphs a piece has at most k points of either, and points at one place are in one piece, as far as no piece
-/// would become too large; so what a path of one graph shares with its twin of the other is all in the same pieces.
 void split_by_medians(std::span<Point> points, const Splits& splits, std::vector<std::uint32_t>& sizes);
 
-/// The same cuts, found on a subset and then applied to all points: pieces of about equal size that are worked on
-/// one after another. Piece i of the tree is before i + 1 in space as far as a line can say.
+/// Cuts found on a subset and then applied to all points: buckets of about equal size, processed one after another.
+/// Consecutive buckets are neighbours in space as far as a linear order allows.
 class Buckets {
   public:
-    /// in: subset  reordered
+    /// in: subset  reordered in place
     Buckets(std::span<Point> subset, std::uint32_t subset_per_bucket, std::uint64_t seed);
 
     std::size_t size() const { return n_buckets_; }
-    /// Buckets of several points at once: each waits for its own next cut, so they wait together.
+    /// Finds the buckets of several points at once, so that the cache misses of their cuts overlap.
     static constexpr std::size_t batch = 16;
     void of(const std::array<Point, batch>& points, std::array<std::uint32_t, batch>& buckets) const {
         std::array<std::int32_t, batch> at{};

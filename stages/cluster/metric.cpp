@@ -12,7 +12,7 @@
 namespace loom::cluster {
 namespace {
 
-/// Rows of a uniformly random rotation from three numbers in [0, 1), by a random unit quaternion.
+/// Returns the rows of a uniformly random rotation from three numbers in [0, 1), by a random unit quaternion.
 ///                                          [Shoemake1992] "Uniform Random Rotations", Graphics Gems III
 std::array<Vector3f, 3> random_rotation(float u1, float u2, float u3) {
     const float a = std::sqrt(1 - u1), b = std::sqrt(u1), two_pi = 6.2831853f;
@@ -30,7 +30,7 @@ std::array<Vector3f, 3> random_rotation(std::uint64_t key, float scale) {
     return rows;
 }
 
-/// Of all vertices of the pool: enough for a median to a percent or two.
+/// Number of sampled vertices: enough for a median with an error of 1 to 2 percent.
 constexpr std::size_t subset_size = 32768;
 constexpr std::uint32_t subset_k = 16;
 
@@ -41,7 +41,7 @@ Metric::Metric(const Pool& pool, float length_scale, float normal_weight, std::u
       p_rows_(random_rotation(streams::position_rotation(seed), 1 / length_scale)),
       n_rows_(random_rotation(streams::normal_rotation(seed), normal_weight)),
       length_scale_(length_scale) {
-    // Rounding is smallest near the middle of things; where exactly does not matter.
+    // Rounding is smallest near the middle of the scene; the exact origin does not matter.
     if (pool.size() == 0) return;
     const auto [graph, row] = pool[0];
     origin_ = Vector3f(loom::position(graph, row));

@@ -11,7 +11,7 @@ namespace loom::cluster {
 namespace {
 
 flann::Matrix<float> matrix_of(std::span<const Point> points, int dimensions) {
-    // FLANN takes no const data, but writes to none of it.
+    // FLANN takes no const data but does not write to it.
     auto* data = const_cast<float*>(points[0].x.data());
     return {data, points.size(), std::size_t(dimensions), sizeof(Point)};
 }
@@ -25,7 +25,7 @@ void nearest_centres(std::span<const Point> points, std::span<const Point> centr
                                                             flann::KDTreeSingleIndexParams(10));
     index.buildIndex();
     flann::SearchParams exact(flann::FLANN_CHECKS_UNLIMITED);
-    exact.cores = 1;  // chunks are spread over threads here
+    exact.cores = 1;  // the chunks use all threads
     parallel_chunks(points.size(), 4096, threads, [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
         const std::size_t n = end - begin;
         std::vector<std::size_t> rows(n);

@@ -6,8 +6,8 @@
 
 namespace loom::cluster {
 
-/// For each point the row of the nearest centre, exactly: a k-d tree over the centres (FLANN).
-/// Fast when neighbouring points lie close together: a query then walks what the one before has left in the cache.
+/// Finds for each point the index of the nearest centre, exactly, by a k-d tree over the centres (FLANN). Fast when
+/// consecutive points are close together: a query then reuses the cache lines of the previous one.
 /// in:      dimensions  3 (positions alone) or 6
 /// out:     nearest     uint32[points]
 /// needs:   at least one centre

@@ -7,10 +7,10 @@
 
 namespace loom::cluster {
 
-/// The vertices that are put into clusters: those of one graph, or of two, the second's behind the first's.
+/// The vertices to cluster: those of one graph, or of two graphs, the second's after the first's.
 class Pool {
   public:
-    /// The graphs are borrowed.
+    /// Borrows the graphs.
     /// in:  second  null: one graph alone
     Pool(const PathGraph& first, const PathGraph* second, float private_roughness)
         : first_(first),
@@ -32,12 +32,12 @@ class Pool {
         return vertex < n_first_ ? first_shares_(vertex) : second_shares_(vertex - n_first_);
     }
     std::size_t size() const { return n_; }
-    /// Vertices from here on are of the second graph.
+    /// Vertices from this index on belong to the second graph.
     std::size_t n_first() const { return n_first_; }
-    /// Whether vertices know media other than vacuum.
+    /// Whether any vertex stores a medium other than vacuum.
     bool has_media() const { return !first_.vertices.eta.empty() || !second_.vertices.eta.empty(); }
     bool joint() const { return joint_; }
-    /// visit(graph, its first vertex in the pool)
+    /// Calls visit(graph, index of its first vertex in the pool).
     template <class Visitor>
     void for_each_graph(Visitor visit) const {
         visit(first_, std::size_t{0});

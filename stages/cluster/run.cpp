@@ -16,12 +16,12 @@
 namespace loom::cluster {
 namespace {
 
-/// Enough for figures to a percent; all of them would cost a fifth of the clustering.
+/// Enough for figures with an error of a percent; measuring all clusters would cost a fifth of the clustering.
 constexpr std::size_t clusters_to_measure = 4096;
 
 PathGraph read_graph(const std::string& file) {
     PathGraph graph = read_path_graph(file);
-    // Their directions are not those of BSDF sampling, by whose densities neighbours are weighted.
+    // Their directions are not those of BSDF sampling, whose densities weight the neighbours.
     if (!graph.nlos.capture.empty())
         throw InputError(fmt::format(
             "{}: vertices of an NLOS capture cannot share samples; bin its paths with loom-transient", file));
@@ -72,7 +72,7 @@ void check(const Options& options) {
         throw InputError(fmt::format("--max-size {}: smaller than --k {}", c.max_size, c.k));
 }
 
-/// The command that makes the clusters of graph i alone.
+/// Returns the command that makes the clusters of graph i alone.
 std::string command_of(const Options& options, std::string command, std::size_t i) {
     if (options.graphs.size() == 1) return command;
     const auto words = [](const std::string& before, std::span<const std::string> graphs) {
@@ -98,7 +98,7 @@ class Maker {
         settings_.scene = scene, settings_.with_scene = with_scene;
     }
 
-    /// in: loading  this graph's share of what reading the scene has cost
+    /// in: loading  this graph's share of the cost of reading the scene
     void make(std::size_t i, const Cost& loading) {
         const Cost before = report_.cost();
         const std::string& file = options_.graphs[i];
@@ -139,7 +139,7 @@ class Maker {
             write(clusters.second, with, with_output, with_id, {with_id, id});
             cost = report_.cost(plan_);
             cost.rays = clusters.n_rays;
-            // What both cost together is counted once, with the first.
+            // Cost of both graphs together is counted once, with the first.
             Cost second;
             second.stage = report_.name();
             second.command = cost.command;
@@ -221,7 +221,7 @@ void run(const Options& options, app::Report& report) {
     const double before_s = report.cost().cpu_s;
     const auto scene = load(options.scene, options.defines),
                with_scene = load(options.with_scene, options.with_defines);
-    // What reading the scene has cost, each graph carries a part of.
+    // Distribute the cost of reading the scene over the graphs.
     Cost loading = report.cost();
     const auto n = double(options.graphs.size());
     loading.load_s = (loading.cpu_s - before_s) / n;

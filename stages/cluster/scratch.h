@@ -3,11 +3,11 @@
 
 namespace loom::cluster {
 
-/// Memory for plain values that is kept from call to call and never cleared.
+/// Memory for plain values that is reused between calls and never cleared.
 template <class T>
 class Scratch {
   public:
-    /// n values of unknown content, valid until the next call.
+    /// Returns n uninitialised values, valid until the next call.
     std::span<T> get(std::size_t n) {
         if (n > memory_.size()) {
             memory_ = {};

@@ -16,10 +16,10 @@ namespace loom::cluster {
 namespace {
 
 constexpr std::uint64_t vertices_per_chunk = 1 << 16;
-/// A segment between members is raised by this part of its length.
+/// Factor on the length of a segment between members by which it is raised.
 constexpr float raise = 0.1f;
-/// Planes closer than this part of the distance between two members are one plane: half floats and 16-bit normals are
-/// no finer.
+/// Planes are taken as one below this fraction of the distance of two members, the precision of half floats and 16-bit
+/// normals.
 constexpr float one_plane = 1e-3f;
 
 /// A member's position and its geometric normal on the side of wo.
@@ -29,7 +29,8 @@ struct Member {
     float rounding;  // of p
 };
 
-/// Indices of refraction on the side of wo and, at surfaces that transmit, across; equal keys may share.
+/// Returns a key of the indices of refraction on the side of wo and, at transmissive surfaces, across. Vertices with
+/// equal keys may share.
 std::uint64_t media_key(const PathGraph& g, std::size_t j) {
     const auto& v = g.vertices;
     if (v.eta.empty()) return std::uint64_t{std::bit_cast<std::uint32_t>(1.0f)} << 32;
@@ -40,7 +41,7 @@ std::uint64_t media_key(const PathGraph& g, std::size_t j) {
     return bits(v.eta[j]) << 32 | bits(outside ? g.materials.int_ior[m] : g.materials.ext_ior[m]);
 }
 
-/// The segment between two members, raised off their surface; see Separator.
+/// Returns the segment between two members, raised off their surface; see Separator.
 Ray segment(const Member& a, const Member& b) {
     const Vector3f d = b.p - a.p;
     const float distance = length(d);
@@ -67,10 +68,10 @@ struct Separator::Group {
     std::vector<const Ray*> pointers[2];
     std::vector<std::uint32_t> whose[2];
     std::unique_ptr<bool[]> blocked;
-    std::size_t capacity = 0;  // of blocked
+    std::size_t capacity = 0;  // of `blocked`
     std::vector<std::uint8_t> hidden;
 
-    /// What was cut off before and what is new, as one ascending row.
+    /// Merges earlier and newly separated members into one ascending sequence.
     void ascend(std::size_t n_before) {
         std::inplace_merge(rest.begin(), rest.begin() + std::ptrdiff_t(n_before), rest.end(),
                            [](const Point& a, const Point& b) { return a.vertex < b.vertex; });
@@ -101,7 +102,7 @@ Separator::Separator(const Pool& pool, const Metric& metric, const RayEngine* fi
     });
 }
 
-/// Whether two vertices, a before b, are of one path.
+/// Whether two vertices, a before b, belong to one path.
 bool Separator::one_path(std::uint32_t a, std::uint32_t b) const {
     if (b - a >= longest_) return false;
     for (std::uint32_t word = (a + 1) / 64; word <= b / 64; ++word) {
@@ -147,7 +148,7 @@ void Separator::keep_one_medium(Group& group, Separation& count) const {
     members.erase(other, members.end());
 }
 
-/// Members ascend, so those of one path follow one another.
+/// Members ascend, so those of one path are consecutive.
 void Separator::keep_one_of_each_path(Group& group, Separation& count) const {
     auto& members = group.members;
     std::size_t kept = 1;
@@ -183,7 +184,7 @@ void Separator::keep_visible(Group& group, Separation& count) const {
     for (int e = 0; e < 2; ++e) group.pointers[e].clear(), group.whose[e].clear();
     for (std::size_t i = 0; i < n; ++i) {
         group.rays[i] = segment(group.places[i], group.places[middle]);
-        if (i == middle || !(group.rays[i].t_max > 0)) continue;  // at one point
+        if (i == middle || !(group.rays[i].t_max > 0)) continue;  // equal positions
         const int e = members[i].vertex < n_first_ ? 0 : 1;
         group.pointers[e].push_back(&group.rays[i]);
         group.whose[e].push_back(std::uint32_t(i));

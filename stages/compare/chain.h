@@ -1,5 +1,5 @@
 #pragma once
-// What an output cost, its parents included.
+// Cost of an output, its ancestors included.
 
 #include <filesystem>
 #include <string>
@@ -9,17 +9,17 @@
 
 namespace loom::compare {
 
-/// The files of a chain that one stage made, added up; peak memory is the largest.
+/// Sum over the files of a chain that one stage made; peak memory is the largest.
 struct StageCost {
     std::uint64_t n_files = 0;
     Cost cost;
 };
 
-/// The costs of an output and of all its ancestors, each file once (see formats/chain.h).
-/// out:     stages in the order of their first file, ancestors before what is made from them
+/// Returns the costs of an output and all its ancestors, each file once (see formats/chain.h).
+/// out:     stages in the order of their first file, ancestors before the files made from them
 std::vector<StageCost> chain_cost(const std::filesystem::path& output);
 
-/// All stages together, called "total".
+/// Returns the sum over all stages, named "total".
 StageCost total_of(const std::vector<StageCost>& stages);
 
 }  // namespace loom::compare

@@ -23,8 +23,8 @@ namespace {
 namespace fs = std::filesystem;
 constexpr double unknown = std::numeric_limits<double>::quiet_NaN();
 
-/// A picture to compare: RGB and the variance of its pixels, empty where unknown. Of a cube [y, x, bin, rgb], in units
-/// of `scale`, and the sums over its bins.
+/// An image to compare: RGB and the variance of its pixels, empty where unknown. For a cube [y, x, bin, rgb], in units
+/// of `scale`, with the sums over its bins.
 struct Picture {
     std::size_t width = 0, height = 0;
     std::uint64_t samples = 0;
@@ -75,7 +75,7 @@ Picture read_picture(const std::string& file) {
     const Image image = read_image(file);
     Picture picture{image.width, image.height, image.samples, image.interleaved(""), {}, {}, {}, {}};
     if (image.n_pixels() == 0) throw InputError(fmt::format("{}: has no pixels", file));
-    // One sample has no variance of its own, whatever the layer says.
+    // One sample has no variance estimate, even if the layer has values.
     if (!image.find("VarMean.R").empty() && image.samples != 1) picture.var_mean = image.interleaved("VarMean");
     require_finite(image, {""}, file);
     if (!picture.var_mean.empty()) require_finite(image, {"VarMean"}, file);
@@ -91,13 +91,13 @@ void check_fit(const Picture& picture, const std::string& file, const Picture& o
         throw InputError(fmt::format("{}: is {} x {}, but {} is {} x {}", file, picture.width, picture.height, name,
                                      other.width, other.height));
     }
-    // Programs differ in where lengths begin (a near plane); a tenth of a bin is let pass.
+    // Programs start lengths at different points (a near plane); a tenth of a bin is tolerated.
     if (!picture.is_cube()) return;
     if (const std::string why = difference_in_words(picture.cube, other.cube, 0.1); !why.empty())
         throw InputError(fmt::format("{}: {} (of {})", file, why, name));
 }
 
-/// The mean of the bins that light reaches: the measure that makes errors of bins relative, as 1 does for images.
+/// Returns the mean of the nonzero bins. Errors of bins are relative to it, as to 1 for images.
 double scale_of(const Picture& reference) {
     if (!reference.is_cube()) return 1;
     double sum = 0, n = 0;
@@ -175,7 +175,7 @@ Measured measure(const Picture& picture, const Picture& reference, const Options
     m.relmse_trimmed = trimmed_mean_squared_relative(x, r, n_channels);
     m.mape = mean_absolute_relative(x, r);
     if (picture.is_cube()) {
-        // No display shows a cube: its own largest value is the peak.
+        // A cube has no display range; its largest value is the peak.
         m.psnr = 20 * std::log10(picture.scale * double(*std::max_element(r.begin(), r.end())) / m.rmse);
         m.ssim = unknown;
     } else {
@@ -204,7 +204,7 @@ void add_tile_errors(std::vector<double>& sums, const Picture& picture, const Pi
         for (std::size_t c = 0; c < 3; ++c) sums[t] += weight * regions.sum[c][1 + t];
 }
 
-/// A group and its pictures, while they are needed.
+/// A group and its images, while they are needed.
 struct Loaded {
     Group group;
     std::vector<std::vector<float>> rgb, sums;  // sums: of cubes
@@ -212,7 +212,7 @@ struct Loaded {
     Picture first;                              // its rgb and sums are in `rgb` and `sums`
 };
 
-/// Bins of the mean of the replicates, pooled.
+/// Tests the pooled bins of the mean of the replicates.
 void test_bins(Loaded& loaded, const Picture& reference, const Options& options) {
     Group& group = loaded.group;
     const double R = double(loaded.rgb.size());
@@ -272,7 +272,7 @@ void add_cost(Measured& m) {
 
 void write_difference(const Options& options, const Loaded& loaded, const Picture& reference,
                       const Provenance& provenance, app::Report& report) {
-    // Of cubes, of the sums over their bins.
+    // For cubes use the sums over their bins.
     const auto& pictures = reference.is_cube() ? loaded.sums : loaded.rgb;
     const auto& of_reference = reference.is_cube() ? reference.sums : reference.rgb;
     std::vector<float> mean(of_reference.size());
@@ -297,7 +297,7 @@ int judge(const std::vector<Limit>& limits, const Comparison& comparison, app::R
     for (const Limit& limit : limits) {
         for (const Group& group : comparison.groups) {
             const double value = group.estimate(limit.column->value).mean;
-            // A value that is unknown has not passed.
+            // An unknown value does not pass.
             if (limit.is_upper ? value <= limit.value : value >= limit.value) continue;
             report.error("{}: {} is {:.6g}, the {} limit is {:.6g}", group.method(), limit.column->name, value,
                          limit.is_upper ? "upper" : "lower", limit.value);
@@ -307,7 +307,7 @@ int judge(const std::vector<Limit>& limits, const Comparison& comparison, app::R
     return code;
 }
 
-/// Samples per pixel as the header says, if there is one.
+/// Returns the samples per pixel from the header, if there is one.
 std::uint64_t samples_of(const std::string& file) {
     if (!fs::exists(file)) return 0;
     if (fs::path(file).extension() == ".h5")

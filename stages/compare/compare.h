@@ -1,6 +1,5 @@
 #pragma once
-// loom-compare: errors of images or transient cubes against a reference, whether they are more than noise, and what
-// they cost.
+// loom-compare: errors of images or transient cubes against a reference, their significance, and their cost.
 
 #include <span>
 #include <string>
@@ -19,23 +18,23 @@ class Report;
 namespace loom::compare {
 
 struct Options {
-    std::vector<std::string> inputs;  // [LABEL=]FILE; equal label and samples: replicates of each other
+    std::vector<std::string> inputs;  // [LABEL=]FILE; inputs with equal label and samples are replicates
     std::string reference;            // empty: the second of two inputs
     std::string reference_variance;   // RGB: variance of the reference's pixels; empty: its VarMean layer
-    std::string scene;                // name of the picture in the tables
-    double exposure_ev = 0;           // of what psnr and ssim look at
-    bool cost = false;                // add up the costs along the chain of parents
+    std::string scene;                // name of the image in the tables
+    double exposure_ev = 0;           // exposure for psnr and ssim
+    bool cost = false;                // sum the costs along the chain of parents
     bool json = false, tsv = false;   // instead of text
     std::string difference;           // difference image (.exr), false colours beside it (.png)
-    double reach = 0;                 // of the false colours; 0: the 99th percentile
-    double pool_error = 0.05;         // of cubes: relative standard error that ends a pool of bins
+    double reach = 0;                 // range of the false colours; 0: the 99th percentile
+    double pool_error = 0.05;         // cubes: relative standard error at which a pool of bins is complete
     std::vector<std::string> fail_above, fail_below;  // METRIC=VALUE
 };
 
-/// One input beside the reference; NaN where unknown. What is of a group of replicates is the same in each of them.
+/// Figures of one input; NaN where unknown. Figures of a group of replicates are equal in all of them.
 struct Measured {
     std::string method, file;
-    std::uint64_t samples = 0;  // per pixel; 0: the file does not say
+    std::uint64_t samples = 0;  // per pixel; 0: not stored in the file
     std::uint64_t replicate = 0;
     double mse, rmse, relmse, relmse_trimmed, relmse_net, mape, psnr, ssim;
     double corr_right, corr_down, corr_near;
@@ -44,7 +43,7 @@ struct Measured {
     double cpu_s, wall_s, render_s, rays, peak_memory_bytes;    // with --cost
 };
 
-/// A number of Measured by name: what tables, --fail-above and loom-chart call it.
+/// A number of Measured by its name in tables, --fail-above and loom-chart.
 struct Column {
     const char* name;
     double Measured::*value;
@@ -57,18 +56,18 @@ struct Group {
     std::vector<Measured> replicates;
     Significance significance;
     std::vector<PoolTests> pools;     // of cubes
-    std::vector<double> tile_errors;  // sum of the squared relative errors by tile, mean over the replicates
+    std::vector<double> tile_errors;  // [tile] sum of the squared relative errors, mean over the replicates
 
     std::string method() const { return replicates[0].method; }
     std::uint64_t samples() const { return replicates[0].samples; }
-    /// Mean over the replicates, and the standard error from their spread (NaN for one).
+    /// Returns the mean over the replicates, and the standard error from their spread (NaN for one).
     Estimate estimate(double Measured::*value) const;
 };
 
-/// How many times smaller the relMSE of a group is than that of the first one.
+/// Improvement of a group over the first group, as a ratio of relMSE.
 struct Gain {
-    Ratio error;           // relMSE of the first over that of the group
-    double equal_cpu = 0;  // the same at equal CPU time, if relMSE falls as 1/time; NaN without costs
+    Ratio error;           // relMSE of the first group over relMSE of this group
+    double equal_cpu = 0;  // that ratio at equal CPU time, if relMSE falls as 1/time; NaN without costs
 };
 Gain gain_of(const Group& first, const Group& group);
 
@@ -78,7 +77,7 @@ struct Comparison {
     std::vector<Group> groups;                      // in the order of their first input
 };
 
-/// What the tables look like.
+/// Formats a comparison as a table.
 std::string text_of(const Comparison& comparison);
 std::string json_of(const Comparison& comparison);
 std::string tsv_of(const Comparison& comparison);
@@ -96,8 +95,8 @@ std::string tsv_of(std::span<const InputCost> costs);
 /// Binds the options to the command line; `options` must outlive `command`.
 void declare(app::Command& command, Options& options);
 
-/// out:     exit code: 1 when a limit of fail_above or fail_below is broken or cannot be judged, else 0
-/// throws:  InputError when an input is no image, does not fit the reference, or comes twice; when costs are missing
+/// out:     exit code: 1 when a limit of fail_above or fail_below is exceeded or cannot be judged, else 0
+/// throws:  InputError when an input is no image, does not fit the reference, or occurs twice; when costs are missing
 int run(const Options& options, app::Report& report);
 
 }  // namespace loom::compare

@@ -1,5 +1,5 @@
 #pragma once
-// A difference as the layers of an image.
+// The difference of two images as layers of an image.
 
 #include <span>
 
@@ -8,11 +8,11 @@
 
 namespace loom::compare {
 
-/// The difference as layers of an image:
+/// Returns the difference as layers of an image:
 ///   R, G, B       x - r
 ///   Relative.RGB  (x - r) / sqrt(r^2 + 0.01); its mean square is the relMSE
-///   Tile.RGB      mean of x - r over the pixel's tile (8 x 8 of them)
-///   TileZ.RGB     that over its standard error; left out where nothing is known of it
+///   Tile.RGB      mean of x - r over the pixel's tile (8 x 8 tiles)
+///   TileZ.RGB     that mean over its standard error; omitted where the error is unknown
 /// in:      x, r  [y, x, rgb]
 Image difference_image(std::span<const float> x, std::span<const float> r, std::size_t width, std::size_t height,
                        const Significance& significance);

@@ -27,7 +27,7 @@ double mean_of(std::span<const float> x, std::span<const float> r, Error&& error
     return sum / double(x.size());
 }
 
-/// Gaussian blur along both axes, its window cut at the borders.
+/// Gaussian blur along both axes; its window is cut at the borders.
 class Blur {
   public:
     Blur(std::size_t width, std::size_t height) : width_(width), height_(height) {
@@ -75,7 +75,7 @@ double trimmed_mean_squared_relative(std::span<const float> x, std::span<const f
                                      double share) {
     std::vector<double> errors(x.size() / n_channels);
     for (std::size_t i = 0; i < x.size(); ++i) errors[i / n_channels] += squared_relative(x[i], r[i]);
-    // A NaN has no place in an order; it must not be trimmed away either.
+    // NaN cannot be ordered, and must not be trimmed away.
     for (double error : errors)
         if (std::isnan(error)) return unknown;
     const std::size_t kept = errors.size() - std::size_t(share * double(errors.size()));

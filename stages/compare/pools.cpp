@@ -12,9 +12,9 @@ namespace {
 
 constexpr double infinite = std::numeric_limits<double>::infinity();
 
-/// Pixels along a Z-order curve.
+/// Returns the pixels along a Z-order curve.
 std::vector<std::uint32_t> z_order(std::size_t width, std::size_t height) {
-    const auto spread = [](std::uint64_t v) {  // a bit of space between two bits
+    const auto spread = [](std::uint64_t v) {  // inserts a zero between two bits
         std::uint64_t out = 0;
         for (int bit = 0; bit < 32; ++bit) out |= (v >> bit & 1) << (2 * bit);
         return out;
@@ -27,15 +27,15 @@ std::vector<std::uint32_t> z_order(std::size_t width, std::size_t height) {
     return pixels;
 }
 
-/// Variance of x - r if samples of both vary alike, estimated from all of them.
+/// Returns the variance of x - r from the samples of both, assumed to have one distribution.
 double variance_by_all(double n_x, double var_x, double n_r, double var_r) {
     return (n_x * n_x * var_x + n_r * n_r * var_r) / (n_x + n_r) * (1 / n_x + 1 / n_r);
 }
 
 struct Pool {
-    double difference = 0, variance = 0;     // of x - r, by both their variances
-    double mean = 0, expected_variance = 0;  // of all samples together, and of the difference by them
-    std::size_t pixel = 0, bin = 0;          // where it begins
+    double difference = 0, variance = 0;     // of x - r, from both variances
+    double mean = 0, expected_variance = 0;  // of all samples together; variance of the difference from all samples
+    std::size_t pixel = 0, bin = 0;          // of its first bin
     bool empty = true;
 
     void add(const Pool& other) {

@@ -9,12 +9,12 @@ namespace {
 constexpr double infinite = std::numeric_limits<double>::infinity();
 constexpr double unknown = std::numeric_limits<double>::quiet_NaN();
 
-/// Standard error of a region's mean from variances of its pixels.
+/// Returns the standard error of a region's mean from variances of its pixels.
 double se_of(const Regions& variances, std::size_t channel, std::size_t region) {
     return std::sqrt(variances.sum[channel][region]) / variances.n[region];
 }
 
-/// exp(log_ratio +- t se), two-sided 95 %.
+/// Returns exp(log_ratio +- t se), two-sided 95 %.
 Ratio interval(double ratio, double se_log, double dof) {
     const double reach = student_critical(0.05, dof) * se_log;
     return {ratio, ratio * std::exp(-reach), ratio * std::exp(reach)};

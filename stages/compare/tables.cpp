@@ -10,14 +10,14 @@
 namespace loom::compare {
 namespace {
 
-/// "0.0123 +-0.0004"; the error only where it is known.
+/// Formats "0.0123 ±0.0004"; the error only where it is known.
 std::string with_error(const Estimate& e) {
     return std::isnan(e.se) ? fmt::format("{:.4g}", e.mean) : fmt::format("{:.4g} ±{:.1g}", e.mean, e.se);
 }
 
-/// Left-aligned first column, the others right-aligned; the first row is the head.
+/// Aligns the first column left, the others right; the first row is the header.
 std::string aligned(const std::vector<std::vector<std::string>>& rows) {
-    // Width in characters, not in bytes: "±" has two.
+    // Width in characters, not in bytes: "±" has two bytes.
     const auto length = [](const std::string& s) {
         std::size_t n = 0;
         for (char c : s) n += (c & 0xc0) != 0x80;
@@ -66,7 +66,7 @@ std::string gain_line(const Comparison& comparison, const Group& group) {
     return line + "\n";
 }
 
-/// Tests of the bins of cubes.
+/// Returns the rows of the tests of cubes' bins.
 std::vector<std::vector<std::string>> pool_rows(const Comparison& comparison) {
     std::vector<std::vector<std::string>> rows{
         {"method", "spp", "tests", "n", "mean z", "rms z", "worst z", "bin", "pixel", "channel", "p"}};
@@ -85,7 +85,7 @@ std::vector<std::vector<std::string>> pool_rows(const Comparison& comparison) {
     return rows;
 }
 
-/// The members of a JSON object, by column.
+/// Writes the members of a JSON object, by column.
 void members(JsonWriter& json, const Measured& m, bool of_group) {
     for (const Column& column : columns())
         if (column.of_group == of_group) json.number(column.name, m.*column.value);
@@ -157,7 +157,7 @@ std::string json_of(const Comparison& comparison) {
               std::pair{"p_value", &RegionTest::p_value}}) {
             json.begin_object(name);
             for (std::size_t c = 0; c < 3; ++c) {
-                // The picture first, then its tiles row by row.
+                // The image first, then its tiles row by row.
                 json.begin_array(std::string(1, "RGB"[c]));
                 for (const RegionTest& test : group.significance.tests[c]) json.number({}, test.*values);
                 json.end_array();

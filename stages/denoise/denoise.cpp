@@ -16,8 +16,8 @@
 namespace loom::denoise {
 namespace {
 
-/// Replaces what is not finite by its neighbours (see prepare); zeros where there are none.
-/// out:     the pixels that were replaced
+/// Replaces non-finite values by their neighbours (see prepare); by zeros where there are none.
+/// out:     the replaced pixels
 std::vector<std::size_t> mend(std::vector<float>& values, std::uint32_t width, std::uint32_t height) {
     std::vector<std::size_t> bad;
     for (std::size_t i = 0; i < values.size(); ++i)
@@ -41,7 +41,7 @@ std::vector<std::size_t> mend(std::vector<float>& values, std::uint32_t width, s
     return bad;
 }
 
-/// What runs and why, without places: it becomes part of the output.
+/// Describes what runs and why, without paths, because the text becomes part of the output.
 std::string plan_of(const Layers& layers, const std::optional<Oidn>& oidn, Method method, std::uint64_t samples) {
     std::string on, off;
     const auto say = [](std::string& list, const std::string& item) { list += (list.empty() ? "" : ", ") + item; };
@@ -82,7 +82,7 @@ Prepared prepare(const Image& image) {
     Layers& layers = prepared.layers;
     layers.width = image.width;
     layers.height = image.height;
-    prepared.storage.reserve(13);  // views of its elements stay
+    prepared.storage.reserve(13);  // reserved, because spans into its elements must stay valid
     const auto take = [&](const std::string& name) {
         const auto values = image.find(name);
         prepared.storage.emplace_back(values.begin(), values.end());
@@ -178,9 +178,9 @@ void run(const Options& options, app::Report& report) {
     clean.height = image.height;
     clean.samples = image.samples;
     clean.scene = image.scene;
-    if (image.ledger.size() == 1) clean.ledger = image.ledger;  // a residual says where it leads to
+    if (image.ledger.size() == 1) clean.ledger = image.ledger;  // a residual stores the scene that it leads to
     for (int c = 0; c < 3; ++c) clean.channels.push_back({std::string(1, "RGB"[c]), std::move(color[c])});
-    // Neither the variance of the noisy means nor the parts that they were blended of belong to the clean ones.
+    // Neither the variance of the noisy image nor the layers for a blend apply to the denoised one.
     const auto of_noisy = [](const std::string& name) {
         const std::string layer = name.substr(0, name.find('.'));
         return layer == "VarMean" ||

@@ -16,7 +16,7 @@ namespace {
 
 using Column = std::vector<float>;
 
-/// Pixels of the image, rows in parallel.
+/// Pixels of the image; rows are processed in parallel.
 class Picture {
   public:
     Picture(const Layers& layers, const FilterParameters& p, int threads)
@@ -39,7 +39,7 @@ class Picture {
     void parallel(int n, Body&& body) {
         arena_.execute([&] { tbb::parallel_for(0, n, body); });
     }
-    /// value(x, y) of every pixel
+    /// Makes a column from value(x, y) of every pixel.
     template <class Value>
     Column column(Value&& value) {
         Column out(n_pixels());
@@ -48,14 +48,14 @@ class Picture {
         });
         return out;
     }
-    /// visit(i, is_centre) for the pixels of the square around (x, y) that are in the image
+    /// Calls visit(i, is_centre) for the pixels of the square around (x, y) inside the image.
     template <class Visit>
     void square(int x, int y, int radius, Visit&& visit) const {
         for (int j = std::max(0, y - radius); j <= std::min(height_ - 1, y + radius); ++j)
             for (int i = std::max(0, x - radius); i <= std::min(width_ - 1, x + radius); ++i)
                 visit(at(i, j), i == x && j == y);
     }
-    /// value(i) of every pixel, the edge repeated in the border
+    /// Makes a bordered column from value(i) of every pixel; the edge is repeated in the border.
     template <class Value>
     Column bordered(Value&& value) {
         const int rows = height_ + 2 * border_;
@@ -76,7 +76,7 @@ class Picture {
 
 constexpr int neighbour_radius = 2;
 
-/// Mean and variance of one value of the pixels that visit(add) adds.
+/// Mean and variance of one value over the pixels that are added.
 struct Spread {
     float sum = 0, squares = 0;
     int n = 0;
@@ -101,7 +101,7 @@ Column smoothed(Picture& picture, const Column& values) {
     });
 }
 
-/// Bounds pixels that are far above their neighbours and uncertain by themselves.
+/// Clamps pixels that are far above their neighbours and have a large variance themselves.
 std::uint64_t bound_outliers(Picture& picture, float limit, Column (&color)[3], Column (&variance)[3]) {
     const Column size = picture.column([&](int x, int y) {
         const std::size_t i = picture.at(x, y);
@@ -130,7 +130,7 @@ std::uint64_t bound_outliers(Picture& picture, float limit, Column (&color)[3], 
     return n_outliers;
 }
 
-/// exp2(-n) that brings the mean size of the colours near 1, so that no product of theirs overflows.
+/// Returns exp2(-n) that scales the mean size of the colours to about 1, so that no product overflows.
 float unit_of(const Layers& layers) {
     double sum = 0;
     for (const auto& channel : layers.color)

@@ -4,7 +4,7 @@
 
 namespace loom::denoise {
 
-/// What a denoiser gets: columns [y, x] of one picture. A layer that the picture does not have is empty.
+/// Input of a denoiser: columns [y, x] of one image. A layer that the image does not have is empty.
 struct Layers {
     std::uint32_t width = 0, height = 0;
     std::span<const float> color[3];     // R, G, B; finite, of any sign

@@ -17,12 +17,12 @@ namespace fs = std::filesystem;
 
 constexpr const char* library_name = "libOpenImageDenoise.so.2";
 
-// What is used of the C interface, version 2.
+// The used part of the C interface, version 2.
 using Device = struct OidnDevice*;
 using Filter = struct OidnFilter*;
 constexpr int device_cpu = 1, format_float3 = 3, error_none = 0;
 
-/// The handle of a device or filter, released at the end.
+/// Handle of a device or filter, released by the destructor.
 template <class Handle>
 using Owned = std::unique_ptr<std::remove_pointer_t<Handle>, void (*)(Handle)>;
 
@@ -64,7 +64,7 @@ struct Oidn::Library {
         device(0);
     }
 
-    /// A device of all threads (0) or so many.
+    /// Makes a device with `threads` threads (0: all).
     Owned<Device> device(int threads) const {
         Owned<Device> made(new_device(device_cpu), release_device);
         if (!made) check(nullptr);
@@ -96,7 +96,7 @@ std::optional<Oidn> Oidn::load(const std::string& path, std::string& missing) {
         oidn.library_ = std::make_shared<const Library>(library.c_str());
         return oidn;
     };
-    // The library loads its other parts from the folder in which it really lies.
+    // Resolve links: the library loads its other parts from its real folder.
     const auto in_folder = [](const fs::path& place) {
         return fs::canonical(fs::is_directory(place) ? place / library_name : place);
     };

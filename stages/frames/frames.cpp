@@ -52,7 +52,7 @@ Image frame_of(const TransientCube& cube, std::size_t bin) {
     return image;
 }
 
-/// A folder of single frames, without those of another time.
+/// Creates the folder of single frames, and removes the frames of earlier runs.
 void clear_frames(const fs::path& folder) {
     fs::create_directories(folder);
     for (const auto& entry : fs::directory_iterator(folder)) {
@@ -65,11 +65,11 @@ fs::path frame_path(const fs::path& folder, std::size_t bin, const char* ending)
     return folder / fmt::format("frame-{:04}{}", bin, ending);
 }
 
-/// All frames one after the other; nothing but a message where ffmpeg is not installed.
+/// Writes all frames as a movie; only a message where ffmpeg is not installed.
 void write_movie(const Options& options, const TransientCube& cube, const fs::path& frames, app::Report& report) {
     OutputFile output(options.movie);
     const std::size_t zoom = std::max<std::size_t>(1, 480 / std::min(cube.film.width, cube.film.height));
-    // Encoders want even sides.
+    // Encoders require even sides.
     const std::string size = fmt::format("scale={}:{}:flags=neighbor", (zoom * cube.film.width + 1) / 2 * 2,
                                          (zoom * cube.film.height + 1) / 2 * 2);
     const fs::path log = fs::absolute(output.partial()).native() + ".log";
@@ -89,7 +89,7 @@ void write_movie(const Options& options, const TransientCube& cube, const fs::pa
     std::ifstream in(log);
     const std::string said(std::istreambuf_iterator<char>(in), {});
     fs::remove(log);
-    if (status != 0) fs::remove(options.movie);  // of another cube
+    if (status != 0) fs::remove(options.movie);  // a movie of another cube
     if (!status) {
         report.info("no movie: ffmpeg is not installed (Debian: apt install ffmpeg)");
         return;
@@ -167,7 +167,7 @@ void run(const Options& options, app::Report& report) {
         for (std::size_t bin = 0; bin < cube.time.n_bins; ++bin) {
             Image image = frame_of(cube, bin);
             image.provenance = report.provenance(cube.provenance.seed, {input}, image.provenance.plan);
-            // Hundreds of files, and soon made again: none waits for the disk.
+            // Hundreds of files that are quickly remade: none is synced.
             if (options.exr) write_image(image, frame_path(frames, bin, ".exr"), Compression::zip, Sync::no);
             if (options.png || !options.movie.empty())
                 write_png(image, frame_path(frames, bin, ".png"), -std::log2(white), Sync::no);

@@ -91,7 +91,7 @@ Plot peak(const TransientCube& cube) {
     for (float t : times)
         if (std::isfinite(t)) known.push_back(t);
     std::sort(known.begin(), known.end());
-    // A few late pixels must not take most of the colours.
+    // A few late pixels must not use most of the colours.
     const double low = known.empty() ? 0 : double(known[std::size_t(0.005 * double(known.size() - 1))]),
                  high = known.empty() ? 1 : double(known[std::size_t(0.95 * double(known.size() - 1))]);
     const double area = 520 / std::max(1.0, double(h) / double(w));
@@ -112,7 +112,7 @@ Plot peak(const TransientCube& cube) {
 Plot strip(const TransientCube& cube, const std::string& name, const std::vector<std::size_t>& bins, double white) {
     const std::size_t w = cube.film.width, h = cube.film.height, columns = std::min<std::size_t>(4, bins.size()),
                       lines = (bins.size() + columns - 1) / columns;
-    // Whole pixels of the screen for those of the picture, where it is small.
+    // A whole number of screen pixels per image pixel, where the image is small.
     const double zoom = w > 240 ? 240.0 / double(w) : std::ceil(240.0 / double(w)), tile_w = zoom * double(w),
                  tile_h = zoom * double(h);
     constexpr double gap = 8, head = 22, title = 34;
@@ -176,7 +176,7 @@ Plot curves(const TransientCube& cube, const std::vector<std::size_t>& pixels, s
                     const float* v = cube.var_mean.data() + 3 * ((j * w + i) * n + bin);
                     var += Rgb<double>(v[0], v[1], v[2]);
                 }
-            // Channels of a path go together.
+            // Channels of a path are correlated: their standard deviations add up.
             curve.se[bin] = luminance(Rgb<double>(std::sqrt(var[0]), std::sqrt(var[1]), std::sqrt(var[2]))) / area;
             high = std::max(high, curve.Y[bin]);
         }

@@ -41,13 +41,15 @@ Spectrum path_radiance(const GraphReader& reader, std::size_t path, std::size_t&
     return L;
 }
 
-/// Light along one path, by source.
+/// Light of one path, by source.
 struct Estimates {
     Spectrum Le, direct_own, direct_cluster, indirect_path, indirect_own, indirect_cluster;
 };
 
-/// in: first light edge of the path; out: that of the next path
-/// paths:   also the path's own estimate of indirect light: as it was stored, else by a walk along the whole path
+/// in:      edge   first light edge of the path
+///          paths  also compute the path's own estimate of indirect light: the stored one, else by a walk along the
+///          whole path
+/// out:     edge   first light edge of the next path
 Estimates estimates_of(const GraphReader& reader, const Radiance& radiance, bool paths, std::size_t path,
                        std::size_t& edge, FirstHit& first) {
     const PathGraph& g = reader.graph();
@@ -77,7 +79,7 @@ Estimates estimates_of(const GraphReader& reader, const Radiance& radiance, bool
     return L;
 }
 
-/// value(path, edge, first) for each path, pixel by pixel.
+/// Makes an image from value(path, edge, first) of each path, pixel by pixel.
 template <class Value>
 Image image_of(const PathGraph& graph, int threads, Value value) {
     const std::uint64_t n_pixels = graph.n_pixels(), samples = graph.tracing.samples_per_pixel;

@@ -19,7 +19,7 @@ class Report;
 
 namespace loom::gather {
 
-/// Where the light that leaves a first hit comes from.
+/// Source of the light that leaves a first hit.
 enum class Source {
     own,      // the path's own samples: next-event estimation and the BSDF sample
     cluster,  // all samples of its cluster
@@ -28,16 +28,16 @@ enum class Source {
 
 struct GatherOptions {
     Source direct = Source::cluster, indirect = Source::cluster;
-    bool estimates = false;           // all of them as layers, for loom-merge to blend
-    std::uint32_t members = 4;        // of a subset, besides the vertex itself
-    Reuse reuse = Reuse::directions;  // of a subset: what it takes over from a continuation
-    bool occlusion = false;           // of a subset: continuations are reconnected, and rays say what sees what
+    bool estimates = false;           // store all estimates as layers, for loom-merge to blend
+    std::uint32_t members = 4;        // subset: its size, besides the vertex itself
+    Reuse reuse = Reuse::directions;  // subset: the part of a continuation that is reused
+    bool occlusion = false;           // subset: reconnect continuations, with visibility tested by rays
 };
 
-/// What a subset is drawn from, and what its rays meet.
+/// Inputs for drawing a subset and tracing its rays.
 struct SubsetInputs {
     const Clusters* clusters = nullptr;  // of the graph
-    const Scene* scene = nullptr;        // that the graph was traced in; with occlusion only
+    const Scene* scene = nullptr;        // scene of the graph; with occlusion only
     std::uint64_t seed = 0;
 };
 
@@ -45,11 +45,11 @@ struct Options {
     std::string graph;                 // path graph
     std::string radiance;              // refined radiance of that graph; empty: own paths only
     std::string clusters;              // of that graph; for subsets only
-    std::string scene;                 // that the graph was traced in; for occlusion rays only
-    std::vector<std::string> defines;  // of that scene, name=value
-    std::string sensor;                // of that scene, id or number; empty: the first
+    std::string scene;                 // scene of the graph; for occlusion rays only
+    std::vector<std::string> defines;  // of the scene, name=value
+    std::string sensor;                // of the scene, id or index; empty: the first
     std::string output;                // image with layers (.exr)
-    std::string png;                   // preview for the eye
+    std::string png;                   // 8-bit preview
     double exposure_ev = 0;            // of the preview
     GatherOptions gather;              // with radiance only
     int threads = 0;                   // 0: all
@@ -57,20 +57,20 @@ struct Options {
 
 void declare(app::Command& command, Options& options);
 
-/// Adds up the radiance of every stored path:
+/// Sums the radiance of every stored path:
 ///   L = Le + sum_j beta_j sum_(light edges of j) w f cos Li / pdf,   beta_(j+1) = beta_j f cos / pdf_w
-/// The BSDFs are evaluated again from what the vertices hold; the image equals that of `loom-trace -o x.exr` to
+/// The BSDFs are evaluated again from the stored vertices. The image equals that of `loom-trace -o x.exr` up to
 /// rounding.
 Image path_traced_image(const PathGraph& graph, int threads);
 
-/// One pixel sample per path, from the refined radiance:
+/// Computes one pixel sample per path from the refined radiance:
 ///   own      Le + own direct light + f cos / pdf_w X(second vertex); samples of pixels stay independent given X
 ///                                                                          PG section 5.2, K = 1
 ///   cluster  Le + X(first vertex)
 ///   subset   between the two, see subset.h
-/// and each for direct and indirect light by itself. VarMean takes the samples of a pixel for independent, which those
-/// of one graph are not; images of several graphs know better (loom-merge). Among the layers of estimates, a subset
-/// with occlusion rays takes the place of own samples, one without that of the cluster.
+/// The source is chosen separately for direct and indirect light. VarMean assumes independent samples of a pixel, which
+/// those of one graph are not; images of several graphs give a better estimate (loom-merge). Among the layers of
+/// estimates, a subset with occlusion rays replaces the own samples, a subset without rays the cluster.
 /// out:     n_rays  occlusion rays
 Image gathered_image(const PathGraph& graph, const Radiance& radiance, const GatherOptions& options, int threads,
                      const SubsetInputs& subset = {}, std::uint64_t* n_rays = nullptr);

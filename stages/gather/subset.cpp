@@ -61,7 +61,7 @@ SubsetGather::Light SubsetGather::Worker::at(std::size_t path, std::uint32_t fir
                             [&](int, std::uint32_t, const Spectrum& light, float inv_rho) {
                                 out.direct += shading_.f(c, inv_rho) * light;
                             });
-        // A light that the vertex's own delta lobe has found is no other's.
+        // A light hit by the vertex's own delta lobe cannot be sampled by another vertex.
         if (is_delta(Lobe(g.vertices.lobe[first]))) {
             const ShadingPoint at = gather_.reader_.vertex(first);
             for (std::uint32_t e = gather_.light_edges_[first]; e < gather_.light_edges_[first + 1]; ++e)
@@ -98,12 +98,12 @@ Spectrum SubsetGather::Worker::reconnected(std::uint32_t first) {
     };
     const RayEnd from = end_at(first);
 
-    // What waits for the answer of a ray.
+    // Terms that wait for the result of a ray.
     std::array<Ray, 2 * max_lanes> segments;
     std::array<const Ray*, 2 * max_lanes> pointers;
     std::array<bool, 2 * max_lanes> blocked;
-    std::array<Spectrum, max_lanes> value;   // of others' samples, if c sees them
-    std::array<float, max_lanes> other_pdf;  // of others for the own sample, if they see it
+    std::array<Spectrum, max_lanes> value;   // from others' samples, if visible from c
+    std::array<float, max_lanes> other_pdf;  // of others for c's own sample, if visible to them
     int n_others = 0, n_back = 0;
     Spectrum own_value(0);
     float own_pdf = 0;
@@ -139,7 +139,7 @@ Spectrum SubsetGather::Worker::reconnected(std::uint32_t first) {
     for (int i = 0; i < n_others; ++i)
         if (!blocked[i]) sum += value[i];
     if (own_pdf > 0) {
-        float weight = (M - float(n_back)) / own_pdf;  // those that could not have sampled it
+        float weight = (M - float(n_back)) / own_pdf;  // members that could not have sampled it
         for (int i = 0; i < n_back; ++i) weight += 1 / ((blocked[n_others + i] ? 0.0f : M * other_pdf[i]) + own_pdf);
         sum += own_value * weight;
     }

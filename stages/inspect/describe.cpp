@@ -22,7 +22,7 @@
 namespace loom::inspect {
 namespace {
 
-/// Paths, vertices, edges and endings of a graph; shown under its head.
+/// Paths, vertices, edges and endings of a graph; printed under its heading.
 struct GraphFacts {
     std::size_t n_paths, n_vertices, n_edges;
     std::array<std::size_t, n_endings> endings{};
@@ -56,7 +56,7 @@ bool is_clusters(const Survey& survey) {
     return survey.attribute("filetype") == Clusters::format.name;
 }
 
-/// Sizes of clusters; with the graph that they are of, their extent too.
+/// Sizes of clusters; with their graph also their extent.
 struct ClusterFacts {
     ClusterSizes sizes;
     std::optional<ClusterSpread> spread;
@@ -93,14 +93,14 @@ struct ClusterFacts {
     }
 };
 
-/// Window, response and where the light of a transient cube is.
+/// Window, response and distribution of the light of a transient cube.
 struct CubeFacts {
     TransientCubeHeader header;
     double inside = 0, before = 0, after = 0, never = 0, steady = 0;  // luminance, mean over the pixels
     double relative_error = 0;  // root of the summed variances over the sum of the bins
     double brightest = 0;
     std::size_t brightest_x = 0, brightest_y = 0, brightest_bin = 0;
-    double half_by = 0;  // half of the light in the bins has arrived, in the cube's unit
+    double half_by = 0;  // time by which half of the light in the bins has arrived, in the cube's unit
 
     explicit CubeFacts(const std::string& file) {
         const TransientCube cube = read_transient_cube(file);
@@ -118,7 +118,7 @@ struct CubeFacts {
         double variance = 0;
         for (std::size_t i = 0; i < cube.radiance.size(); i += 3) {
             const double Y = luminance(Rgb<double>(cube.radiance[i], cube.radiance[i + 1], cube.radiance[i + 2]));
-            // Channels of a path go together.
+            // Channels of a path are correlated: their standard deviations add up.
             const double sd =
                 luminance(Rgb<double>(std::sqrt(double(cube.var_mean[i])), std::sqrt(double(cube.var_mean[i + 1])),
                                       std::sqrt(double(cube.var_mean[i + 2]))));
@@ -195,7 +195,7 @@ bool has_ledger(const Survey& survey) {
     return survey.attribute("filetype") == Image::format.name && !survey.attribute("ledger").empty();
 }
 
-/// CPU time of a file and all that it was made from, while that is known.
+/// Returns the CPU time of a file and all its ancestors; nothing where it is unknown.
 std::optional<double> whole_cpu_s(const std::filesystem::path& file) {
     try {
         double sum = 0;
@@ -206,14 +206,14 @@ std::optional<double> whole_cpu_s(const std::filesystem::path& file) {
     }
 }
 
-/// The links of a picture that edits were added to, and what each has cost where that is still known.
+/// Links of an image with added edits, and the cost of each where it is still known.
 struct LedgerFacts {
     Ledger ledger;
-    std::vector<std::optional<double>> cpu_s;  // by link; of the first all that it was made from
+    std::vector<std::optional<double>> cpu_s;  // [link]; for the first link, with all ancestors
 
     explicit LedgerFacts(const Survey& survey, const std::string& file)
         : ledger(ledger_from_text(survey.attribute("ledger"), file)), cpu_s(ledger.size()) {
-        // The picture of a link has that of the link before as its first parent; others are residuals made before.
+        // The first parent of a link's image is the image of the previous link; other parents are existing residuals.
         std::filesystem::path picture = file;
         for (std::size_t i = ledger.size(); i-- > 1 && has_cost(picture);) {
             const Cost cost = read_cost(picture);

@@ -38,7 +38,7 @@ std::uint64_t number(const std::string& text, const std::string& which) {
     return *value;
 }
 
-/// Row of `paths` that "PIXEL,SAMPLE" names.
+/// Returns the row of `paths` for "PIXEL,SAMPLE".
 std::size_t path_index(const PathGraph& g, const std::string& which) {
     const auto comma = which.find(',');
     if (comma == std::string::npos) refuse_path(which, "expected PIXEL,SAMPLE, for example 320:180,0 or 115520,0");
@@ -97,7 +97,7 @@ std::string edge_text(const PathGraph& g, std::size_t k) {
                        e.pdf_bsdf_w[k]);
 }
 
-/// First light edge of a vertex or of a later one.
+/// Returns the first light edge of a vertex or of a later one.
 std::size_t first_edge(const PathGraph& g, std::uint64_t vertex) {
     const auto rows = g.light_edges.vertex.values();
     return static_cast<std::size_t>(std::lower_bound(rows.begin(), rows.end(), vertex) - rows.begin());
@@ -148,8 +148,7 @@ std::string obj_text(const PathGraph& graph, std::uint64_t max_paths) {
              ++k) {
             const auto y = graph.light_edges.y.row(k, 4);
             if (y[3] == 0) continue;
-            // Numbers below zero count back from the last point, which spares the offset of the paths'
-            // points.
+            // Negative indices count from the last point, so the number of the paths' points is not needed.
             lights += vertex_line(graph.vertices.p.row(graph.light_edges.vertex[k], 3)) + vertex_line(y.first(3)) +
                       "l -2 -1\n";
         }

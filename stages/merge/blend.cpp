@@ -10,8 +10,9 @@
 namespace loom::merge {
 namespace {
 
-/// Over which window bias is looked for, and by how many standard errors it must show. Noise that few paths bring is
-/// not seen in most windows of that size, which then look biased, and quiet: it is measured over a wider one as well.
+/// Window in which bias is tested, and the number of standard errors that it must exceed. Noise from rare paths is
+/// missing in most windows of that size, which then look biased and quiet. Noise is therefore measured over a wider
+/// window as well.
 struct Test {
     int radius;
     double standard_errors;
@@ -21,8 +22,9 @@ constexpr Test direct_against_own{3, 0.5, 3};
 constexpr Test against_own{3, 0.5, 27};   // own samples against the cluster's: noise of a few samples
 constexpr Test against_path{6, 0.5, 54};  // whole paths against both
 
-/// Mean over the window, as far as it lies within the image. A window is the end of one block of its length and the
-/// beginning of the next: whatever its size one sum of two, and nothing is lost beside values that are far larger.
+/// Returns the mean over the window, as far as it lies inside the image. A window is the end of one block of its length
+/// and the start of the next. Its sum therefore has two terms for any size, and small values are not lost beside far
+/// larger ones.
 std::vector<double> window_mean(const std::vector<double>& values, int width, int height, int radius) {
     const auto along = [length = 2 * radius + 1, radius](const std::vector<double>& in, int n, int stride, int n_lines,
                                                          int line_stride) {
@@ -56,7 +58,7 @@ Luminances luminances(const std::vector<float>& rgb) {
     return y;
 }
 
-/// Mean over the window of estimates that may be negative, less some of its standard errors, at least 0.
+/// Returns the mean over the window of estimates that may be negative, minus some of its standard errors, at least 0.
 std::vector<double> significant(const std::vector<double>& estimate, int width, int height, const Test& test) {
     std::vector<double> squares(estimate.size());
     for (std::size_t i = 0; i < estimate.size(); ++i) squares[i] = sqr(estimate[i]);
@@ -69,18 +71,17 @@ std::vector<double> significant(const std::vector<double>& estimate, int width, 
     return mean;
 }
 
-/// Test of bias: whether a blend differs from the paths' own estimate A, which has none, by more than noise explains,
-/// in windows of 7 x 7 or 13 x 13 pixels. The noise of A is what makes such a test hard: a window that rare bright
-/// paths have missed looks quiet. So the size of such paths, v = var / mean, is taken from a wide window. Light of mean
-/// f that comes in events of size v is found in n samples of mean a with a probability of at most exp(-(n f / v) h(a /
-/// f)), by Chernoff's bound of a Poisson number; below exp(-7), one in 1100, the blend is refused. f is first moved
-/// towards a by three standard errors of the blend, whose noise counts as common to 16 pixels, about what clusters
-/// span.
-///   h(r) = r ln r - r + 1
-/// Power: at four passes (two in the half that tests) a relative bias of 0.33 sqrt(v / f) over a 13 x 13 window is
-/// found with
-/// probability 0.99: 16 % of light whose passes have a relative variance of 1/4, 3 % of one of 1/100.   [Boucheron2013]
-/// 2.2
+/// Test of bias: whether a blend differs from the paths' own unbiased estimate A by more than noise explains, in
+/// windows of 7 x 7 or 13 x 13 pixels.
+///
+/// The noise of A makes the test hard: a window that rare bright paths have missed looks quiet. The size of such paths,
+/// v = var / mean, is therefore taken from a wide window. Let light of mean f come in events of size v. The probability
+/// that n samples of it have mean a is at most exp(-(n f / v) h(a / f)), by Chernoff's bound of a Poisson number. Below
+/// exp(-7), one in 1100, the blend is refused. Before, f is moved towards a by three standard errors of the blend,
+/// whose noise counts as common to 16 pixels, about the extent of clusters.
+///   h(r) = r ln r - r + 1                                                                  [Boucheron2013] 2.2
+/// Power: with four passes (two in the testing half) a relative bias of 0.33 sqrt(v / f) over a 13 x 13 window is
+/// detected with probability 0.99. That is 16 % of light whose passes have a relative variance of 1/4, 3 % for 1/100.
 struct Distrust {
     static constexpr double log_odds = 7, blend_errors = 3;
     static constexpr int wide_radius = 27, common_pixels = 16;
@@ -96,7 +97,7 @@ struct Distrust {
         f[i] = mean_f, var_f[i] = std::max(mean_f2 - sqr(mean_f), 0.0) * to_sample;
     }
 
-    /// 1 where the blend is not to be trusted, else 0.
+    /// Returns 1 where the blend is refused, else 0.
     std::vector<double> pixels(int width, int height) const {
         const std::vector<double> wide_var = window_mean(var_a, width, height, wide_radius),
                                   wide_mean = window_mean(a, width, height, wide_radius);
@@ -113,7 +114,7 @@ struct Distrust {
                 const double noise =
                     blend_errors * std::sqrt(F_var[i] * std::min(common_pixels / n_pixels, 1.0) / n_parts);
                 const double f = std::abs(A[i] - F[i]) <= noise ? A[i] : F[i] + (A[i] > F[i] ? noise : -noise);
-                // Equal but for rounding is no bias; light where the blend has none is.
+                // A difference by rounding is no bias; light where the blend has none is one.
                 if (std::abs(A[i] - f) <= 1e-6 * std::abs(F[i])) continue;
                 const double r = A[i] / f, h = f <= 0 ? INFINITY : r > 0 ? r * std::log(r) - r + 1 : 1.0;
                 if (v <= 0 || n * f / v * h > log_odds) out[i] = 1;
@@ -123,7 +124,7 @@ struct Distrust {
     }
 };
 
-/// Two estimates A and B = A - d in one half of the parts: sums of their luminance, by pixel.
+/// Two estimates A and B = A - d in one half of the parts: sums of their luminance, [pixel].
 struct PairSums {
     double n = 0;
     std::vector<double> d, d2, b, b2, bd;
@@ -142,7 +143,7 @@ struct PairSums {
         }
     }
 
-    /// Pixels where B + t (A - B) is not to be trusted.
+    /// Returns the pixels where B + t (A - B) is refused.
     std::vector<double> distrust(const std::vector<double>& t, int width, int height) const {
         Distrust guard(d.size(), n);
         for (std::size_t i = 0; i < d.size(); ++i)
@@ -151,7 +152,7 @@ struct PairSums {
         return guard.pixels(width, height);
     }
 
-    /// Weight of A by pixel.
+    /// Returns the weight of A, [pixel].
     std::vector<double> weights(const std::vector<double>& importance, int width, int height, const Test& test) const {
         std::vector<double> bias2(d.size()), var_a(d.size()), var_b(d.size()), cov(d.size());
         for (std::size_t i = 0; i < d.size(); ++i) {
@@ -177,7 +178,7 @@ struct PairSums {
     }
 };
 
-/// Three estimates: whole paths, the own sample of refined light, the cluster.
+/// Three estimates: whole paths, the own sample of refined radiance, the cluster.
 struct TripleSums {
     PairSums own;                       // own sample against the cluster
     std::vector<double> u, u2, uv, ub;  // u = path - cluster, v = own - cluster, b = cluster
@@ -195,7 +196,7 @@ struct TripleSums {
         }
     }
 
-    /// Whole paths against the blend cluster + t (own - cluster).
+    /// Compares whole paths with the blend cluster + t (own - cluster).
     PairSums against_blend(const std::vector<double>& t) const {
         PairSums pair(u.size());
         pair.n = own.n;
@@ -210,7 +211,7 @@ struct TripleSums {
     }
 };
 
-/// Light that arrives straight from emitters, of the cluster in one half of the parts: sums of its luminance, by pixel.
+/// Direct light of the cluster in one half of the parts: sums of its luminance, [pixel].
 struct SharedDirect {
     double n = 0;
     std::vector<double> b, b2;
@@ -225,7 +226,7 @@ struct SharedDirect {
         }
     }
 
-    /// Weight of an independent image `a` without bias, of variance var_a.
+    /// Returns the weight of an independent unbiased image `a` of variance var_a.
     std::vector<double> weights(const Luminances& a, const Luminances& var_a, const std::vector<double>& importance,
                                 int width, int height, const Test& test) const {
         std::vector<double> bias2(b.size()), noise(b.size()), all(b.size());
@@ -246,7 +247,7 @@ struct SharedDirect {
     }
 };
 
-/// Two estimates A and B of all parts: what the best mixture of them would be off by.
+/// Two estimates A and B of all parts: expected error of their best mixture.
 struct Expectation {
     double n = 0;
     std::vector<double> a, b, aa, ab, bb;
@@ -261,7 +262,7 @@ struct Expectation {
         }
     }
 
-    /// By pixel, over windows and relative to brightness.
+    /// Errors over windows and relative to brightness, [pixel].
     struct Errors {
         std::vector<double> bias2_b, var_a, var_b, best;
     };
@@ -291,29 +292,29 @@ struct Expectation {
     }
 };
 
-/// Mean without the 0.1 % largest.
+/// Returns the mean without the largest 0.1 %.
 double trimmed_mean(std::vector<double> values) {
     const std::size_t kept = values.size() - values.size() / 1000;
     std::nth_element(values.begin(), values.begin() + std::ptrdiff_t(kept - 1), values.end());
-    std::sort(values.begin(), values.begin() + std::ptrdiff_t(kept));  // the same sum from any standard library
+    std::sort(values.begin(), values.begin() + std::ptrdiff_t(kept));  // equal sum with any standard library
     double sum = 0;
     for (std::size_t i = 0; i < kept; ++i) sum += values[i];
     return sum / double(kept);
 }
 
-/// Weights of one half of the parts, found by the other.
+/// Weights of one half of the parts, estimated from the other half.
 struct Weights {
     std::vector<double> direct, own, path;
-    std::vector<double> distrust;  // 1 where the blend of direct or of indirect light is not to be trusted
+    std::vector<double> distrust;  // 1 where the blend of direct or of indirect light is refused
 
-    /// Takes the paths alone where their blend is not to be trusted.
+    /// Uses the paths alone where their blend is refused.
     void trust_paths(std::vector<double>& weight, const std::vector<double>& where) {
         for (std::size_t p = 0; p < where.size(); ++p)
             if (where[p] > 0) weight[p] = distrust[p] = 1;
     }
 };
 
-/// The layers that are no estimates, averaged.
+/// Means of the layers that are no estimates.
 struct LayerMeans {
     Image result;
 
@@ -339,7 +340,7 @@ struct LayerMeans {
         }
     }
 
-    /// R, G, B and VarMean from moments over parts, [y, x, rgb].
+    /// Returns R, G, B and VarMean from moments over parts, [y, x, rgb].
     Image finish(const std::vector<Moments>& moments) && {
         for (std::size_t k = 0; k < sums_.size(); ++k) {
             auto& values = result.channels[k].values;
@@ -533,7 +534,7 @@ DirectPlan plan_direct(std::size_t n_parts, const std::function<Image(std::size_
     plan.direct = plan.direct_with = trimmed_mean(d.best);
     double least = 0.95 * (plan.indirect + plan.direct) * n_samples;
     for (double m = n_samples / 4; m <= 16 * n_samples; m *= 2) {
-        if (m < 2 || m != std::floor(m)) continue;  // one sample does not say how noisy it is
+        if (m < 2 || m != std::floor(m)) continue;  // noise cannot be estimated from one sample
         std::vector<double> error(d.best.size());
         for (std::size_t p = 0; p < error.size(); ++p) {
             const double a = d.var_a[p] * n_samples / m, b = d.bias2_b[p] + d.var_b[p];

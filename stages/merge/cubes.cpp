@@ -11,7 +11,7 @@
 namespace loom::merge {
 namespace {
 
-/// The rows [first, first + n) of one array of all parts. var_mean: null where only the mean is wanted.
+/// Returns the rows [first, first + n) of one array of all parts. var_mean: null where only the mean is needed.
 std::vector<PartOf> rows_of(std::span<const TransientCube> cubes, Column<float> TransientCube::*mean,
                             Column<float> TransientCube::*var_mean, std::size_t first, std::size_t n) {
     std::vector<PartOf> parts;

@@ -15,7 +15,7 @@
 namespace loom::merge {
 namespace {
 
-/// From this share of the pixels on, a blend that the test of bias refused is a warning.
+/// Share of the pixels above which a refused blend is a warning.
 constexpr double distrust_to_warn = 0.01;
 
 constexpr std::string_view variance_layer = "VarMean.";
@@ -43,21 +43,21 @@ void check_fit(const Image& first, const Image& part, const std::string& first_n
     }
 }
 
-/// What a part says of itself beside its pixels.
+/// Attributes of a part beside its pixels.
 struct Labels {
-    InputId scene;  // that it shows; of a difference, that it leads to
-    Ledger ledger;  // of a residual, its one link
+    InputId scene;  // scene of the image; of a difference, the new scene
+    Ledger ledger;  // of a residual, its only link
     std::uint64_t samples;
 };
 
-/// The scene that all parts show; none where they do not agree.
+/// Returns the common scene of all parts; none where they differ.
 InputId common_scene(std::span<const Labels> parts) {
     const bool agree = std::all_of(parts.begin(), parts.end(),
                                    [&](const Labels& part) { return part.scene.hash == parts[0].scene.hash; });
     return agree ? parts[0].scene : InputId();
 }
 
-/// The link of passes of one residual as of one; none where they are no such passes.
+/// Returns one link for the passes of one residual; none where the parts are no such passes.
 Ledger link_of_passes(std::span<const Labels> parts, const Image& merged) {
     const auto is_pass = [&](const Labels& part) {
         return part.ledger.size() == 1 && part.ledger[0].scene.hash == parts[0].ledger[0].scene.hash &&
@@ -73,7 +73,7 @@ Ledger link_of_passes(std::span<const Labels> parts, const Image& merged) {
     return {link};
 }
 
-/// One channel of all parts.
+/// Returns one channel of all parts.
 std::vector<PartOf> parts_of(std::span<const Image> images, std::string_view mean_channel,
                              std::string_view variance_channel = {}) {
     std::vector<PartOf> parts;
@@ -106,7 +106,7 @@ std::vector<double> pooled_var_mean(std::span<const PartOf> parts) {
         n_all += n;
         for (std::size_t i = 0; i < mean.size(); ++i) {
             const double shift = static_cast<double>(part.mean[i]) - mean[i];
-            // A single sample has no variance of its own, whatever its file says.
+            // A single sample has no variance estimate, even if its file has one.
             const double inside = part.samples == 1 ? 0.0 : (n - 1) * n * static_cast<double>(part.var_mean[i]);
             squares[i] += inside + n * shift * shift;
         }
@@ -187,13 +187,13 @@ void declare(app::Command& command, Options& options) {
 
 namespace {
 
-/// What a sample of direct light costs, over a sample of path graphs: fixed figures and counts of rays, for the answer
-/// reaches bytes, and clocks never say the same twice. A ray of a path that is traced, clustered, refined and gathered
-/// costs about five times one of a picture of direct light, of which a sample takes three (camera, light, BSDF): 7
+/// Returns the cost of a direct-light sample over that of a path graph sample, from fixed figures and counts of rays.
+/// Measured times would change the output's bytes. A ray of a path that is traced, clustered, refined and gathered
+/// costs about five times a ray of a direct-light image, whose sample takes three (camera, light, BSDF). Measured: 7
 /// times in cornell-box, 5 in dining-room and staircase, 4 in sponza.
 double cost_of_direct(const std::string& part) {
     constexpr double rays_of_direct = 3, graph_over_picture = 5;
-    // The rays of a part are those of its graph, which are known by their costs even where the graph is gone.
+    // The rays of a part are those of its graph, whose cost file remains even where the graph is deleted.
     std::filesystem::path file = part;
     for (Cost cost = read_cost(file);; cost = read_cost(file)) {
         if (cost.stage == "loom-trace")
@@ -238,7 +238,7 @@ class ImageMerger {
         if (differences_ && options_.minus.size() != options_.parts.size())
             throw InputError(
                 fmt::format("--minus: {} images for {} parts", options_.minus.size(), options_.parts.size()));
-        // Read the first part: it decides how the parts are merged.
+        // Read the first part, which decides how the parts are merged.
         std::vector<InputId> inputs = identify_parts(options_.parts);
         if (differences_)
             for (InputId& id : identify_parts(options_.minus)) inputs.push_back(std::move(id));
@@ -271,7 +271,7 @@ class ImageMerger {
     }
 
   private:
-    /// Part i, with --minus its difference from the image before the edit.
+    /// Returns part i; with --minus its difference from the image before the edit.
     Image read_part(std::size_t i) {
         const std::string& file = options_.parts[i];
         Image image = read_image(file);
@@ -344,7 +344,7 @@ class ImageMerger {
             report_.info("{}", text);
     }
 
-    /// Empty where the parts have no estimates.
+    /// Returns the plan; empty where the parts have no estimates.
     std::string plan() const {
         if (two_levels_)
             return fmt::format("on: {} parts, corrected by the own paths of {}; off: blend", options_.parts.size(),
@@ -357,7 +357,7 @@ class ImageMerger {
         return fmt::format("off: blend with the paths' own estimates (fewer than {} parts)", min_blend_parts);
     }
 
-    /// Scene and ledger of the merged image.
+    /// Sets scene and ledger of the merged image.
     void set_origin(Image& merged) const {
         const InputId scene = common_scene(labels_);
         if (!differences_) {
@@ -376,7 +376,7 @@ class ImageMerger {
     const Options& options_;
     app::Report& report_;
     bool differences_, two_levels_, estimates_ = false, blend_ = false;
-    std::vector<Labels> labels_;  // by part
+    std::vector<Labels> labels_;  // [part]
     Image first_, direct_;
 };
 

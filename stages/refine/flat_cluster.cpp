@@ -43,7 +43,7 @@ bool FlatCluster::load(std::span<const VertexRow> rows) {
     return true;
 }
 
-/// Of an environment or a directional light: one cosine for all.
+/// Adds light of an environment or a directional emitter: one cosine for all vertices.
 void FlatCluster::add_far_light(int lane, const LightRow& light, bool delta) {
     const float cos = dot(Vector3f(light.y), columns_.normal);
     if (!(cos > 0)) return;

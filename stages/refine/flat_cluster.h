@@ -6,12 +6,12 @@
 
 namespace loom::refine {
 
-/// The vertices of a flat matte cluster (flat_columns.h). Reused from cluster to cluster.
+/// The vertices of a flat diffuse cluster (flat_columns.h). Reused from cluster to cluster.
 class FlatCluster {
   public:
     explicit FlatCluster(const GraphReader& reader) : reader_(reader), kernels_(flat_kernels()) {}
 
-    /// Lanes are in the order of the rows. false: this is not a flat matte cluster.
+    /// Loads a cluster; lanes are in the order of the rows. Returns false when this is no flat diffuse cluster.
     /// needs:   at most max_lanes rows
     bool load(std::span<const VertexRow> rows);
 
@@ -22,10 +22,10 @@ class FlatCluster {
     /// Survival of roulette in a lane; 0 where no BSDF sample was drawn.
     float survival(int lane) const { return columns_.survival[lane]; }
 
-    /// Takes the light edges of all vertices.
+    /// Gathers the light edges of all vertices.
     /// in:      place  of the first lane
     void gather_lights(const ClusterRows& rows, std::size_t place);
-    // Afterwards: light that a lane reflects, pooled, and by its own samples.
+    // After gather_lights(): light that a lane reflects, pooled, and by its own samples.
     Spectrum direct(int lane) const;
     Spectrum own_direct(int lane) const { return albedo_[lane] * own_white_[lane]; }
 
@@ -46,7 +46,7 @@ class FlatCluster {
     FlatColumns columns_{};
     Batch area_{}, point_{};
     float survival_sum_ = 0, nee_sum_ = 0;
-    Spectrum far_;  // what a white vertex reflects of lights far away: the same for all
+    Spectrum far_;  // reflection of lights at infinity at a white vertex, equal for all
     Spectrum albedo_[max_lanes], own_white_[max_lanes];
 };
 

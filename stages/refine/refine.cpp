@@ -16,10 +16,10 @@
 namespace loom::refine {
 namespace {
 
-/// From this share of the energy on, what the clamp takes is a warning.
+/// Share of the energy above which the clamp's loss is a warning.
 constexpr double clamped_share_to_warn = 0.01;
 
-/// Up to here a depth limit is kept exactly, by as many steps from darkness as it allows bounces.
+/// Largest depth limit that is kept exactly, with as many steps from zero radiance as it allows bounces.
 constexpr int longest_exact_depth = 16;
 
 struct Schedule {
@@ -29,8 +29,9 @@ struct Schedule {
     std::string why;
 };
 
-/// A depth limit ends light at a number of bounces from the camera, but a vertex that is shared has no depth.
-/// Steps from darkness count bounces too: what a first hit's continuation brings has one less than the first hit.
+/// Chooses the steps. A depth limit ends light at a number of bounces from the camera, but a shared vertex has no
+/// depth. Steps from zero radiance count bounces too: light of a first hit's continuation has one bounce less than the
+/// first hit.
 Schedule schedule(const PathGraph& graph, const Options& options) {
     const int depth = graph.tracing.max_depth;
     if (options.start == Start::automatic && depth >= 0 && depth <= longest_exact_depth)
@@ -42,7 +43,7 @@ Schedule schedule(const PathGraph& graph, const Options& options) {
             fmt::format("from the radiance of the paths, {} steps", options.iterations)};
 }
 
-/// value(j): what vertex j reflects, as a Light.
+/// Interleaves value(j), the reflected Light of vertex j.
 template <class Value>
 std::vector<float> interleaved(std::size_t n, int threads, Value value) {
     std::vector<float> rgb(3 * n);
@@ -55,7 +56,7 @@ std::vector<float> interleaved(std::size_t n, int threads, Value value) {
     return rgb;
 }
 
-/// By path: value(j) of its first vertex, black for a path without vertices.
+/// Returns value(j) of each path's first vertex, [path]; zero for a path without vertices.
 template <class Value>
 std::vector<float> of_first_vertices(const PathGraph& graph, int threads, Value value) {
     return interleaved(graph.n_paths(), threads, [&](std::size_t i) {
@@ -127,7 +128,7 @@ Radiance refine_radiance(const PathGraph& graph, const Clusters& clusters, const
             residual.push_back(i.residual);
             image_change.push_back(std::isfinite(i.image_change)
                                        ? i.image_change
-                                       : 1);  // infinite when the image turns black: all of it changes
+                                       : 1);  // infinite when the image turns black: its whole content changes
             result.clamped_share = i.clamped_share;
             report.info(
                 "step {}: residual {:.3g}, image changes by {:.3g}{}", residual.size(), i.residual, i.image_change,
@@ -181,7 +182,7 @@ void run(const Options& options, app::Report& report) {
         check_output_path(options.output);
     }
     const PathGraph graph = read_path_graph(options.graph);
-    // Their directions are not those of BSDF sampling, by whose densities neighbours are weighted.
+    // Their directions are not those of BSDF sampling, whose densities weight the neighbours.
     if (!graph.nlos.capture.empty())
         throw InputError(fmt::format(
             "{}: vertices of an NLOS capture cannot share samples; bin its paths with loom-transient", options.graph));

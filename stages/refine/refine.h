@@ -14,8 +14,8 @@ namespace loom::refine {
 enum class Method { fixed_point, west };
 enum class Start {
     automatic,  // zero where the scene's depth limit is small enough to be kept exactly, else paths
-    paths,      // what each path knows by itself: near the solution but for its noise
-    zero,       // darkness: k steps give light of k bounces
+    paths,      // each path's own estimate: near the solution except for its noise
+    zero,       // zero radiance: k steps give light of k bounces
 };
 
 struct Options {
@@ -30,18 +30,18 @@ struct Options {
     float epsilon = 1e-4f;
     bool as_printed = false;
     std::uint32_t neighbours = 16;    // Method::west
-    float private_roughness = 0.03f;  // Method::west; the clusters say it else
+    float private_roughness = 0.03f;  // Method::west; else the clusters' setting is used
     int threads = 0;
     bool plan = false;
 };
 
 void declare(app::Command& command, Options& options);
 
-/// The fixed point of aggregation and propagation.
+/// Computes the fixed point of aggregation and propagation.
 /// needs:   clusters of this graph
 Radiance refine_radiance(const PathGraph& graph, const Clusters& clusters, const Options& options, app::Report& report);
 
-/// The single filter of West et al., see west.h.
+/// Applies the single filter of West et al., see west.h.
 Radiance west_radiance(const PathGraph& graph, const Options& options);
 
 /// throws: InputError

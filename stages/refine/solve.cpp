@@ -11,10 +11,10 @@ namespace {
 
 constexpr std::uint64_t clusters_per_chunk = 512;
 
-/// Residuals below go up and down by themselves.
+/// Below this the residual fluctuates by rounding.
 constexpr double rounding = 1e-6;
 
-/// All four numbers of a Light at once.
+/// The four numbers of a Light as one vector.
 using Quad = float __attribute__((vector_size(sizeof(Light))));
 Quad quad(const Light& L) {
     return std::bit_cast<Quad>(L);
@@ -44,8 +44,8 @@ double ratio(double over, double under) {
     return under > 0 ? over / under : over > 0 ? HUGE_VAL : 0;
 }
 
-/// Factor that keeps a cluster from giving more than (1 - epsilon) of what it takes in; one for all channels, so that
-/// colours stay.
+/// Returns the factor that limits a cluster's output to (1 - epsilon) of its input. All channels have one factor, so
+/// that colours are kept.
 float cluster_factor(const float* given, const float* taken_in, float epsilon) {
     float factor = 1;
     for (int channel = 0; channel < 3; ++channel)
@@ -54,26 +54,26 @@ float cluster_factor(const float* given, const float* taken_in, float epsilon) {
     return factor;
 }
 
-/// What is left of the system when flat clusters are solved for the light S that each passes on, X_k = B_k + albedo_k
-/// S: far fewer unknowns Y, all flat clusters' S and then the X of all other vertices.
+/// The reduced system. A flat cluster is represented by the light S that it passes to all its vertices, X_k = B_k +
+/// albedo_k S. The unknowns Y are S of all flat clusters, then X of all other vertices: far fewer.
 ///
 ///   S_c = sum_e weight_e X_end = sum_e weight_e B_end + sum_e (weight_e albedo_end) S_end
 ///
-/// Of an end that is not flat the light comes as it is. Steps Y <- base + gain Y are the very steps of X.
+/// For an end that is not flat, X_end is used directly. Steps Y <- base + gain Y equal the steps of X.
 class Reduced {
   public:
     Reduced(const System& s, std::span<const std::uint32_t> first_hits, const SolveOptions& options);
 
-    /// Y from a start X, and sums of the step.
+    /// Computes Y from a start X, and the sums of the step.
     AllSums first_step(LightColumn X);
-    /// The next Y; it becomes the present one by accept().
+    /// Computes the next Y; accept() makes it current.
     AllSums step();
     void accept() {
         std::swap(Y_, next_);
         has_previous_ = true;
     }
-    /// X from Y.
-    /// none_but_first_hits: the others from the Y before; after the first step they keep the start
+    /// Computes X from Y.
+    /// in:  none_but_first_hits  the others are computed from the previous Y; after the first step they keep the start
     void expand(LightColumn X, bool none_but_first_hits) const;
 
   private:
@@ -90,14 +90,14 @@ class Reduced {
     }
     std::size_t n_chunks() const { return std::size_t((s_.n_clusters + clusters_per_chunk - 1) / clusters_per_chunk); }
     int size(std::size_t c) const { return int(s_.first[c + 1] - s_.first[c]); }
-    /// Row of Y of the first vertex of a cluster that is not flat.
+    /// Returns the row in Y of the first vertex of a cluster that is not flat.
     std::size_t rows(std::size_t c) const { return s_.n_clusters + general_[c]; }
     std::size_t member_row(std::size_t c, std::size_t k) const {
         return s_.shape[c].flat ? c : rows(c) + (k - s_.first[c]);
     }
     std::size_t solitary_row(std::size_t k) const { return rows(s_.n_clusters) + (k - s_.first.back()); }
 
-    /// What cluster c, which is not flat, makes of light L[edge][rgb].
+    /// Computes the output of cluster c, which is not flat, for light L[edge][rgb].
     void give(std::size_t c, const float* L, Given& out) const;
     float clamp(std::size_t c, const float* taken_in, const float* out, Sums& sums) const;
 
@@ -116,20 +116,20 @@ class Reduced {
     const System& s_;
     const SolveOptions& options_;
     const ClusterKernels& kernels_;
-    std::vector<std::uint32_t> general_;   // by cluster: vertices of clusters before it that are not flat
-    std::vector<std::uint8_t> first_hit_;  // by unknown
-    HugeArray<std::uint32_t> home_;        // by unknown: row of Y; for the first step
+    std::vector<std::uint32_t> general_;   // [cluster] vertices of earlier clusters that are not flat
+    std::vector<std::uint8_t> first_hit_;  // [unknown]
+    HugeArray<std::uint32_t> home_;        // [unknown] row of Y; for the first step
     struct alignas(16) Gain {
         float r, g, b;
-        std::uint32_t from;  // row of Y that the light comes from
+        std::uint32_t from;  // row of Y of the light's source
     };
     static Quad quad_of(const Gain& g) { return Quad{g.r, g.g, g.b, 0}; }
-    HugeArray<Gain> gain_;  // by slot
+    HugeArray<Gain> gain_;  // [slot]
     std::vector<std::uint32_t> private_from_, private_to_;
     std::vector<Light> private_gain_;
     HugeArray<Light> Y_, next_, base_;
-    bool has_previous_ = false;  // in next_
-    // Of flat clusters: sums of albedos, over all vertices and over first hits; and of all their B.
+    bool has_previous_ = false;  // whether next_ holds the previous Y
+    // For flat clusters: sums of albedos, over all vertices and over first hits; sums of all B.
     HugeArray<Light> albedo_sum_, image_albedo_sum_;
     AllSums flat_base_;
 };
@@ -193,7 +193,7 @@ void Reduced::give(std::size_t c, const float* L, Given& out) const {
         for (int l = 0; l < lanes; ++l) out[channel * lanes + l] += block.tint[channel * lanes + l] * sum[channel];
 }
 
-/// Clamp::cluster: the factor on what cluster c gives.
+/// Clamp::cluster: returns the factor on the output of cluster c.
 float Reduced::clamp(std::size_t c, const float* taken_in, const float* out, Sums& sums) const {
     float given[3] = {};
     const int lanes = padded_lanes(size(c));
@@ -395,8 +395,8 @@ AllSums Reduced::step() {
     return sums;
 }
 
-/// Sums over all vertices, of which those of flat clusters need not be looked at: all that they are made of is
-/// positive.
+/// Returns the sums over all vertices. Vertices of flat clusters are not visited: all terms are positive, so the sums
+/// follow from S.
 AllSums Reduced::sums_of_step() const {
     const System& s = s_;
     std::vector<AllSums> parts(n_chunks() + 1);

@@ -15,13 +15,13 @@ constexpr std::uint64_t clusters_per_chunk = 1024;
 struct Lanes {
     alignas(64) float r[max_lanes + lane_block], g[max_lanes + lane_block], b[max_lanes + lane_block];
     float inv_eta2[max_lanes + lane_block];
-    float
-        clamp_weight[max_lanes + lane_block];  // inv_eta2 times survival of roulette; 0 where no BSDF sample was drawn
-    float clamp_weight_alone[max_lanes +
-                             lane_block];  // the same for ends without a cluster: 0 where they are no technique, either
+    // inv_eta2 times survival of roulette; 0 where no BSDF sample was drawn.
+    float clamp_weight[max_lanes + lane_block];
+    // clamp_weight for ends without a cluster: 0 also where they are no technique.
+    float clamp_weight_alone[max_lanes + lane_block];
 };
 
-/// Sums that a chunk hands back; chunks are added in order.
+/// Sums of one chunk; chunks are added in order.
 struct ChunkResult {
     std::vector<System::Private> privates;
     std::uint64_t n_clamped = 0, n_columns = 0;
@@ -45,12 +45,12 @@ struct Builder {
     std::span<const std::uint32_t> members(std::size_t c) const {
         return clusters.member.values().subspan(system.first[c], system.first[c + 1] - system.first[c]);
     }
-    /// Squared index of the medium in which the path goes on from vertex j.
+    /// Returns the squared index of the medium in which the path continues from vertex j.
     float eta2_of_next(const VertexRow& row, std::size_t j) const {
         return sqr(row.bits & vertex_bit::other_medium ? graph.vertices.eta[j + 1] : row.eta);
     }
 
-    /// One column of a block: f_j cos_j / rho at all vertices of the cluster, in 16 bits of its largest value.
+    /// Adds one column of a block: f_j cos_j / rho at all vertices of the cluster, in 16 bits of its largest value.
     /// in:  clamp_weight  of each lane;  edge_eta2  of the medium that the light comes through
     void add_column(const ClusterShading& shading, const float* clamp_weight, float edge_eta2, float* scale,
                     std::uint16_t* out, float inv_rho, ChunkResult& result) const {
@@ -64,7 +64,7 @@ struct Builder {
         for (int channel = 0; channel < 3; ++channel) scale[channel] *= factor;
     }
 
-    /// The same as base and coat.
+    /// Adds one column split into base and coat.
     void add_split_column(const ClusterShading& shading, const System::Shape& shape, const float* clamp_weight,
                           float edge_eta2, float* scale, std::uint16_t* out, float inv_rho, ChunkResult& result) const {
         float largest[2], sum[3];
@@ -82,9 +82,9 @@ struct Builder {
         return {.base = lobes.base, .base_plane = lobes.base && !lobes.one_base, .coat = lobes.coat};
     }
 
-    /// Factor of a column with these sums of basic radiance, each vertex weighted with its survival of roulette, as in
-    /// the density that the column is divided by: where no BSDF gives more than it takes no sum is above 1. Vertices at
-    /// the depth limit drew no sample and do not count: what they receive goes no further.
+    /// Returns the clamp factor of a column from its sums of basic radiance. Each vertex is weighted with its survival
+    /// of roulette, as in the density that divides the column. Where no BSDF reflects more than it receives, no sum is
+    /// above 1. Vertices at the depth limit drew no sample and do not count: their light is not propagated.
     float clamped(const Spectrum& sum, ChunkResult& result) const {
         const float most = std::max({sum.r, sum.g, sum.b}), total = sum.r + sum.g + sum.b;
         const float bound = 1 - options.epsilon;
@@ -100,7 +100,7 @@ struct Builder {
         return factor;
     }
 
-    /// What vertex j alone makes of samples that no neighbour can use.
+    /// Adds vertex j's own samples that no neighbour can use.
     /// in/out:  direct  light; weight  of the continuation
     void add_private(std::size_t j, std::uint32_t unknown, bool all, Spectrum& direct, Spectrum& weight,
                      ChunkResult& result) const {
@@ -122,8 +122,8 @@ struct Builder {
         system.shape[c] = {.flat = true};
         flat.gather_lights(rows, begin);
         const auto vertex = members(c);
-        // What a continuation passes, as basic radiance but for its own eta^2: of all techniques, and of those that can
-        // bring the light of an end without a cluster (continuation_density()).
+        // Weight of a continuation as basic radiance, without its own eta^2: over all techniques, and over those that
+        // can sample the light of an end without a cluster (continuation_density()).
         struct {
             float per_attempt = 0;
             Spectrum passed{0};
@@ -144,7 +144,7 @@ struct Builder {
         if (last_steps) sum(alone, vertex_bit::last_step);
         int n_edges = 0;
         for (int l = 0; l < flat.size(); ++l) {
-            const VertexRow row = flat.row(l);  // a copy: its place is taken by the result
+            const VertexRow row = flat.row(l);  // a copy: the result replaces the original
             const std::uint32_t k = begin + std::uint32_t(l);
             const std::uint32_t j = vertex[std::size_t(l)];
             const Spectrum direct = flat.direct(l), &albedo = flat.albedo(l), own = flat.own_direct(l);
@@ -353,7 +353,7 @@ System empty_system(const PathGraph& graph, const Clusters& clusters, const Syst
     s.n_edges.resize(s.n_clusters);
     s.shape.resize(s.n_clusters);
     s.block.resize(s.n_clusters);
-    // Memory is taken where it is used: clusters that need a block take the next piece of what is reserved for all.
+    // Take memory on demand: clusters that need a block take the next piece of a common reservation.
     std::uint64_t most_bytes = 0;
     for (std::size_t c = 0; c < s.n_clusters; ++c) {
         const int n = int(s.first[c + 1] - s.first[c]);

@@ -1,13 +1,13 @@
 #pragma once
-// The linear system of a path graph, X = M X + B: X is the radiance that each vertex reflects along its path, B what
-// it reflects of light that arrives directly, M what neighbouring vertices pass on from vertex to vertex.
+// The linear system of a path graph, X = M X + B. X is the radiance that each vertex reflects along its path, B its
+// part from direct light, M the transport between neighbouring vertices.
 //                              PG section 4
 //
-// Clusters pool their samples: M is never built, but as one block of coefficients per cluster (a row for each vertex,
-// a column for each continuation), followed by the step along each continuation. The block of a flat matte cluster is
-// of rank one (flat_columns.h): an albedo for each vertex times a weight for each continuation. Where all coats are
-// grey a coefficient is tint * base + coat, with a tint for each vertex, and base and coat have no colour; seen from
-// one side of one normal the base is of rank one too.
+// Clusters pool their samples. M is never built as a whole. It is one block of coefficients per cluster (a row for each
+// vertex, a column for each continuation), followed by the step along each continuation. The block of a flat diffuse
+// cluster has rank one (flat_columns.h): an albedo for each vertex times a weight for each continuation. Where all
+// coats are grey a coefficient is tint * base + coat, with a tint for each vertex; base and coat have no colour. On one
+// side of one normal the base has rank one too.
 
 #include "formats/clusters.h"
 #include "stages/core/clusters/cluster_edges.h"
@@ -15,12 +15,12 @@
 
 namespace loom::refine {
 
-/// What keeps the iteration from growing. Light is counted as basic radiance, L / eta^2 with the index of the medium
-/// it travels in: where it leaves glass its radiance changes by eta^2 and its energy does not.       [Veach1997] 5.2
+/// Bound that keeps the iteration from growing. Light is counted as basic radiance, L / eta^2 with the index of its
+/// medium: where light leaves glass its radiance changes by eta^2 but its energy does not.       [Veach1997] 5.2
 enum class Clamp {
     none,
-    column,   // once: no edge gives more than (1 - epsilon) of the light that it brings; linear
-    cluster,  // every cluster and iteration: no cluster gives more than (1 - epsilon) of what it takes in, as the paper
+    column,   // once: no edge transports more than (1 - epsilon) of its light; linear
+    cluster,  // each cluster and iteration: output at most (1 - epsilon) of the input, as in the paper
 };
 
 struct SystemOptions {
@@ -30,7 +30,7 @@ struct SystemOptions {
     int threads = 0;
 };
 
-/// Four floats in one cache line's quarter: radiance is gathered at random.
+/// Four floats, a quarter of a cache line: radiance is gathered in random order.
 struct alignas(16) Light {
     float r = 0, g = 0, b = 0, unused = 0;
 };
@@ -40,12 +40,12 @@ struct System {
     static constexpr std::uint32_t nothing = 0xffffffffu;
 
     std::size_t n_unknowns = 0, n_clusters = 0;
-    HugeArray<std::uint32_t> unknown;  // of a vertex
-    /// Of an unknown, in one line of the cache.
+    HugeArray<std::uint32_t> unknown;  // [vertex]
+    /// State of one unknown, in one cache line.
     struct alignas(64) Row {
         Light B;
         Light albedo;  // in flat clusters
-        Light X;       // what path tracing knows: of light by its own samples; then, by path_radiance(), of all
+        Light X;       // estimate of path tracing: direct light of its own samples; after path_radiance() all light
         Light weight;  // of its own continuation
     };
     HugeArray<Row> at;
@@ -54,8 +54,8 @@ struct System {
     std::vector<std::uint32_t> first;
     std::vector<std::uint16_t> n_edges;
     struct Shape {
-        bool flat = false;        // of rank one: no block
-        bool base = false;        // tint times a number of the edge,
+        bool flat = false;        // rank one: no block
+        bool base = false;        // tint times a factor of the edge,
         bool base_plane = false;  // and of the vertex
         bool coat = false;
         bool channels() const { return !flat && !base && !coat; }
@@ -69,14 +69,14 @@ struct System {
     std::vector<Shape> shape;
     struct Edge {
         float weight;       // flat: times the albedo of each unknown
-        std::uint32_t end;  // unknown that the light comes from
+        std::uint32_t end;  // unknown at the edge's end, the source of its light
     };
-    HugeArray<Edge> edges;             // by slot
-    std::vector<std::uint64_t> block;  // where it starts, in bytes; differs from run to run
+    HugeArray<Edge> edges;             // [slot]
+    std::vector<std::uint64_t> block;  // start in bytes; differs from run to run
     HugeArray<std::byte> blocks;
-    HugeArray<float> edge_survival;  // by slot, times eta^2 of the edge; empty unless the clamp asks for it
-    HugeArray<float> inv_eta2;       // by unknown, on the side of wo; empty unless the clamp asks for it
-    /// Numbers and 16-bit fractions of them.
+    HugeArray<float> edge_survival;  // [slot] times eta^2 of the edge; empty unless the clamp needs it
+    HugeArray<float> inv_eta2;       // [unknown] on the side of wo; empty unless the clamp needs it
+    /// Scales, and 16-bit fractions of them.
     template <class Byte>
     struct BlockAt {
         template <class T>
@@ -101,12 +101,12 @@ struct System {
     };
     std::vector<Private> privates;
 
-    /// Columns that the clamp scaled, and the share of the coefficients' sum that it took.
+    /// Columns scaled by the clamp, and the clamped share of the coefficients' sum.
     std::uint64_t n_clamped = 0, n_columns = 0;
     double clamped_share = 0;
-    float largest_column_sum = 0;  // before the clamp, of basic radiance, survival counted: the bound of the spectrum
+    float largest_column_sum = 0;  // before the clamp, of basic radiance, with survival: bounds the spectral radius
 
-    /// What the vertex in a lane of cluster c reflects of the light of edge i.
+    /// Returns the coefficient of edge i for the vertex in a lane of cluster c.
     Spectrum coefficient(std::size_t c, int i, int lane) const;
 };
 
@@ -114,12 +114,13 @@ struct System {
 /// needs:   clusters of this graph, of at most max_lanes vertices
 System build_system(const PathGraph& graph, const Clusters& clusters, const SystemOptions& options);
 
-/// Makes each X what the vertex reflects along its path by that path's own samples: all that path tracing knows.
-/// out:     by path: of the first vertex, without the light that reaches it straight
-/// needs:   to be called once
+/// Sets each X to the radiance reflected along the path by that path's own samples: the estimate of path tracing.
+/// out:     [path] radiance of the first vertex without its direct light
+/// needs:   must be called once only
 HugeArray<Light> path_radiance(System& system, const PathGraph& graph, int threads);
 
-/// What each vertex reflects along its path by that path's own samples, by vertex: the plain twin of the above.
+/// Returns the radiance that each vertex reflects along its path by that path's own samples, [vertex]; the simple
+/// version of the function above.
 HugeArray<Light> path_radiance(const GraphReader& reader, int threads, Heuristic heuristic = Heuristic::power);
 
 }  // namespace loom::refine

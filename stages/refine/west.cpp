@@ -40,7 +40,7 @@ Filtered west_filter(const PathGraph& graph, std::span<const std::uint32_t> memb
         for (std::size_t i = 0; i < n; ++i) {
             const std::uint32_t j = members[begin + i];
             for (std::size_t m = 0; m < k; ++m) near[m] = members[rows[i * k + m]];
-            // Of equal positions any may be found; the vertex itself belongs to its own neighbourhood.
+            // Among equal positions any may be returned; the vertex itself must be in its own neighbourhood.
             if (std::find(near.begin(), near.end(), j) == near.end()) near.back() = j;
             shading->load(near);
             int lane = 0;

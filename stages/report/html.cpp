@@ -125,7 +125,7 @@ std::string inline_svg(std::string_view svg, std::string_view prefix, std::strin
     std::string out(svg.substr(begin));
     for (const char* mark : {" id=\"", " id='", "href=\"#", "href='#", "url(#"})
         replace_all(out, mark, fmt::format("{}{}-", mark, prefix));
-    // What a browser would show as a tooltip of the whole chart.
+    // Browsers would display it as a tooltip of the whole chart.
     replace_all(out, "<title>Gnuplot</title>\n", "");
     return out;
 }

@@ -10,12 +10,12 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// "pt/pass-12.exr" -> "pt/pass-*.exr": numbers in the file's own name.
+/// Replaces numbers in the file's own name: "pt/pass-12.exr" -> "pt/pass-*.exr".
 std::string pattern_of(const fs::path& name) {
     std::string file = name.filename().native(), out;
     for (std::size_t i = 0; i < file.size(); ++i) {
         const auto digit = [&](std::size_t k) { return std::isdigit(static_cast<unsigned char>(file[k])) != 0; };
-        // A name that merely ends in a number of its format (.h5) keeps it.
+        // A number in the extension (.h5) is kept.
         if (!digit(i) || file.find('.') < i) {
             out += file[i];
         } else if (i == 0 || !digit(i - 1)) {
@@ -63,7 +63,7 @@ std::vector<Made> lineage_of(const std::string& picture) {
         for (const std::string& one : from)
             if (std::find(row.from.begin(), row.from.end(), one) == row.from.end()) row.from.push_back(one);
     }
-    // One file of its kind is called by its own name.
+    // A row with one file has the file's own name.
     std::map<std::string, std::string> own_name;
     for (Made& row : rows) {
         if (row.names.size() > 1) continue;

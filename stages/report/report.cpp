@@ -115,7 +115,7 @@ std::string parts_table(const Table& errors) {
     return table({"method", "spp", "bias²", "variance", "reference", "right", "2 to 8 px", "p image", "p tiles"}, rows);
 }
 
-/// Other renderers do not count rays or bytes.
+/// Formats a count; other renderers do not count rays or bytes.
 std::string counted(double value) {
     return value == 0 ? "–" : number(value);
 }
@@ -143,7 +143,7 @@ std::string words_for(const std::string& column) {
     return at == words.end() ? column : at->second;
 }
 
-/// What loom-chart's equal-cost and equal-error tables say: the column that is equal, and what is compared.
+/// Rows of loom-chart's equal-cost or equal-error table: the column that is equal, and the compared column.
 struct Matches {
     Table rows;
     std::string equal, compared;
@@ -152,7 +152,7 @@ struct Matches {
     std::string unit(const std::string& column) const { return column.ends_with("_s") ? " s" : ""; }
 };
 
-/// Nothing where the table has no rows: no two curves meet.
+/// Reads a table of matches; nothing where it has no rows because no two curves overlap.
 std::optional<Matches> read_matches(const std::string& file) {
     if (file.empty()) return std::nullopt;
     std::ifstream in(file);
@@ -191,7 +191,7 @@ std::string match_table(const Matches& matches) {
                  rows);
 }
 
-/// A sentence for each method beside the first: where both reach furthest.
+/// Makes a sentence for each method against the first, at the highest common level.
 std::string headline(const std::optional<Matches>& matches) {
     if (!matches) return {};
     std::vector<std::string> methods;
@@ -229,7 +229,7 @@ struct Figure {
     std::string title, text;
 };
 
-/// What a chart of a known name shows; of another, its name.
+/// Returns the figure of a known chart name; else a figure with the name as its caption.
 Figure figure_of(const std::string& stem) {
     static const std::map<std::string, Figure> known{
         {"error-cost",
@@ -277,7 +277,7 @@ std::string chart_figures(const Options& options, int next_figure) {
     return out;
 }
 
-/// Any table as it is, numbers to be read.
+/// Formats any table unchanged, with readable numbers.
 std::string plain_table(const Table& t) {
     Cells head;
     for (const std::string& name : t.names) head.push_back(escaped(name));
@@ -331,7 +331,7 @@ std::string lineage_section(const Picture& picture, bool is_reference) {
         plans.empty() ? "" : fmt::format("<dl class=\"plans\">\n{}</dl>\n", plans));
 }
 
-/// What the script of the page works on.
+/// Returns the JSON that the page's script reads.
 std::string data_of(const std::vector<const Picture*>& pictures) {
     JsonWriter json;
     json.begin_object();
@@ -347,7 +347,7 @@ std::string data_of(const std::vector<const Picture*>& pictures) {
     json.end_array();
     json.end_object();
     std::string text = json.str();
-    // Whatever a label holds, it must not end the element that the data stand in.
+    // No label may end the element that contains the JSON.
     for (std::size_t at = 0; (at = text.find('<', at)) != std::string::npos; at += 6) text.replace(at, 1, "\\u003c");
     return text;
 }
@@ -378,7 +378,7 @@ std::string subsection(const std::string& title, const std::string& text, const 
     return fmt::format("<h3>{}</h3>\n<p>{}</p>\n{}", title, text, body);
 }
 
-/// The images of the page, all of the reference's size, with their lineage.
+/// Reads the images of the page, all of the reference's size, with their lineage.
 std::vector<Picture> read_pictures(const Options& options, const Picture& reference) {
     std::vector<Picture> pictures;
     for (const std::string& text : options.pictures) {
@@ -394,7 +394,7 @@ std::vector<Picture> read_pictures(const Options& options, const Picture& refere
     return pictures;
 }
 
-/// relMSE of each image, by the table of errors.
+/// Sets the relMSE of each image from the table of errors.
 void set_errors(const Table& errors, std::vector<Picture>& pictures) {
     for (const Group& group : groups_of(errors))
         for (Picture& picture : pictures)

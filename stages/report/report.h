@@ -1,5 +1,5 @@
 #pragma once
-// loom-report: one self-contained HTML page on the pictures of several methods beside their reference.
+// loom-report: one self-contained HTML page with the images of several methods beside their reference.
 
 #include <string>
 #include <vector>
@@ -14,33 +14,33 @@ class Report;
 namespace loom::report {
 
 struct Options {
-    std::vector<std::string> pictures;    // LABEL=FILE, the first is what others are compared with
-    std::string reference;                // image that they should be
+    std::vector<std::string> pictures;    // LABEL=FILE; the others are compared with the first
+    std::string reference;                // reference image
     std::string errors;                   // TSV of loom-compare --reference --cost
     std::string equal_cost, equal_error;  // TSVs of loom-chart
-    std::vector<std::string> charts;      // SVG of loom-chart; what they show is known by their names
+    std::vector<std::string> charts;      // SVG of loom-chart; their names identify their content
     std::string peers;                    // TSV of make peers
     std::string title;                    // the scene
-    std::string made_by;                  // what makes the page again
-    int longest_side = 512;               // px; larger pictures are shown reduced by a whole number
-    std::string tour;                     // TSV of figures to show instead, see tour_page()
+    std::string made_by;                  // command that makes the page again
+    int longest_side = 512;               // px; larger images are reduced by an integer factor
+    std::string tour;                     // TSV of figures; if set, the page is tour_page()
     std::string output;                   // .html
 };
 
-/// A row of a lineage: the files that one stage made of like parents, `pass-0.exr` to `pass-3.exr` say.
+/// A row of a lineage: the files that one stage made from similar parents, for example `pass-0.exr` to `pass-3.exr`.
 struct Made {
-    std::string name;                // "pt/pass-*.exr"; relative to the folder of the picture
-    std::vector<std::string> names;  // of each file
-    std::vector<std::string> from;   // names of the rows (or of scenes) that they were made from
+    std::string name;                // "pt/pass-*.exr"; relative to the folder of the image
+    std::vector<std::string> names;  // [file]
+    std::vector<std::string> from;   // names of the parent rows (or scenes)
     Cost cost;                       // sums; the largest peak memory; command and plan of the first file
 };
 
-/// Where a picture comes from, ancestors first.
+/// Returns the lineage of an image, ancestors first.
 /// throws:  InputError as read_chain
 std::vector<Made> lineage_of(const std::string& picture);
 
-/// The page. It depends on the inputs and options only: no clock, no folder, no network.
-/// throws:  InputError when inputs do not fit together
+/// Returns the page. It depends on inputs and options only: no clock, no folder, no network.
+/// throws:  InputError when inputs are inconsistent
 std::string page_of(const Options& options);
 
 /// Binds the options to the command line; `options` must outlive `command`.

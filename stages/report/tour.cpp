@@ -36,7 +36,7 @@ std::vector<Figure> read_figures(const std::string& file) {
     return figures;
 }
 
-/// An image as a part of the page.
+/// Embeds an image into the page.
 std::string embedded(const std::string& file, const std::string& caption, std::size_t index) {
     const MappedFile mapped(file);
     const auto bytes = mapped.bytes();
@@ -48,7 +48,7 @@ std::string embedded(const std::string& file, const std::string& caption, std::s
     throw InputError(fmt::format("{}: is neither a PNG nor an SVG", file));
 }
 
-/// Time of the files that a figure shows and of all their ancestors, each once.
+/// Formats the time of a figure's files and all their ancestors, each once.
 std::string time_of(const std::string& outputs) {
     if (outputs.empty()) return {};
     double wall_s = 0, cpu_s = 0;

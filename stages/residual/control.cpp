@@ -5,7 +5,7 @@
 namespace loom::residual {
 
 std::vector<Spectrum> control_weights(const Sensor& sensor, const Effort& effort, const Image& old_picture) {
-    // Weights beyond are noise: a light that was all but off is better lit afresh.
+    // Weights beyond are noise: where an emitter was almost off, a new image is better.
     constexpr double most = 64;
     const char* const var_mean[] = {"VarMean.R", "VarMean.G", "VarMean.B"};
     std::vector<Spectrum> alpha(effort.per_pixel.size());

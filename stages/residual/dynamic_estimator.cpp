@@ -22,7 +22,7 @@ struct Splat {
     Radiance value;
 };
 
-/// What one sample adds to the picture, a pixel once.
+/// Contributions of one sample to the image, one per pixel.
 class Splats {
   public:
     void add(std::uint32_t pixel, const Radiance& value) {
@@ -42,12 +42,12 @@ class Splats {
     std::vector<Splat> of_sample_;
 };
 
-/// The picture of the samples that start from sites: sums, and squares by sample.
+/// Image of the samples that start from sites: sums, and squares by sample.
 struct SitePicture {
     std::vector<Radiance> sum, square;
 };
 
-/// Pairs of camera paths with the old picture as control variate: moments of f_new - alpha f_old, by pixel.
+/// Pairs of camera paths with the old image as control variate: moments of f_new - alpha f_old, [pixel].
 struct ControlSums {
     std::vector<Spectrum> alpha;
     std::vector<Spectrum> mean, var_mean;
@@ -71,7 +71,7 @@ class Estimator {
         return part.value * (1 / (part.by_camera ? n * part.h * part.density.camera_density : part.own));
     }
 
-    /// in: first  number of the first sample of a family over its samples
+    /// in: first  index of the first sample of a family over its number of samples
     void add_from_sites(double first, SitePicture& picture, Counts& counts, std::uint64_t& unrelocated,
                         app::Progress& progress) const {
         const std::uint64_t n_pixels = picture.sum.size();
@@ -119,8 +119,8 @@ class Estimator {
         }
     }
 
-    /// Camera paths; alone they are plain pairs, else weighted against the other families.
-    /// in: control  null, or with weights; only of camera paths alone
+    /// Renders camera paths. Alone they are plain pairs, else weighted against the other families.
+    /// in: control  null, or with weights; only with camera paths alone
     Film from_camera(std::uint64_t first_sample, ControlSums* control, DynamicCounts& counts, app::Report& report,
                      app::Progress& progress) const;
 
@@ -134,7 +134,7 @@ class Estimator {
     int threads_;
 };
 
-/// What a thread works with, for trace_pixels().
+/// State of one thread, for trace_pixels().
 struct CameraWorker {
     const Estimator& estimator;
     const Effort& effort;
@@ -145,7 +145,7 @@ struct CameraWorker {
     std::vector<Spectrum> values;
     NonfiniteLog& log;
     Film& film;
-    std::span<double> new_var;  // by pixel: sum over channels of the variance of one new path
+    std::span<double> new_var;  // [pixel] variance of one new path, sum over channels
     ControlSums* control;
     PixelSums sums;
     PathVariance new_L;
@@ -229,7 +229,7 @@ Film Estimator::from_camera(std::uint64_t first_sample, ControlSums* control, Dy
     }
     counts.counts.nonfinite += log.count();
     counts.var_sample = std::accumulate(new_var.begin(), new_var.end(), 0.0) /
-                        (3.0 * double(new_var.size()));  // in the order of pixels: for any threads
+                        (3.0 * double(new_var.size()));  // in the order of pixels, equal for any number of threads
     return film;
 }
 

@@ -18,7 +18,7 @@ PathOptions with_seed(PathOptions path, std::uint64_t seed) {
     return path;
 }
 
-/// What one thread works with, kept from chunk to chunk.
+/// State of one thread, reused between chunks.
 struct Worker {
     PathBatch old_batch, new_batch;
     std::vector<PathResult> old_results, new_results;
@@ -26,7 +26,7 @@ struct Worker {
     Film& film;
     PixelSums sums;
     PathVariance new_L;
-    std::span<double> new_var;  // by pixel: of one path of the new scene, sum over R, G, B
+    std::span<double> new_var;  // [pixel] of one path of the new scene, sum over R, G, B
     Counts counts;
     Worker(const ScenePair& scenes, const PathOptions& path, const Seeds& seeds, NonfiniteLog& old_log,
            NonfiniteLog& new_log, Film& onto, std::span<double> variances)
@@ -106,7 +106,7 @@ Image render_residual(const ScenePair& scenes, Method method, const PathOptions&
     link.seed = path.seed;
     link.var_mean = mean_var_mean(image);
     link.var_sample = std::accumulate(new_var.begin(), new_var.end(), 0.0) /
-                      (3.0 * double(new_var.size()));  // in the order of pixels: for any threads
+                      (3.0 * double(new_var.size()));  // in the order of pixels, equal for any number of threads
     return image;
 }
 

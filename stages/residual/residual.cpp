@@ -35,9 +35,9 @@ bool says_its_noise(const Image& image) {
                         [&](const char* c) { return image.find(std::string("VarMean.") + c).empty(); });
 }
 
-/// A picture on the film of a scene that says how noisy it is.
-/// in:  writers  what writes such pictures, in words
-///      denoised one need not say it
+/// Reads an image with variance and the film of a scene.
+/// in:  writers  programs that write such images, as text
+///      or_denoised  accept a denoised image without variance
 Image read_noisy_picture(const std::string& file, const Scene& scene, const std::string& scene_name,
                          const char* writers, bool or_denoised = false) {
     Image image = read_image(file);
@@ -49,7 +49,7 @@ Image read_noisy_picture(const std::string& file, const Scene& scene, const std:
     return image;
 }
 
-/// The old picture, once it is known to be of the old scene as far as it says.
+/// Reads the old image and checks that it is of the old scene, if it names its scene.
 Image read_old_picture(const std::string& file, const Scene& old_scene, const std::string& scene_name,
                        app::Report& report) {
     Image image = read_noisy_picture(file, old_scene, scene_name, "loom-trace -o x.exr and loom-merge");
@@ -58,7 +58,7 @@ Image read_old_picture(const std::string& file, const Scene& old_scene, const st
             fmt::format("{}: has no variance (samples per pixel: {}; VarMean needs two)", file, image.samples));
     if (image.ledger.size() == 1)
         throw InputError(fmt::format("{}: is a residual, not an image of {}; --new writes one", file, scene_name));
-    // Traced before pictures named their scene.
+    // Traced before images named their scene.
     if (image.scene.hash.empty() && image.provenance.stage == "loom-trace" && !image.provenance.inputs.empty())
         image.scene = image.provenance.inputs[0];
     const std::string hash = content_hash_text(old_scene.content_hash);
@@ -73,7 +73,7 @@ Image read_old_picture(const std::string& file, const Scene& old_scene, const st
     return image;
 }
 
-/// Which of the families that an edit calls for has a name.
+/// Returns the index of the named family among those that an edit requires.
 std::size_t family_of(const std::string& name, const std::vector<Family>& families) {
     const auto found =
         std::find_if(families.begin(), families.end(), [&](const Family& family) { return family.name == name; });
@@ -84,7 +84,7 @@ std::size_t family_of(const std::string& name, const std::vector<Family>& famili
         fmt::format("--technique {}: unknown; the techniques of this edit are {}", name, fmt::join(names, ", ")));
 }
 
-/// A residual made before, once it is known to lead to the new scene as far as it says; with its link.
+/// Reads an existing residual, with its link, and checks that it leads to the new scene, if it names its scene.
 Image read_residual(const std::string& file, const Scene& new_scene, const std::string& scene_name) {
     Image image =
         read_noisy_picture(file, new_scene, scene_name, "loom-residual and loom-merge of two or more passes", true);
@@ -139,8 +139,8 @@ void check_endings(const Options& options) {
         throw InputError("--spp 1: one sample has no variance, which --new must store; give at least 2");
 }
 
-/// in:  old_picture  null, or what the new picture is wanted from
-///      plan         what was spent on what is added
+/// in:  old_picture  null, or the control variate of the new image
+///      plan         distribution of the effort of the added samples
 Image render_by_dynamic_paths(const ScenePair& scenes, const Edit& edit, const Options& options,
                               const PathOptions& path, const Image* old_picture, app::Report& report, Counts& counts,
                               std::string& plan, std::optional<ControlledPicture>& controlled) {
@@ -280,7 +280,7 @@ std::string plan_of(Method method, const Edit& edit) {
 
 namespace {
 
-/// What a sum says of itself: the scene that it shows, its links and samples.
+/// Sets the scene, links and samples of a sum.
 void label_sum(Image& sum, const Image& old_picture, const Image& residual) {
     sum.scene = residual.ledger.back().scene;
     sum.ledger.clear();
@@ -298,7 +298,7 @@ Image add_residual(const Image& old_picture, const Image& residual) {
     label_sum(sum, old_picture, residual);
     for (const char* c : rgb)
         for (const std::string& channel : {std::string(c), std::string("VarMean.") + c}) {
-            if (residual.find(channel).empty()) continue;  // denoised: nobody knows its variance
+            if (residual.find(channel).empty()) continue;  // denoised: the variance is unknown
             const auto before = old_picture.find(channel);
             const auto values = sum.add(channel);
             for (std::size_t i = 0; i < values.size(); ++i) values[i] += before[i];

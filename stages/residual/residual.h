@@ -1,5 +1,5 @@
 #pragma once
-// loom-residual: the picture of an edited scene from that of the old one and the difference that the edit makes.
+// loom-residual: renders an edited scene as the sum of the old image and the difference made by the edit.
 //   I_new = I_old + integral over paths of (f_new - f_old)                                     [RP] Eq. (3) to (6)
 
 #include <optional>
@@ -20,26 +20,26 @@ namespace loom::residual {
 
 struct Options {
     std::string old_scene, new_scene;  // Mitsuba XML; no new_scene: the same file with other values
-    std::vector<std::string> defines, old_defines, new_defines;  // name=value: of both, of one after those of both
-    std::string sensor;                                          // of both: id or number, from 0; empty: the first
+    std::vector<std::string> defines, old_defines, new_defines;  // name=value; those of both first
+    std::string sensor;                                          // of both: id or index, from 0; empty: the first
     std::string old_picture;                                     // of the old scene, with VarMean
     std::vector<std::string> old_graph;  // passes over the old scene: only paths that the edit touches are traced
-    std::string residual;                // made before: nothing is traced
-    std::string output, new_picture;     // the residual, and the sum of the two
+    std::string residual;                // an existing residual: nothing is traced
+    std::string output, new_picture;     // the residual, and the sum
     std::string png, residual_png;       // previews of the sum, and of the residual in false colours
     Method method = Method::automatic;
     bool no_mapping = false;  // auto, dynamic: no path mappings
-    bool no_map = false;      // auto: as many camera paths in every pixel
+    bool no_map = false;      // auto: spread camera paths evenly
     bool no_control = false;  // auto: --new is --old plus the residual, without weights
-    std::string technique;    // dynamic: a picture of the paths of this family alone; list: its names
-    bool as_printed = false;  // dynamic: weights and Jacobian limit by the letter of [RP], biased
-    bool raw = false;         // of a technique: each path divided by the density of its own technique alone
-    std::uint64_t spp = 4;    // pairs of paths per pixel, or what they would cost
+    std::string technique;    // dynamic: an image of this family's paths alone; list: its names
+    bool as_printed = false;  // dynamic: weights and Jacobian limit of [RP] as printed, biased
+    bool raw = false;         // with technique: divide each path by the density of its own technique alone
+    std::uint64_t spp = 4;    // pairs of paths per pixel, or samples of equal cost
     std::uint64_t first_sample = 0;
     std::uint64_t seed = 0;
-    std::optional<int> max_depth;  // of the scene files when unset
+    std::optional<int> max_depth;  // unset: that of the scene files
     int threads = 0;               // 0: all
-    bool plan = false;             // print the edit, and stop
+    bool plan = false;             // print the edit and stop
 };
 
 void declare(app::Command& command, Options& options);
@@ -47,7 +47,7 @@ void declare(app::Command& command, Options& options);
 /// throws:  InputError
 void run(const Options& options, app::Report& report);
 
-/// What a method has on and off for an edit, and why, in one line.
+/// Describes in one line which features of a method an edit turns on or off, and why.
 std::string plan_of(Method method, const Edit& edit);
 
 /// old + residual.
@@ -57,8 +57,8 @@ std::string plan_of(Method method, const Edit& edit);
 ///                 ledger: the old picture's and the residual's link, whose scene it shows
 /// needs:   both to have VarMean and one size, the residual its link
 Image add_residual(const Image& old_picture, const Image& residual);
-/// The same of a picture that the old one is the control variate of: its ledger, in which the links of the old picture
-/// have what is left of their variances, and the edit's that of its own samples.
+/// Completes a new image whose control variate is the old one: sets its ledger. The links of the old image have the
+/// remaining share of their variances, the edit's link that of its own samples.
 Image take_controlled(const Image& old_picture, const Image& residual, ControlledPicture controlled);
 
 }  // namespace loom::residual

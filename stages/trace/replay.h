@@ -6,7 +6,7 @@
 
 namespace loom::trace {
 
-/// Traces one path alone and tells it vertex by vertex.
+/// Traces one path alone and describes it vertex by vertex.
 /// in:     place   "x,y,sample"
 /// throws: InputError when the place is not on the film
 std::string replay(const Scene& scene, const PathOptions& options, const std::string& place);

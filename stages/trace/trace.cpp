@@ -32,7 +32,7 @@ PathOptions path_options(const Options& options, const Scene& scene) {
     return path;
 }
 
-/// What one thread works with, kept from chunk to chunk.
+/// State of one thread, reused between chunks.
 struct Worker {
     PathBatch batch;
     std::vector<PathResult> results;
@@ -78,7 +78,7 @@ std::string output_of_pass(const Options& options, std::uint64_t pass) {
     return name.replace(name.rfind('%'), 1, std::to_string(pass_number(options, pass)));
 }
 
-/// The command that makes this pass alone.
+/// Returns the command that makes this pass alone.
 std::string command_of_pass(const Options& options, std::string command, std::uint64_t pass) {
     return app::command_of_part(std::move(command),
                                 {{fmt::format(" --passes {}", options.passes), ""},
@@ -171,7 +171,7 @@ void declare(app::Command& command, Options& options) {
 
 namespace {
 
-/// What the camera stands in.
+/// Describes the medium around the camera.
 std::string camera_medium(const Scene& scene) {
     if (scene.sensor_media.varies) return "camera in media that differ from ray to ray";
     const MediumStack& media = scene.sensor_media.everywhere;
@@ -326,7 +326,7 @@ void run(const Options& options, app::Report& report) {
             const Counts counts = trace_pass(passes, pass, output, report);
             finish_pass(passes, output, counts, before, report);
         } catch (const NonfiniteError& kept) {
-            // The other passes are worth having.
+            // Keep the other passes.
             if (options.passes == 1) throw;
             report.error("{}", kept.what());
             ++n_nonfinite_passes;

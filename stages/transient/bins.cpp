@@ -10,7 +10,7 @@
 namespace loom::transient {
 namespace {
 
-/// What a pixel has recorded: sums over its paths of what each bin gets, and of its square.
+/// Record of a pixel: sums over its paths of each bin's values, and of their squares.
 class Histogram {
   public:
     explicit Histogram(std::uint32_t n_bins) : sum_(3 * n_bins), square_(3 * n_bins) {}
@@ -26,7 +26,7 @@ class Histogram {
         std::fill(square_.begin(), square_.end(), 0.0);
         before = after = never = steady = {};
     }
-    /// in: n_paths  in all;  n  samples, of as many paths each
+    /// in: n_paths  all paths;  n  samples, of equal numbers of paths
     void write(double n_paths, double n, float* mean, float* var_mean) const {
         for (std::size_t i = 0; i < sum_.size(); ++i) {
             const double m = sum_[i] / n_paths, per_path = n / n_paths;
@@ -41,7 +41,7 @@ class Histogram {
     std::vector<double> sum_, square_;
 };
 
-/// What one thread works with: histograms of the pixels of a chunk, and the bins that the path at hand has reached.
+/// State of one thread: histograms of the pixels of a chunk, and the bins that the current path has reached.
 class Worker {
   public:
     Worker(const TimeResponse& response, std::size_t n_pixels)
@@ -61,7 +61,7 @@ class Worker {
         pixel.before += L * outside.before;
         pixel.after += L * outside.after;
     }
-    /// What each bin has got since the last one is one sample.
+    /// Ends a sample: the sum in each bin since the last call is one sample.
     void end_sample(Histogram& pixel) {
         for (const std::uint32_t bin : touched_) {
             pixel.add(bin, of_path_[bin]);
@@ -110,7 +110,7 @@ struct Block {
     }
 };
 
-/// The same for pixels side by side, whose light edges lie one behind the other.
+/// Bins neighbouring pixels, whose light edges are consecutive.
 void bin_own(Worker& worker, const GraphReader& reader, const Timing& timing, std::size_t first_pixel, std::size_t n) {
     const PathGraph& g = reader.graph();
     const OpticalLengths lengths(g, timing);
@@ -125,7 +125,7 @@ void bin_own(Worker& worker, const GraphReader& reader, const Timing& timing, st
     }
 }
 
-/// in: by_graph  a graph counts as one sample of each pixel, for the paths of one graph know of each other
+/// in: by_graph  a graph counts as one sample of each pixel, because the paths of one graph share their light
 void bin_shared(Worker& worker, const SharedArrivals& shared, bool by_graph, std::size_t first_pixel, std::size_t n) {
     const PathGraph& g = shared.graph();
     for (std::size_t i = 0; i < n; ++i) {
@@ -147,7 +147,7 @@ void bin_graphs(std::span<const PathGraph> graphs, std::span<SharedArrivals> sha
     const std::size_t width = graphs[0].sensor.width, height = graphs[0].sensor.height;
     const std::size_t row_bytes = width * response.n_bins * 3 * 2 * sizeof(float);
     const std::size_t block_rows = std::clamp<std::size_t>(max_bytes / row_bytes, 1, height);
-    // As many pixels side by side as their histograms fit a cache.
+    // Neighbouring pixels whose histograms fit into a cache together.
     const std::size_t chunk = std::clamp<std::size_t>((256 << 10) / (response.n_bins * 3 * 2 * sizeof(double)), 1, 256);
     std::vector<GraphReader> readers;
     double n_paths = 0;
@@ -156,7 +156,7 @@ void bin_graphs(std::span<const PathGraph> graphs, std::span<SharedArrivals> sha
         n_paths += double(g.tracing.samples_per_pixel);
     }
     const bool by_graph = shared.size() > 1;
-    std::size_t span = block_rows * width;  // of pixels that are prepared at a time
+    std::size_t span = block_rows * width;  // pixels that are prepared at a time
     if (!shared.empty()) {
         std::size_t bytes = 0;
         for (const SharedArrivals& s : shared) bytes += s.bytes_per_pixel();

@@ -6,7 +6,7 @@
 namespace loom::transient {
 namespace {
 
-/// From rows of y to columns of x.
+/// Converts rows of y to columns of x.
 TalCapture::Grid grid_of(std::uint32_t width, std::uint32_t height, const Column<float>& points,
                          const Column<float>& normals, double metres) {
     TalCapture::Grid grid{width, height, {}, {}};

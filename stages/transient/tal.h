@@ -5,12 +5,12 @@
 
 namespace loom::transient {
 
-/// What TAL wants to know of a capture, lengths in metres; H is zero.
+/// Makes a capture with the metadata that TAL requires, lengths in metres; H is zero.
 /// in:      header  of the cube whose rows add_rows() takes
 /// needs:   graph.nlos
 TalCapture start_capture(const PathGraph& graph, const TransientCubeHeader& header);
 
-/// Rows of the cube as rows of H: channels added up, as TAL does.
+/// Adds rows of the cube to H; channels are summed, as TAL does.
 void add_rows(const PathGraph& graph, std::uint32_t first_row, const TransientRows& rows, TalCapture& capture);
 
 }  // namespace loom::transient

@@ -19,7 +19,7 @@ namespace {
 
 constexpr std::uint32_t default_bins = 300;
 
-/// Optical path lengths, in units of the scene, of what the user gave.
+/// Converts the user's values to optical path lengths, in units of the scene.
 class Lengths {
   public:
     explicit Lengths(const Options& options)
@@ -71,7 +71,7 @@ double positive(double value, const char* option, const char* what) {
     return value;
 }
 
-/// Fills the pulse, and says it in the header.
+/// Sets the pulse, and stores it in the header.
 void set_pulse(const Options& options, double film_sigma, const Lengths& lengths, TimeResponse& response,
                TransientCubeHeader& header) {
     auto& said = header.response;
@@ -116,7 +116,7 @@ void set_pulse(const Options& options, double film_sigma, const Lengths& lengths
     }
 }
 
-/// Refuses graphs that are not of one film.
+/// Refuses graphs of different films.
 void check_graphs(const std::vector<std::string>& names, const std::vector<PathGraph>& graphs) {
     for (std::size_t i = 0; i < graphs.size(); ++i) {
         const auto scene = [](const PathGraph& g) {
@@ -132,7 +132,7 @@ void check_graphs(const std::vector<std::string>& names, const std::vector<PathG
     }
 }
 
-/// Clusters of each graph; none without --clusters.
+/// Reads the clusters of each graph; none without --clusters.
 std::vector<Clusters> read_all_clusters(const Options& options, const std::vector<PathGraph>& graphs,
                                         const std::vector<InputId>& ids) {
     if (!options.clusters.empty() && options.clusters.size() != graphs.size())
@@ -157,7 +157,7 @@ void check_tal(const Options& options, const PathGraph& graph) {
         throw InputError(fmt::format("--tal: {} is no NLOS capture (sensor nlos_capture_meter)", options.graphs[0]));
 }
 
-/// Bins of a modulation: phases of one period.
+/// Sets the bins of a modulation: phases of one period.
 void set_phases(const Options& options, const Lengths& lengths, TimeResponse& response, TransientCubeHeader& header) {
     if (options.start || options.width || options.gate)
         throw InputError("--pulse sine, square: bins are phases; leave out --start, --width and --gate");
@@ -171,7 +171,7 @@ void set_phases(const Options& options, const Lengths& lengths, TimeResponse& re
     response.width = response.gate = response.period / response.n_bins;
 }
 
-/// Bins of a pulse: by the options, else the film of the graph, else where its light arrives.
+/// Sets the bins of a pulse: by the options, else the film of the graph, else where its light arrives.
 void set_window(const Options& options, const Lengths& lengths, const PathGraph& graph, const Timing& timing,
                 TimeResponse& response) {
     if (options.period != 0) throw InputError("--period: needs --pulse sine or square");
@@ -188,7 +188,7 @@ void set_window(const Options& options, const Lengths& lengths, const PathGraph&
     response.gate = options.gate ? lengths(*options.gate) : response.width;
 }
 
-/// Light of a cube, summed over its pixels.
+/// Radiance of a cube, summed over its pixels.
 struct LightSums {
     Rgb<double> steady, inside, before, after, never;
 
@@ -284,7 +284,7 @@ void run(const Options& options, app::Report& report) {
     for (const std::string& file : options.clusters) header.provenance.inputs.push_back(identify(file));
     check_tal(options, graphs[0]);
 
-    // The response: pulse and bins.
+    // Set the response: pulse and bins.
     const auto& film = graphs[0].transient;
     const bool has_film = !film.n_bins.empty();
     Timing timing{!options.unwarp && (!has_film || film.camera_segment[0] != 0),
@@ -296,7 +296,7 @@ void run(const Options& options, app::Report& report) {
     else
         set_window(options, lengths, graphs[0], timing, response);
 
-    // The head of the cube.
+    // Fill the header of the cube.
     header.film.width = graphs[0].sensor.width;
     header.film.height = graphs[0].sensor.height;
     header.time = {response.n_bins,

@@ -1,5 +1,5 @@
 #pragma once
-// loom-transient: histograms over time from the paths of path graphs, without tracing a ray.
+// loom-transient: histograms over time from the paths of path graphs, without tracing rays.
 
 #include <cstdint>
 #include <functional>
@@ -28,15 +28,15 @@ struct Options {
     std::vector<std::string> graphs;    // path graphs of one scene with different samples
     std::vector<std::string> clusters;  // of these graphs, in their order; empty: paths alone
     std::string output;                 // transient cube (.h5)
-    std::string tal;                    // also a capture as the TAL tools read it (.h5); empty: none
+    std::string tal;                    // also an NLOS capture for the TAL tools (.h5); empty: none
 
-    // Lengths are in `unit`; what is not given is the film's.
+    // Lengths are in `unit`; unset options are those of the film.
     Unit unit = Unit::opl;
     double metres_per_unit = 1;
     std::optional<std::uint32_t> bins;
     std::optional<double> start, width, gate;
     Shape pulse = Shape::film;
-    double pulse_length = 0, pulse_tail = 0;  // of a box: length; Gaussian: standard deviation; and of its tail
+    double pulse_length = 0, pulse_tail = 0;  // box: length; Gaussian: standard deviation; tail: mean
     std::string pulse_table;                  // two columns
     double period = 0;                        // of sine and square
     bool unwarp = false;
@@ -50,17 +50,17 @@ void declare(app::Command& command, Options& options);
 
 class SharedArrivals;
 
-/// Bins paths by optical path length and hands on rows of the cube, of several graphs together.
+/// Bins paths of several graphs by opl and passes on rows of the cube.
 ///   radiance[k] = mean over paths of sum over light edges of L S_e[k](opl)
 /// Sums are in double precision, path by path in the order of graphs and samples, for any number of threads.
 /// in:      graphs     of one sensor
-///          max_bytes  for the rows that are worked on at a time
-///          shared     the same graphs with their clusters, or none: paths alone
+///          max_bytes  memory for the rows in progress
+///          shared     the same graphs with their clusters; empty: paths alone
 void bin_graphs(std::span<const PathGraph> graphs, std::span<SharedArrivals> shared, const TimeResponse& response,
                 const Timing& timing, std::uint64_t max_bytes, int threads, app::Progress& progress,
                 const std::function<void(std::uint32_t first_row, const TransientRows&)>& take);
 
-/// The window that the light of a graph asks for: from its first light to where all but 0.1 % has arrived.
+/// Window derived from a graph's light: from the first arrival to where all but 0.1 % has arrived.
 struct Window {
     double start = 0, end = 1;
 };

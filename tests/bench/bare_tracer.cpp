@@ -17,7 +17,7 @@
 namespace loom::bench {
 namespace {
 
-/// A few instructions per number; nothing else is asked of it.
+/// A few instructions per number; it needs no other quality.
 class Random {
   public:
     explicit Random(std::uint64_t seed) : state_(seed * 0x9e3779b97f4a7c15ull + 1) {}
@@ -106,7 +106,7 @@ struct BareTracer::Impl {
     std::vector<Lamp> lamps;
     Distribution1 lamp_pmf;
     float lamp_area = 0, lamp_radiance = 0;
-    Point3f point_light;  // used where no surface shines and there is no environment
+    Point3f point_light;  // used where no surface emits and there is no environment
 
     explicit Impl(const Scene& s) : loom_scene(s) {
         if (!device) throw std::runtime_error("Embree cannot make a device");

@@ -1,5 +1,5 @@
 #pragma once
-// The least that a path tracer can be on the same rays: what loom's tracers are measured against.
+// Minimal path tracer on the same rays, the baseline of the benchmarks.
 
 #include <cstdint>
 #include <memory>
@@ -8,9 +8,9 @@
 
 namespace loom::bench {
 
-/// A loop around single-ray calls of Embree over the triangles of a scene: every surface diffuse with one albedo
-/// per shape, one shadow ray per vertex, roulette by albedo from depth 5. No textures, no shading normals, no
-/// multiple importance sampling, nothing recorded. Spheres and disks are made of triangles.
+/// A loop around single-ray calls of Embree over the triangles of a scene. Every surface is diffuse with one albedo per
+/// shape. There is one shadow ray per vertex, and roulette by albedo from depth 5. No textures, no shading normals, no
+/// multiple importance sampling, no records. Spheres and disks are triangulated.
 class BareTracer {
   public:
     explicit BareTracer(const Scene& scene);
@@ -18,7 +18,7 @@ class BareTracer {
 
     struct Result {
         std::uint64_t vertices = 0;
-        double mean_radiance = 0;  // of all paths; keeps the compiler from leaving the work out
+        double mean_radiance = 0;  // over all paths; prevents the compiler from removing the work
     };
     /// Traces one path through each pixel, `spp` times.
     Result render(std::uint64_t spp, int threads) const;

@@ -27,7 +27,7 @@ double squared_error(const Image& image, const Image& reference) {
 
 void samplers(const Options& options, app::Report& report) {
     constexpr int seeds = 8;
-    constexpr std::uint64_t reference_spp = 2048;  // independent, so that it knows its own error
+    constexpr std::uint64_t reference_spp = 2048;  // independent, so that its error can be estimated
     report.answer(fmt::format(
         "Samplers, mean squared error over {} seeds against {} samples per pixel\n{:18}{:>6}{:>14}{:>14}{:>20}\n",
         seeds, reference_spp, "scene", "spp", "independent", "sobol", "independent/sobol"));

@@ -289,7 +289,7 @@ TEST_F(BadFiles, InvariantsOfMisses) {
               "misses/y: row 1 has w = 0.5, not 0 or 1");
 }
 
-// Readers that look at few rows ask for what keeps them within the file, and for no more.
+// A check of structure verifies what keeps readers of few rows inside the file, and no more.
 TEST_F(BadFiles, StructureIsCheckedAlone) {
     const auto structure = [&] { return input_error_of([&] { read_path_graph(file(), Check::structure); }); };
     rewrite([](PathGraph& g) { g.vertices.wo = std::vector<float>(18, std::numeric_limits<float>::quiet_NaN()); });

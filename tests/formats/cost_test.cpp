@@ -37,7 +37,7 @@ TEST(Cost, ReadsBack) {
     EXPECT_EQ(read_cost(folder / "x.h5"), some_cost());
 }
 
-// A base name alone would lose parents that lie in another folder, as the passes of a picture do.
+// A base name alone would lose parents in another folder, such as the passes of an image.
 TEST(Cost, ParentsAreFoundFromTheFolderOfTheOutput) {
     EXPECT_EQ(parent_of("out/image.exr", "out/pt/pass-0.exr"), "pt/pass-0.exr");
     EXPECT_EQ(parent_of("out/image.exr", "out/graph.h5"), "graph.h5");

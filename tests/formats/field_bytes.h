@@ -9,7 +9,7 @@
 
 namespace loom::testing {
 
-/// Collects the bytes of all fields, so that two files can be compared whatever fields a version has.
+/// Collects the bytes of all fields, so that two files can be compared in any version of a format.
 class ByteCollector : public FieldVisitor<ByteCollector> {
   public:
     template <class T>

@@ -1,4 +1,4 @@
-// What another program sees of our files, asked through the C interface of HDF5 alone.
+// Layout of the files for other programs, read through the C interface of HDF5 alone.
 
 #include <gtest/gtest.h>
 #include <hdf5.h>
@@ -89,7 +89,7 @@ TEST(FileLayout, AFailureKeepsTheOldFile) {
     EXPECT_EQ(folder.n_partial(), 0);
 }
 
-/// A process that holds the temporary file of `path`, half written, until it is killed.
+/// Starts a process that holds the half-written temporary file of `path` until it is killed.
 pid_t writer_of(const std::filesystem::path& path) {
     int ready[2];
     if (::pipe(ready) != 0) return -1;

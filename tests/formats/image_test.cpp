@@ -84,12 +84,12 @@ TEST(Image, LedgersAddUp) {
     const Ledger ledger = tiny_sum().ledger;
     EXPECT_DOUBLE_EQ(accumulated_var_mean(ledger, 2), 0.25 + 1.0 / 3);
     EXPECT_DOUBLE_EQ(worth_samples(ledger, 1), 64);
-    EXPECT_DOUBLE_EQ(worth_samples(ledger, 2), 16 / (0.25 + 1.0 / 3));  // the second does not know its scene's
+    EXPECT_DOUBLE_EQ(worth_samples(ledger, 2), 16 / (0.25 + 1.0 / 3));  // the second does not store its scene's
     EXPECT_DOUBLE_EQ(worth_samples(ledger, 3), 2 / (0.25 + 1.0 / 3));
     EXPECT_EQ(worth_samples({ledger[2]}, 1), 0);  // a residual alone
     LedgerLink a = ledger[0], b = ledger[1];
     b.seed = a.seed;
-    EXPECT_FALSE(share_numbers(a, b));  // those of loom-trace and of loom-residual
+    EXPECT_FALSE(share_numbers(a, b));  // random streams of loom-trace and of loom-residual
     b.method = differences_method;
     EXPECT_TRUE(share_numbers(a, b));
     a.method = "correlated";

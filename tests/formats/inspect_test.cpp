@@ -52,7 +52,7 @@ TEST(Inspect, JsonOfAGraphParses) {
     EXPECT_GT(json.at("datasets").size(), 60u);
 }
 
-// Clusters of one, two and two vertices; vertices lie 0.1 m apart along x: {0, 2} and {3, 1} have a radius of 0.1 m,
+// Clusters of one, two and two vertices. Vertices are 0.1 m apart along x: {0, 2} and {3, 1} have a radius of 0.1 m,
 // and so a mean distance of 4/5 of that.
 TEST(Inspect, ClustersHaveSizesAndWithTheirGraphRadii) {
     const ScratchFolder folder;

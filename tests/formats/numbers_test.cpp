@@ -62,8 +62,8 @@ TEST(Octahedral, AxesAreExact) {
     }
 }
 
-// What a tracer has rounded is what a reader of the graph gets. All 4.3e9 codes were tried: with a fold that rounding
-// could cross, 21,344 on its edges came back as another vector.
+// A reader of the graph gets exactly the value that a tracer rounded. All 4.3e9 codes were tried. With a fold that
+// rounding could cross, 21,344 codes on its edges came back as another vector.
 TEST(Octahedral, WhatCameBackOnceComesBackTheSame) {
     const auto same_again = [](int u, int v) {
         const auto once = unit_from_octahedral(static_cast<std::int16_t>(u), static_cast<std::int16_t>(v));

@@ -1,6 +1,6 @@
 // Every kind of output: a write that fails is an error and leaves no file, whichever of its bytes could not be written;
-// values that are not finite are an error that keeps the file under another name. Break that was watched to fail: an
-// EXR file closed by its destructor alone.
+// values that are not finite are an error that keeps the file under another name. Detected mutation: an EXR file closed
+// by its destructor alone.
 
 #include <gtest/gtest.h>
 #include <sys/resource.h>
@@ -147,7 +147,7 @@ TEST(Outputs, NonfiniteValuesAreAnErrorThatKeepsTheFile) {
         EXPECT_TRUE(fs::exists(kept));
     }
     EXPECT_EQ(not_finite_name("a/x.exr"), "a/x.not-finite.exr");
-    // The next good output of that name takes it away.
+    // The next good output of that name removes it.
     write_image(testing::tiny_image(), folder / "x.exr");
     EXPECT_FALSE(fs::exists(folder / "x.not-finite.exr"));
 }

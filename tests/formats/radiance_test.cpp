@@ -43,7 +43,8 @@ TEST(Radiance, NoVertexAndNoIterationAreLegal) {
     EXPECT_TRUE(back.direct.empty());
 }
 
-// As residuals of an iteration from darkness and radiance of a broken scene are: kept as they are, never dropped.
+// NaN and infinity occur as residuals of an iteration from zero and as radiance of a broken scene; they are kept, never
+// dropped.
 TEST(Radiance, NanAndInfinitySurvive) {
     const ScratchFolder folder;
     Radiance r = tiny_radiance();

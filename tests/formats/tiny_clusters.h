@@ -3,7 +3,7 @@
 
 namespace loom::testing {
 
-/// Three clusters over five of the six vertices of tiny_graph(); vertex 4 is solitary.
+/// Returns three clusters over five of the six vertices of tiny_graph(); vertex 4 is solitary.
 Clusters tiny_clusters();
 
 }  // namespace loom::testing

@@ -7,25 +7,25 @@
 
 namespace loom::testing {
 
-/// A graph of 2 x 1 pixels with two samples each, made by hand: every column is there, one path escapes at
-/// once, one has two vertices, and each technique and ending occurs.
+/// Returns a handmade graph of 2 x 1 pixels with two samples each. It has every column; one path escapes at once, one
+/// has two vertices; each technique and ending occurs.
 PathGraph tiny_graph();
-/// The same, with what its vertices asked for and did not get, of each kind one.
+/// Returns tiny_graph() with misses of its vertices, one of each kind.
 PathGraph tiny_graph_with_misses();
 
-/// The same, with materials whose exponent, index and coat each vertex has for itself.
+/// Returns tiny_graph() with materials whose exponent, index and coat vary by vertex.
 PathGraph tiny_graph_with_own_lobes();
 
-/// n vertices in paths of one vertex each: columns long enough to be mapped.
+/// Returns n vertices in paths of one vertex each: columns long enough to be mapped.
 PathGraph large_graph(std::uint32_t n);
 
-/// An empty folder of its own for the running test; removed when destroyed.
+/// An empty folder of the running test; removed by the destructor.
 class ScratchFolder {
   public:
     ScratchFolder();
     ~ScratchFolder();
     std::filesystem::path operator/(const std::string& name) const { return folder_ / name; }
-    /// Temporary files of writers in it.
+    /// Counts the temporary files of writers in the folder.
     int n_partial() const;
 
   private:
@@ -35,9 +35,9 @@ class ScratchFolder {
 std::string file_bytes(const std::filesystem::path& path);
 void write_bytes(const std::filesystem::path& path, std::string_view bytes);
 
-/// Runs a writer of `path` whose output holds NaN or infinity, and puts what it kept at `path`.
+/// Runs a writer of `path` whose output has NaN or infinity, and moves the kept file to `path`.
 void write_nonfinite(const std::filesystem::path& path, const std::function<void()>& write);
-/// The message of the InputError that `body` throws; "nothing was thrown" when it returns.
+/// Returns the message of the InputError that `body` throws; "nothing was thrown" when it returns.
 std::string input_error_of(const std::function<void()>& body);
 
 }  // namespace loom::testing

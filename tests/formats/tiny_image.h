@@ -3,12 +3,12 @@
 
 namespace loom::testing {
 
-/// A picture of 4 x 3 pixels with all layers, made by hand.
+/// Returns a handmade image of 4 x 3 pixels with all layers.
 Image tiny_image();
-/// A picture that two edits were added to.
+/// Returns an image with two edits added to it.
 Image tiny_sum();
 
-/// Equal sizes, samples, provenance and channels (in any order), bit for bit.
+/// Expects equal sizes, samples, provenance and channels (in any order), bit for bit.
 void expect_equal(const Image& a, const Image& b);
 
 }  // namespace loom::testing

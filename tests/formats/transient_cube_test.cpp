@@ -81,7 +81,7 @@ class TransientCubes : public testing::Test {
     fs::path folder;
 };
 
-// Break seen to fail: n instead of n - 1 for what lies inside a part.
+// Detected mutation: n instead of n - 1 for the variance inside a part.
 TEST_F(TransientCubes, MergedPartsAreTheCubeOfAllSamples) {
     const auto samples = random_samples(9);
     write(folder / "all.h5", samples, 0, 9, header(9));

@@ -41,7 +41,7 @@ TEST_F(Compare, LimitsDecideTheExitCode) {
     EXPECT_EQ(sh(stage("compare") + " " + in("pt1.exr") + " " + in("pt1.exr") + " --fail-above mse=0").code, 0);
 }
 
-// Break seen to fail: the checks left out; the errors are NaN then, with exit 0.
+// Detected mutation: the checks left out; the errors are then NaN, with exit 0.
 TEST_F(Compare, RefusesValuesThatAreNotFinite) {
     const std::string with_pt2 = " " + in("bad.exr") + " -r " + in("pt2.exr");
     for (const auto& [channel, samples, refused] :
@@ -77,7 +77,7 @@ TEST_F(Compare, ReplicatesAndTheirFiles) {
     EXPECT_EQ(std::count(first.begin(), first.end(), '\t'), std::count(head.begin(), head.end(), '\t'));
     EXPECT_FALSE(std::getline(lines, rest));
 
-    // What is left of the error without the reference's own noise; costs of a file without parents are its own.
+    // The remaining error without the reference's own noise; costs of a file without parents are its own.
     const auto value = [&](const std::string& line, const std::string& column) {
         std::istringstream names(head), cells(line);
         std::string name, cell;
@@ -95,7 +95,7 @@ TEST_F(Compare, ReplicatesAndTheirFiles) {
     EXPECT_NEAR(value(first, "render_s"), value(first, "cpu_s") - load_s, 1e-12);
     EXPECT_EQ(value(first, "rays"), std::stod(cost.substr(cost.find("\"rays\": ") + 8)));
 
-    // The same noise twice is no replicate; sizes must agree.
+    // Two files with the same noise are no replicates; sizes must agree.
     EXPECT_EQ(sh(stage("compare") + " pt=" + in("pt1.exr") + " pt=" + in("pt1.exr") + " -r " + in("pt3.exr")).code, 2);
     ASSERT_EQ(sh(stage("trace") + " scenes/cornell-box.xml -D resx=8 -D resy=16 --spp 1 -o " + in("s.exr")).code, 0);
     EXPECT_EQ(sh(stage("compare") + " " + in("s.exr") + " " + in("pt3.exr")).code, 2);
@@ -148,7 +148,7 @@ TEST_F(Chart, FromSceneToChartAndOn) {
     };
     EXPECT_EQ(rows(), 8);
 
-    // The same table again: the same bytes.
+    // Making the table again gives the same bytes.
     const std::string again = "mkdir " + (folder / "again").string() + " && " + stage("chart") + " " +
                               (folder / "c/errors.tsv").string() + " -o " + (folder / "again/error-cost.svg").string();
     ASSERT_EQ(sh(again).code, 0);
@@ -164,11 +164,11 @@ TEST_F(Chart, FromSceneToChartAndOn) {
             EXPECT_TRUE(bytes_of(folder / "c" / (std::string(name) + ending)) == bytes_of(other + ending))
                 << name << ending;
     }
-    // The command file alone makes the pictures again.
+    // The command file alone makes the images again.
     ASSERT_EQ(sh("cd " + (folder / "again").string() + " && rm error-cost.svg && gnuplot error-cost.gp").code, 0);
     EXPECT_TRUE(bytes_of(folder / "c/error-cost.svg") == bytes_of(folder / "again/error-cost.svg"));
 
-    // A second make does nothing; another number of samples keeps the pictures that are there.
+    // A second make does nothing; another number of samples keeps the existing images.
     const auto old_table = fs::last_write_time(folder / "c/errors.tsv");
     const auto old_image = fs::last_write_time(folder / "c/pt-1-0/image.exr");
     ASSERT_EQ(sh(chart("SPPS='1 4'")).code, 0);

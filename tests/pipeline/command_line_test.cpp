@@ -1,4 +1,4 @@
-// Each stage as a user meets it: help, exit codes, and nothing left behind by a failure.
+// Interface of each stage: help, exit codes, and no files left by a failure.
 
 #include "tests/pipeline/process.h"
 
@@ -66,7 +66,7 @@ TEST_F(CommandLine, wrong_command_lines_are_2) {
     expect_failure(2, stage("inspect") + " --scene scenes/cornell-box.xml --stamp " + in("no/folder/x.stamp"));
 }
 
-// OpenImageIO and the 150 libraries that it brings cost 0.3 s of every process that loads them.
+// OpenImageIO and its 150 libraries cost 0.3 s of every process that loads them.
 TEST_F(CommandLine, only_textures_load_their_library) {
     const auto libraries = [&](const std::string& scene) {
         const Outcome outcome = sh("LD_DEBUG=libs " + stage("trace") + " " + scene + " --plan");
@@ -110,7 +110,7 @@ TEST_F(CommandLine, failed_write_leaves_nothing) {
     expect_failure(3, limited + stage("trace") + " scenes/cornell-box.xml --spp 1 -o " + in("x.exr"));
 }
 
-// Seen to fail: exit 0 after a help that nobody received.
+// Detected mutation: exit 0 after a help that could not be written.
 TEST_F(CommandLine, answers_that_cannot_be_written_are_3) {
     ASSERT_EQ(sh(stage("trace") + " " + box + "-o " + in("x.exr")).code, 0);
     for (const std::string& command :

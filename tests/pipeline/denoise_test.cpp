@@ -1,4 +1,4 @@
-// loom-denoise on a picture of loom-trace, as a user runs it.
+// loom-denoise on an image of loom-trace, as a user runs it.
 
 #include <cmath>
 

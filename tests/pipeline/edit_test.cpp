@@ -1,4 +1,4 @@
-// `make edit`: the picture of an edited scene from that of the scene before, which edits share; and loom-residual's
+// `make edit`: the image of an edited scene from the image of the old scene, which edits share; and loom-residual's
 // command line.
 
 #include "formats/image.h"
@@ -46,7 +46,7 @@ TEST_F(MakeEdit, edits_share_the_picture_before) {
     EXPECT_EQ(fs::last_write_time(folder / "base/old.exr"), base_time);
     EXPECT_FALSE(first == made("a", light + " METHOD=independent"));
     EXPECT_TRUE(first == made("a", light));
-    // What the base depends on makes it anew.
+    // A change of the base's settings makes it again.
     made("a", light + " BASE_SPP=5");
     EXPECT_NE(fs::last_write_time(folder / "base/old.exr"), base_time);
 
@@ -58,8 +58,7 @@ TEST_F(MakeEdit, edits_share_the_picture_before) {
             EXPECT_EQ(sum.find(channel)[i], before.find(channel)[i] + residual.find(channel)[i]) << channel;
 }
 
-// The residual without its noise: nobody knows its variance, and so neither that of the sum, to which no edit can be
-// added.
+// The variance of a denoised residual is unknown. So is that of the sum, to which no edit can be added.
 TEST_F(MakeEdit, of_a_denoised_residual) {
     const std::string light = "SPP=8 METHOD=correlated NEW_DEFINES=light=20,10,5";
     const std::string noisy = made("a", light);
@@ -109,7 +108,7 @@ TEST_F(MakeEdit, by_path_graphs) {
     EXPECT_FALSE(first == made("g", light + " UNBIASED=1"));
     EXPECT_EQ(fs::last_write_time(folder / "g/graph/new-0.exr"), passes_time);
     EXPECT_TRUE(read_image(folder / "g/residual.exr").find("Blend.Path").empty());
-    // What it cost, once each: 4 passes of two scenes, a common clustering of each.
+    // Its cost, each part once: 4 passes of two scenes, a common clustering of each.
     const Outcome cost = sh(stage("compare") + " --quiet --cost " + (folder / "g/residual.exr").string());
     EXPECT_EQ(cost.code, 0) << cost.err;
 
@@ -119,8 +118,7 @@ TEST_F(MakeEdit, by_path_graphs) {
         for (const float v : zero.find(channel)) ASSERT_EQ(v, 0.0f) << channel;
 }
 
-// Edits share the graph too; with the old picture's own samples the sum is the picture that these have in the new
-// scene.
+// Edits share the graph too. With the old image's own samples the sum is the image of these samples in the new scene.
 TEST_F(MakeEdit, from_a_graph_of_the_scene_before) {
     const std::string light = "NEW_DEFINES=light=20,10,5 GRAPH=1";
     const std::string first = made("a", light);
@@ -137,7 +135,7 @@ TEST_F(MakeEdit, from_a_graph_of_the_scene_before) {
         for (std::size_t i = 0; i < sum.n_pixels(); ++i)
             EXPECT_EQ(sum.find(channel)[i], before.find(channel)[i] + residual.find(channel)[i]) << channel;
     EXPECT_FALSE(first == made("a", light + " GRAPH_SEED=9"));
-    // The chain of costs goes through the graph.
+    // The chain of costs includes the graph.
     const Outcome cost = sh(stage("compare") + " --quiet --cost " + in("a/new.exr"));
     EXPECT_EQ(cost.code, 0) << cost.err;
 
@@ -151,7 +149,7 @@ TEST_F(MakeEdit, from_a_graph_of_the_scene_before) {
     EXPECT_TRUE(same.ledger.empty());
     EXPECT_EQ(same.scene.hash, fresh.scene.hash);
     EXPECT_EQ(sum.ledger.back().method, "old graph");
-    // An edit after that, with a graph whose random numbers no link has.
+    // A later edit, with a graph whose random streams no link has.
     const std::string later =
         "OLD_DEFINES=light=20,10,5 NEW_DEFINES=light=3 GRAPH=1 OLD_IMAGE=" + in("a/new.exr") + " BASE=" + in("base-2");
     EXPECT_NE(sh(edit("later", later + " GRAPH_SEED=9")).err.find("has the random numbers of this residual"),
@@ -266,7 +264,7 @@ TEST_F(MakeEdit, wrong_command_lines_are_2) {
     EXPECT_EQ(sh(stage("residual") + " " + box + o + old("old.exr") + n + " --spp 2").code, 0);
 }
 
-// The picture of one technique is a part, and is never taken for the whole.
+// The image of one technique is a component, and is never accepted as a whole residual.
 TEST_F(MakeEdit, techniques_by_themselves) {
     const std::string box = "scenes/cornell-box.xml -D resx=24 -D resy=16 --spp 2 ";
     const Outcome list =
@@ -312,7 +310,7 @@ TEST_F(MakeEdit, passes_merge) {
             EXPECT_NEAR(whole.find(channel)[i], merged.find(channel)[i], 1e-4) << channel << " " << i;
 }
 
-// A picture names the scene that it shows, whatever it was made by; a difference of pictures shows none.
+// An image names its scene, whichever stage made it; a difference of images names none.
 TEST_F(MakeEdit, pictures_name_their_scene) {
     const std::string box = stage("trace") + " scenes/cornell-box.xml --quiet -D resx=8 -D resy=8 --spp 2 ";
     const auto run = [&](const std::string& command) {
@@ -347,7 +345,7 @@ TEST_F(MakeEdit, pictures_name_their_scene) {
     EXPECT_TRUE(read_image(in("aa.exr")).ledger.empty());
 }
 
-// Edits after edits: the new picture of one is the old picture of the next, and says all of them.
+// Edits after edits: the new image of one is the old image of the next, and lists all of them.
 TEST_F(MakeEdit, edits_go_on_from_edits) {
     const std::string warm = "light=20,10,5", cold = "light=5,10,20";
     made("a", "METHOD=correlated NEW_DEFINES=" + warm);
@@ -395,7 +393,7 @@ TEST_F(MakeEdit, edits_go_on_from_edits) {
         << text;
     EXPECT_NE(sh(stage("inspect") + " --quiet --json " + in("c/new.exr")).out.find("\"fresh_spp\""), std::string::npos);
 
-    // What is refused: the picture of another scene, a residual for a picture, a sum among passes.
+    // Refused inputs: the image of another scene, a residual in place of an image, a sum among passes.
     const std::string box = "scenes/cornell-box.xml -D resx=24 -D resy=16 --spp 2 ",
                       from_warm = box + "--old-define " + warm + " ", n = " --new " + in("n.exr");
     expect_refused(box + "--new-define light=3 --old " + in("a/new.exr") + n,
@@ -409,7 +407,8 @@ TEST_F(MakeEdit, edits_go_on_from_edits) {
                   .err.find("is an image plus an edit"),
               std::string::npos);
     EXPECT_FALSE(fs::exists(folder / "m.exr"));
-    // A picture from before pictures named their scene: loom-trace's is known by its input, others are taken on trust.
+    // An image from before images named their scene: loom-trace's is identified by its input, others are accepted
+    // unchecked.
     Image old = read_image(in("a/new.exr"));
     old.ledger.clear();
     old.scene = {};
@@ -450,7 +449,8 @@ TEST_F(MakeEdit, edits_go_on_from_edits) {
     EXPECT_EQ(sum.ledger[2].what, "light changed: lamp: radiance (20, 10, 5) -> (3, 3, 3)");
     EXPECT_GT(sum.ledger[2].var_sample, 0);
     EXPECT_NEAR(accumulated_var_mean(sum.ledger, 3), mean_var_mean(sum), 1e-5 * mean_var_mean(sum));
-    // The bright lamp's noise stays when its light goes: a new base is proposed, with the numbers and the command.
+    // The noise of the bright emitter's light stays after the light is removed: a new base is proposed, with numbers
+    // and command.
     EXPECT_NE(added.err.find("less than half of the 4 that the chain began with"), std::string::npos) << added.err;
     EXPECT_NE(
         added.err.find(
@@ -470,7 +470,7 @@ TEST_F(MakeEdit, cost_of_graphs_has_a_row_per_edit) {
     EXPECT_NE(sh(chart + "nothing").code, 0);
 }
 
-// Breaks seen to fail: awk that only GNU's takes (mawk is Debian's).
+// Detected mutation: syntax of GNU awk alone (Debian has mawk).
 TEST_F(MakeEdit, table_has_a_row_per_method_and_is_made_once) {
     const std::string table =
         "make -s table-edit BUILD='" + fs::path(LOOM_BIN_DIR).parent_path().string() + "' OUT=" + in("t") +

@@ -1,5 +1,5 @@
-// `make image` from scene to picture: what it leaves, what it makes again and when, and that being killed
-// at any moment changes nothing in the end.
+// `make image` from scene to image: its files, what it remakes and when. A kill at any moment does not change the final
+// result.
 
 #include "formats/image.h"
 
@@ -18,7 +18,7 @@ const std::string small = "SCENE=scenes/cornell-box.xml DEFINES='resx=24 resy=16
 
 class MakeImage : public PipelineTest {
   protected:
-    /// Runs a make that must succeed, its one line on stdout the path of the picture.
+    /// Runs a make that must succeed; its one line on stdout is the path of the image.
     fs::path image(const std::string& out, const std::string& variables, const std::string& prefix = "") {
         const Outcome outcome = sh(prefix + still(out, variables) + " image");
         EXPECT_EQ(outcome.code, 0) << outcome.err;
@@ -92,8 +92,8 @@ TEST_F(MakeImage, more_passes_keep_the_finished_ones) {
     EXPECT_TRUE(added == bytes_of(image("y", small + "SPP=1 PASSES=3")));
 }
 
-// How many further samples of direct light pay is measured, and is the same each time; none leave nothing to be
-// blended.
+// The number of further direct-light samples that pay is estimated, with the same result each time; zero leaves nothing
+// to blend.
 TEST_F(MakeImage, direct_light_is_planned_from_the_passes) {
     int paid = 0, free = 0;
     for (const char* scene : {"cornell-box", "environment-map"}) {
@@ -111,7 +111,7 @@ TEST_F(MakeImage, direct_light_is_planned_from_the_passes) {
         if (samples != "0\n") {
             EXPECT_EQ(std::to_string(read_image(work / "direct.exr").samples) + "\n", samples);
         }
-        // A number that is asked for is taken.
+        // A requested number is used.
         image(name + "-1", variables + " DIRECT=6");
         EXPECT_EQ(read_image(work / "direct.exr").samples, 6u);
         EXPECT_FALSE(bytes_of(exr) == bytes_of(again)) << scene;
@@ -157,8 +157,8 @@ TEST_F(MakeImage, parallel_make_gives_the_same_bytes) {
     EXPECT_TRUE(alone == bytes_of(image("b", variables + " -j4 THREADS=1")));
 }
 
-// Each stage is killed some time after it has started, again and again: at whatever point it was, make
-// goes on from what is whole.
+// Each stage is killed some time after its start, again and again. At any point, make continues from the complete
+// files.
 TEST_F(MakeImage, killed_stages_change_nothing) {
     const std::string variables = "SCENE=scenes/cornell-box.xml DEFINES='resx=128 resy=128' SPP=4 PASSES=2";
     const std::string undisturbed = bytes_of(image("whole", variables));
@@ -174,7 +174,7 @@ TEST_F(MakeImage, killed_make_changes_nothing) {
     const std::string variables = "SCENE=scenes/cornell-box.xml DEFINES='resx=128 resy=128' SPP=4 PASSES=2";
     const std::string undisturbed = bytes_of(image("whole", variables));
     for (const char* seconds : {"0.05", "0.15", "0.3", "0.5"}) {
-        // The whole process group goes, as when a terminal or a batch job ends; `wait` collects it.
+        // Kill the whole process group, as when a terminal or a batch job ends; `wait` collects it.
         sh("setsid " + still("x", variables) + " image & sleep " + seconds + "; kill -9 -$!; wait; true");
     }
     EXPECT_TRUE(undisturbed == bytes_of(image("x", variables)));

@@ -1,5 +1,5 @@
-// What make depends on and what it lets through: contents of files whatever their times, names with any sign, values of
-// variables that are checked before a shell has them, packages that are missing.
+// Dependencies and checks of make: contents of files at any times, names with any character, values of variables that
+// are checked before a shell gets them, missing packages.
 
 #include <fmt/format.h>
 
@@ -64,7 +64,7 @@ class MakeContents : public Make {
         return outcome.err.find("loom-trace: ") != std::string::npos;
     }
     std::string image() const { return bytes_of(folder / "x/image.exr"); }
-    /// What an empty OUT gives.
+    /// Returns the folder that an empty OUT gives.
     std::string anew() const {
         fs::remove_all(folder / "anew");
         EXPECT_EQ(sh(still_of("anew") + " image").code, 0);
@@ -118,7 +118,7 @@ TEST_F(MakeContents, decide_and_times_do_not) {
     EXPECT_NE(gone.err.find("first.obj"), std::string::npos) << gone.err;
 }
 
-// The graphs of finished passes are gone, and what they were traced from still counts.
+// The graphs of finished passes are deleted; their inputs are still dependencies.
 TEST_F(MakeContents, of_path_graphs_cubes_and_edits) {
     const std::string picture = "SPP=1 PASSES=1 SCENE=" + in("s.xml");
     const std::string graph = still("g", picture) + " " + in("g/image.exr");
@@ -181,7 +181,7 @@ TEST_F(MakeContents, are_in_a_stamp) {
     write_unseen("a.obj", triangle(4));
     EXPECT_EQ(sh(stamp + " --check").code, 1);
     EXPECT_EQ(sh(stamp + " " + in("part.xml") + " --check").code, 1);
-    // Those of what is compared, and of a row of a table.
+    // Dependencies of compared files, and of a row of a table.
     fs::copy_file(LOOM_SOURCE_DIR "/tests/fixtures/image_1.0.exr", folder / "r.exr");
     const std::string chart = "make -s -f pipelines/chart.mk BUILD=" + build_folder() + " OUT=" + in("chart") +
                               " REFERENCE=" + in("r.exr") + " SCENE=" + in("s.xml") + " " + in("chart/given.stamp");
@@ -240,7 +240,7 @@ TEST_F(Make, names_are_names) {
     }
     for (const fs::path& place : {folder, folder / "textures", fs::path(LOOM_SOURCE_DIR)})
         EXPECT_FALSE(fs::remove(place / "PWNED")) << place;
-    // A newline cannot stand in a line of make; a sign that make has for its own cannot stand in what it makes.
+    // A newline cannot be in a line of make; a character with a meaning in make cannot be in a target.
     for (const auto& [variables, sign] :
          {std::pair{"SCENE='a\nb.xml'", "newline"}, std::pair{"SCENE='a$$b.xml'", "$"}, std::pair{"OUT=out/a:b", ":"},
           std::pair{"OUT='a#b'", "#"}, std::pair{"OUT=a%b", "%"}, std::pair{"OUT='a;b'", ";"},
@@ -362,7 +362,8 @@ TEST_F(MakeVariables, reach_no_shell_unchecked) {
     write("script", script);
     EXPECT_EQ(sh("sh " + in("script")).out, "");
 
-    // Names of files may have nearly any sign; what uses them quotes them. Each pipeline refuses what it does not know.
+    // Names of files may have nearly any character, because their uses quote them. Each pipeline refuses unknown
+    // values.
     for (const std::string& pipeline : makefiles()) {
         if (pipeline == "Makefile" || listed("kinds").empty()) continue;
         const std::string text = text_of(pipeline);
@@ -405,7 +406,7 @@ TEST_F(MakeVariables, keep_what_they_may_be) {
 
 class MakePackages : public Make {
   protected:
-    /// A folder for the front of PATH: nobody is root, sudo does not work, these packages are not installed.
+    /// Makes a folder for the front of PATH: the user is not root, sudo fails, these packages are not installed.
     std::string without(const std::string& packages) const {
         fs::create_directories(folder / "fake");
         write("fake/id", "#!/bin/sh\necho 1000\n");
@@ -432,7 +433,7 @@ TEST_F(MakePackages, a_built_tree_needs_none) {
 }
 
 TEST_F(MakePackages, what_is_missing_is_named) {
-    // With a configured tree or without: what is missing, what it is for, what to do; once.
+    // With and without a configured tree: what is missing, its purpose, and what to do; once.
     const std::string path = without("libembree-dev ccache");
     fs::create_directories(folder / "configured");
     write("configured/build.ninja", "");

@@ -1,5 +1,5 @@
-// The stages between a path graph and a picture, given files that do not belong together: each says which two, and
-// the command that mends it.
+// Stages between a path graph and an image with files that do not belong together: each names both files and the
+// command that makes matching ones.
 
 #include "tests/pipeline/process.h"
 
@@ -56,7 +56,7 @@ TEST_F(PathGraphChain, files_of_another_kind_are_refused) {
     expect_refused(stage("refine") + " " + in("g1.h5") + " " + in("c1.h5") + " --epsilon 2" + h5, "--epsilon");
 }
 
-// What a subset is drawn from, and what its rays meet.
+// Inputs for drawing a subset and for tracing its rays.
 TEST_F(PathGraphChain, subsets_ask_for_what_they_need) {
     const std::string gather = stage("gather") + " " + in("g1.h5") + " " + in("r1.h5") + " ",
                       exr = " -o " + in("x.exr");

@@ -1,5 +1,5 @@
 #pragma once
-// Running the stages and make as a user does, in a folder that goes with the test.
+// Runs the stages and make as a user does, in a temporary folder of the test.
 
 #include <gtest/gtest.h>
 #include <sys/wait.h>
@@ -39,12 +39,12 @@ class PipelineTest : public testing::Test {
     }
     void TearDown() override { fs::remove_all(folder); }
 
-    /// A program of this build.
+    /// Returns the path of a program of this build.
     static std::string stage(const std::string& name) { return (fs::path(LOOM_BIN_DIR) / ("loom-" + name)).string(); }
 
     Outcome sh(const std::string& command) const {
         const fs::path err = folder / ".stderr";
-        // The make that runs the tests must not reach into the makes of the tests.
+        // The make that runs the tests must not affect the makes inside the tests.
         const std::string whole = "cd '" LOOM_SOURCE_DIR "' && unset MAKEFLAGS MFLAGS MAKELEVEL && { " + command +
                                   "; } 2>'" + err.string() + "'";
         FILE* pipe = popen(whole.c_str(), "r");
@@ -59,13 +59,14 @@ class PipelineTest : public testing::Test {
         return outcome;
     }
 
-    /// pipelines/still.mk of one scene with the stages of this build; results in `out`, a path in `folder`.
+    /// Returns the command that runs pipelines/still.mk on one scene with the stages of this build; results in `out`, a
+    /// path in `folder`.
     std::string still(const std::string& out, const std::string& variables) const {
         return "make -s -f pipelines/still.mk BUILD='" + fs::path(LOOM_BIN_DIR).parent_path().string() +
                "' OUT=" + (folder / out).string() + " " + variables;
     }
 
-    /// Names of the files in `folder`, sorted.
+    /// Returns the names of the files in `folder`, sorted.
     std::vector<std::string> files() const {
         std::vector<std::string> names;
         for (const auto& entry : fs::recursive_directory_iterator(folder))

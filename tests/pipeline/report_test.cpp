@@ -34,7 +34,7 @@ TEST_F(Report, FromSceneToPage) {
     for (const char* part : {"Error against cost", "Where the time goes", "Bias and variance apart", "Convergence",
                              "Plan and lineage", "pathgraph+K4", "loom-cluster"})
         EXPECT_NE(page.find(part), std::string::npos) << part;
-    // The same files again: the same bytes.
+    // The same files give the same bytes.
     fs::remove(folder / "r/report.html");
     ASSERT_EQ(sh(report("METHODS='pt pathgraph+K4'")).code, 0);
     EXPECT_TRUE(page == bytes_of(folder / "r/report.html"));
@@ -45,8 +45,8 @@ TEST_F(Report, FromSceneToPage) {
               "--scene 'scenes/cornell-box.xml' -D 'resx=16' -D 'resy=16' --k 4\n");
 }
 
-// Paths that end after their first vertex have nothing to refine, one replicate has no spread: charts of
-// those say so or are left out, the rest is made.
+// Paths that end after their first vertex leave nothing to refine, and one replicate has no spread. Charts of these
+// report that or are left out; the rest is made.
 TEST_F(Report, WithoutStepsAndReplicates) {
     const Outcome made = sh("make -s -f pipelines/report.mk report BUILD='" +
                             fs::path(LOOM_BIN_DIR).parent_path().string() + "' OUT=" + (folder / "r").string() +
@@ -63,9 +63,9 @@ TEST_F(Report, WrongSettingsAreRefused) {
         EXPECT_EQ(sh(report("METHODS='" + std::string(wrong) + "'")).code, 2) << wrong;
 }
 
-// In a browser, from disk: the page moves its own controls (see check() in page.js) and says what did not
-// follow; both colour schemes; nothing on the console. Seen failing with the line left where it was, without
-// the exposure's factor, and with both schemes of one colour.
+// In a browser, from disk: the page moves its own controls (see check() in page.js) and reports what did not follow;
+// both colour schemes; nothing on the console. Detected mutations: the line not moved, the exposure's factor left out,
+// both schemes of one colour.
 TEST_F(Report, WorksInABrowser) {
     if (std::getenv("LOOM_TEST_FULL") == nullptr) GTEST_SKIP() << "runs in make test-full";
     if (sh("command -v chromium").code != 0) GTEST_SKIP() << "chromium is not installed (Debian: apt install chromium)";

@@ -1,4 +1,4 @@
-// `make transient` from scene to cube and pictures, and the stages around a cube.
+// `make transient` from scene to cube and images, and the stages around a cube.
 
 #include <algorithm>
 #include <cmath>
@@ -50,7 +50,7 @@ TEST_F(MakeTransient, front_door_prints_only_the_path) {
     EXPECT_EQ(outcome.out, (folder / "x/cube.h5").string() + "\n");
 }
 
-// What `make` alone shows. Break seen to fail: OUT= handed on empty, which no file of make can then set.
+// The output of `make` alone. Detected mutation: OUT= passed on empty, which no makefile can then set.
 TEST_F(MakeTransient, demo_has_the_cube_in_its_folder) {
     for (const auto& [out, cube] : {std::pair<std::string, std::string>{"", "out/demo/transient/cube.h5"},
                                     {" OUT=some/where", "some/where/transient/cube.h5"}}) {
@@ -156,7 +156,7 @@ TEST_F(MakeTransient, cubes_are_compared_and_judged) {
     const Outcome alike = sh(stage("compare") + " " + a + " " + b + judged);
     EXPECT_EQ(alike.code, 0) << alike.err << alike.out;
     EXPECT_NE(alike.out.find("24 x 16, 300 bins"), std::string::npos) << alike.out;
-    // The window says where bins are: other bins are not compared, nor are a cube and a picture.
+    // Bins are compared only with equal windows; a cube is not compared with an image.
     const Outcome other = sh(stage("compare") + " " + a + " " + late);
     EXPECT_EQ(other.code, 2);
     EXPECT_NE(other.err.find("has bins of 0.03"), std::string::npos) << other.err;
@@ -214,7 +214,7 @@ TEST_F(MakeTransient, pictures_are_the_same_bytes_twice_and_a_movie_needs_ffmpeg
     for (const char* picture :
          {"strip.png", "streak-x.png", "streak-y.png", "peak.png", "curves.svg", "curves.png", "curves.tsv"})
         EXPECT_TRUE(bytes_of(folder / "x" / picture) == bytes_of(folder / "again" / picture)) << picture;
-    // An ffmpeg that fails leaves no movie either; one that works is asked for the frames at the rate given.
+    // A failing ffmpeg leaves no movie; a working one gets the frames and the requested rate.
     std::ofstream(folder / "bin/ffmpeg") << "#!/bin/sh\necho \"$@\" >" << (folder / "asked").string()
                                          << "\nfor last in \"$@\"; do :; done\n[ -e " << (folder / "broken").string()
                                          << " ] && exit 1\necho movie >\"$last\"\n";

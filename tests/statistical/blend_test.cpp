@@ -39,9 +39,9 @@ Image noise_part(std::uint32_t n, std::mt19937_64& random, double common, bool i
     return image;
 }
 
-// Weights that knew the noise they weigh would favour dark samples, and exponential noise is dark more often than
-// bright. Judged by Student's t over 32 blends of 40 x 40 pixels; a bias of 0.8 % would be seen in nine of ten runs.
-// Break seen to fail: weights of each half applied to itself.
+// Weights that depend on the noise they weigh would favour dark samples, and exponential noise is dark more often than
+// bright. Student's t over 32 blends of 40 x 40 pixels; a bias of 0.8 % is detected in nine of ten runs. Detected
+// mutation: weights of each half applied to itself.
 TEST(Blend, OfNoiseIsUnbiased) {
     std::mt19937_64 random(7);
     for (const std::size_t n_parts : {std::size_t(4), std::size_t(5), std::size_t(16)})
@@ -63,8 +63,8 @@ TEST(Blend, OfNoiseIsUnbiased) {
         }
 }
 
-// One path in 200 brings all light (squared error 50), so that most windows see none of it and clusters there look too
-// bright: what is rare must not be taken for bias. Breaks seen to fail: noise of the window alone (37; 12 where only
+// One path in 200 carries all light (squared error 50), so that most windows contain none of it and clusters look too
+// bright there. Rare light must not be taken for bias. Detected mutations: noise of the window alone (37; 12 where only
 // whole paths, 32 where only own samples are weighed so).
 TEST(Blend, DoesNotTakeRareLightForBias) {
     std::mt19937_64 random(15);
@@ -97,10 +97,10 @@ TEST(Blend, DoesNotTakeRareLightForBias) {
     EXPECT_NEAR(mean, 1, 0.01);
 }
 
-/// What the blend makes of clusters that are `bias` too bright where one in `rare` pixels of a part is hit by all the
-/// light, so that its noise hides much: mean of the blend, the share of pixels in which the test of bias refused it,
-/// and how many of these took
-/// anything but the paths. in: common  clusters have one exponential number per 4 x 4 pixels
+/// Result of a blend with clusters that are `bias` too bright, where one in `rare` pixels of a part is hit by all the
+/// light, so that its noise is large: mean of the blend, share of pixels in which the test of bias refused it, and
+/// number of these that used anything but the paths.
+/// in: common  clusters have one exponential number per 4 x 4 pixels
 struct Guarded {
     double mean = 0, refused = 0;
     std::size_t n_refused_for_nothing = 0;
@@ -133,10 +133,10 @@ Guarded guarded(double bias, int rare, std::mt19937_64& random, bool test_bias =
     return g;
 }
 
-// Bias that is left is no larger than what the test finds for sure, 0.33 sqrt(v / f), and a quarter, which the noise of
-// the blend hides, whatever the bias of the clusters; where there is none, refusals are rare, even where clusters are
-// noisy. Breaks seen to fail: noise of the window alone; odds of exp(-20) or exp(-1) instead of exp(-7); ten standard
-// errors of the blend or none; no test at all; refusals that change no weight.
+// The remaining bias is at most what the test detects with certainty, 0.33 sqrt(v / f), plus a quarter, which the noise
+// of the blend hides, for any bias of the clusters. Without bias, refusals are rare, even where clusters are noisy.
+// Detected mutations: noise of the window alone; odds of exp(-20) or exp(-1) instead of exp(-7); ten standard errors of
+// the blend or none; no test at all; refusals that change no weight.
 TEST(Blend, LeavesNoBiasThatNoiseDoesNotExplain) {
     std::mt19937_64 random(21);
     double refused = 0;
@@ -162,7 +162,7 @@ TEST(Blend, LeavesNoBiasThatNoiseDoesNotExplain) {
     EXPECT_EQ(guarded(-0.5, 2, random, false).refused, 0);
 }
 
-/// Direct light by itself: each pixel the mean of n exponential numbers around 1, with their variance.
+/// Direct light alone: each pixel is the mean of n exponential numbers around 1, with their variance.
 Image direct_noise(std::uint32_t size, int n, std::mt19937_64& random) {
     Image image;
     image.width = image.height = size;
@@ -179,9 +179,9 @@ Image direct_noise(std::uint32_t size, int n, std::mt19937_64& random) {
     return image;
 }
 
-// Light of further samples weighs by its own variance, which is small where they happened to be dark; the window holds
-// that down. Judged by Student's t over 32 blends of 40 x 40 pixels; a bias of 0.8 % would be seen in nine of ten runs.
-// Break seen to fail: variances of single pixels instead of windows, p = 2e-12.
+// Light of further samples is weighed by its own variance, which is small where the samples happened to be dark; the
+// window limits that. Student's t over 32 blends of 40 x 40 pixels; a bias of 0.8 % is detected in nine of ten runs.
+// Detected mutation: variances of single pixels instead of windows, p = 2e-12.
 TEST(Blend, WithFurtherDirectLightIsUnbiasedAndTakesIt) {
     std::mt19937_64 random(11);
     std::vector<double> means, weights;
@@ -238,9 +238,9 @@ std::vector<Image> parts_of_unit_variance(std::size_t n_parts, double cluster_fa
     return parts;
 }
 
-// Eight parts of a sample. Own samples come with the parts: of E_d(0) = 1/8 and E_i = 1/8, further ones pay where
-// (1/8 + 1/m) (8 + c m) is below 1.9, least at m / 8 = sqrt(1 / c). Breaks seen to fail: costs left out, own samples
-// taken for worthless, the variance of a sample for that of the mean.
+// Eight parts of one sample. The parts have own samples: with E_d(0) = 1/8 and E_i = 1/8, further samples pay where
+// (1/8 + 1/m) (8 + c m) is below 1.9, least at m / 8 = sqrt(1 / c). Detected mutations: costs left out, own samples
+// ignored, the variance of a sample for that of the mean.
 TEST(DirectPlan, TakesAsManySamplesAsPay) {
     std::mt19937_64 random(13);
     const auto planned = [](const std::vector<Image>& parts, double cost) {
@@ -265,7 +265,7 @@ TEST(DirectPlan, TakesAsManySamplesAsPay) {
     EXPECT_EQ(planned(easy, 0.2).samples, 0u);
 }
 
-/// A lamp far above, small or large, and a board between it and the floor.
+/// An emitter far above, small or large, and a board between it and the floor.
 std::unique_ptr<Scene> shadow(double lamp_half) {
     const std::string grey = R"(<bsdf type="diffuse"><rgb name="reflectance" value="0.7"/></bsdf>)";
     return testing::load_inline(
@@ -311,7 +311,7 @@ TEST(Blend, IsHardlyWorseThanEither) {
     }
 }
 
-// A part is one sample of its picture: the blend's own variance is that between parts.
+// A part is one sample of its image: the blend's variance is that between parts.
 TEST(Blend, ClaimsTheSpreadBetweenParts) {
     std::mt19937_64 random(9);
     double claimed = 0;

@@ -1,4 +1,5 @@
-// Edits after edits: the variances in the ledger add up to that of the sum, and a long chain ends at a fresh picture.
+// Edits after edits: the variances in the ledger add up to that of the sum, and a long chain ends at the mean of a new
+// image.
 
 #include "stages/residual/chain_of_edits.h"
 
@@ -34,7 +35,7 @@ std::unique_ptr<Scene> scene_of(const Values& values) {
     return build_scene(read_scene(scene_file(), parse_defines(values)));
 }
 
-/// A first picture without noise, so that all variance is that of edits.
+/// A first image without noise, so that all variance is from edits.
 Image black(int size) {
     Image image;
     image.width = image.height = std::uint32_t(size);
@@ -55,9 +56,9 @@ struct ChainCase {
 
 class TwoEdits : public testing::TestWithParam<ChainCase> {};
 
-// By 32 chains with their own seeds, of samples that are independent (stratified ones have less variance than their
-// spread says); that the first picture's variance adds up with an edit's is Residual.VariancesAddUp. Break made here on
-// purpose and seen: one seed for both edits, after which nothing is left of a box moved and moved back.
+// 32 chains with their own seeds, of independent samples (stratified ones have less variance than their spread shows).
+// Residual.VariancesAddUp tests that the first image's variance adds to that of an edit. Mutation tested here: one seed
+// for both edits, after which a box moved and moved back leaves no noise.
 TEST_P(TwoEdits, HaveTheVarianceThatTheLedgerSays) {
     constexpr int size = 24;
     constexpr std::uint64_t spp = 8;
@@ -92,7 +93,7 @@ TEST_P(TwoEdits, HaveTheVarianceThatTheLedgerSays) {
                     moments[std::size_t(c) * size * size + k].add(sum.find(rgb[c])[k]);
         }
         for (const Moments& m : moments) spread += m.var_sample() / double(moments.size());
-        // What a fresh picture's variance would be, from the new scene's paths of the last edit.
+        // Variance of a new image, from the new scene's paths of the last edit.
         if (own_seeds) {
             PathOptions path = options_of(*scenes.back());
             path.sampler = SamplerKind::independent;
@@ -122,7 +123,7 @@ INSTANTIATE_TEST_SUITE_P(
         ChainCase{"independent", {{}, {"x=-0.1", "z=0.4"}, {}}, Method::independent, 1.5, 2.2}),
     [](const auto& info) { return std::string(info.param.name); });
 
-/// The scenes of a chain: each differs from the one before in one value, of a box, a lamp, a wall or a material.
+/// The scenes of a chain: each differs from the previous one in one value of a box, an emitter, a wall or a material.
 std::vector<Values> long_chain(std::size_t n_edits) {
     struct Parameter {
         const char* name;
@@ -140,7 +141,7 @@ std::vector<Values> long_chain(std::size_t n_edits) {
     std::vector<std::size_t> at(parameters.size());
     std::vector<Values> chain;
     for (std::size_t k = 0; k <= n_edits; ++k) {
-        Values values = {"alpha=0.3", "target=0,-0.6,0"};  // the lamp out of sight: its edge would be most of the noise
+        Values values = {"alpha=0.3", "target=0,-0.6,0"};  // the emitter out of view: its edge would dominate the noise
         for (std::size_t p = 0; p < parameters.size(); ++p)
             values.push_back(fmt::format("{}={}", parameters[p].name, parameters[p].values[at[p]]));
         chain.push_back(values);
@@ -162,11 +163,11 @@ class Folder {
     std::filesystem::path path_;
 };
 
-// Edit upon edit by the program's own function, from picture file to picture file, by correlated and by dynamic paths:
-// the end is the last scene rendered afresh (Welch), and the ledger's variance is that of the squared error. Stratified
-// samples have less variance than their spread says, so the ledger errs on the safe side: measured 0.63, and 0.65 after
-// fifty edits. Power: a bias of the image mean of 6 % is seen in nine of ten runs, in full runs of 2.7 %. Breaks seen
-// to fail: one seed for all edits (0.42 of the ledger); the third residual left out.
+// Edit after edit by the program's own function, from image file to image file, by correlated and by dynamic paths. The
+// end is the last scene rendered anew (Welch), and the ledger's variance is that of the squared error. Stratified
+// samples have less variance than their spread shows, so the ledger errs on the safe side: measured 0.63, and 0.65
+// after fifty edits. Power: a bias of the image mean of 6 % is detected in nine of ten runs, in full runs of 2.7 %.
+// Detected mutations: one seed for all edits (0.42 of the ledger); the third residual left out.
 TEST(StabilityChainOfEdits, EndsAtAFreshPicture) {
     const int size = full_run() ? 32 : 16;
     const std::uint64_t base_spp = 32, spp = full_run() ? 8 : 4;

@@ -1,4 +1,4 @@
-// Scenes whose answer is known in closed form, stated in their comments.
+// Scenes with a closed-form answer, stated in their comments.
 #include <fmt/format.h>
 #include <gtest/gtest.h>
 
@@ -28,8 +28,8 @@ void PrintTo(const Known& k, std::ostream* out) {
 
 class ClosedForm : public testing::TestWithParam<Known> {};
 
-// Breaks seen to fail: no cosine in the emitter's density; depth counted from 0; roulette without 1/q; eta^2
-// left out of the roulette by throughput.
+// Detected mutations: no cosine in the emitter's density; depth counted from 0; roulette without 1/q; eta^2 left out of
+// the roulette by throughput.
 TEST_P(ClosedForm, ImageMeanIsTheAnswer) {
     const Known& known = GetParam();
     const auto scene = load_scene(source_dir() / "scenes" / known.scene, known.defines);
@@ -48,7 +48,7 @@ TEST_P(ClosedForm, ImageMeanIsTheAnswer) {
         if (std::abs(e.mean - known.answer) < 2e-5 * known.answer) continue;
         EXPECT_GE(welch_p_value(e, {known.answer, 0, INFINITY}), alpha)
             << fmt::format("{:.7g} +- {:.2g} instead of {:.7g}", e.mean, e.se, known.answer);
-        // Power: a bias of 1 % would have been seen in nine of ten runs.
+        // Power: a bias of 1 % would be detected in nine of ten runs.
         EXPECT_LE((student_critical(alpha, e.dof) + 1.28) * e.se, 0.01 * known.answer);
     }
 }
@@ -79,7 +79,7 @@ TEST(ClosedFormPictures, MirrorCorridorIsBandsOfPowers) {
     ASSERT_EQ(scene->sensor.width, 16u);
     const Replicates r = trace_replicates(*scene, options_of(*scene), 4, 2);
     const auto green = r.mean.find("G");
-    // The outermost reflectance and radiance are read off the picture's own middle: bands are r^k Le.
+    // The outermost reflectance and radiance are taken from the middle of the image: bands are r^k Le.
     const int k[16] = {4, 3, 3, 2, 2, 1, 1, 0, 0, 1, 1, 2, 2, 3, 3, 4};
     const double Le = green[7], reflectance = green[6] / Le;
     EXPECT_GT(reflectance, 0.1);

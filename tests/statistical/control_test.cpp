@@ -1,5 +1,5 @@
-// The old picture as control variate of the new one: unbiased, as noisy as it says, and no worse than either a fresh
-// picture or old plus residual.
+// The old image as control variate of the new one: unbiased, with the variance that it stores, and no worse than either
+// a new image or old plus residual.
 
 #include "stages/residual/control.h"
 
@@ -23,7 +23,7 @@ struct ControlCase {
     const char* name;
     std::vector<std::string> both, edit;  // NAME=VALUE of scenes/edits.xml
     bool ordinary;
-    double gain_at_least;  // variance of old plus residual over that of the controlled picture, after 64 samples
+    double gain_at_least;  // variance of old plus residual over that of the controlled image, after 64 samples
 };
 
 SceneDescription description(std::vector<std::string> values) {
@@ -31,7 +31,7 @@ SceneDescription description(std::vector<std::string> values) {
     return read_scene((source_dir() / "scenes/edits.xml").string(), parse_defines(values));
 }
 
-/// Pictures of one kind: their regions, the variance between them and what they say of it, summed over pixels and
+/// Images of one kind: their regions, the variance between them and their stored variance, summed over pixels and
 /// channels.
 struct Pictures {
     std::vector<RegionMeans> regions;
@@ -61,9 +61,9 @@ struct Pictures {
 
 class ControlledPictures : public testing::TestWithParam<ControlCase> {};
 
-// Of independent samples, for stratified ones err less than their spread says. Breaks seen to fail: the covariance with
-// the other sign; the old picture's variance not multiplied by alpha^2; its variance taken from the pixel itself and
-// not from those around (biased).
+// Independent samples, because stratified ones have less error than their spread shows. Detected mutations: the
+// covariance with the other sign; the old image's variance not multiplied by alpha^2; its variance from the pixel
+// itself instead of its neighbours (biased).
 TEST_P(ControlledPictures, AreUnbiasedAndNoWorseThanEither) {
     const ControlCase& edited = GetParam();
     if (!edited.ordinary && !full_run()) GTEST_SKIP() << "in full runs";

@@ -1,5 +1,5 @@
 #pragma once
-// Edits of one scene by changes of its text: cornell-box.xml under a faint sky, small.
+// Edits of one scene by changes of its text: cornell-box.xml under a constant sky of low radiance, at small size.
 
 #include <fmt/format.h>
 #include <unistd.h>
@@ -16,16 +16,17 @@ namespace loom::residual {
 inline constexpr int edit_size = 32;  // px
 
 struct EditCase {
-    using Changes = std::vector<std::pair<std::string, std::string>>;  // of the last place that has such a text
+    using Changes = std::vector<std::pair<std::string, std::string>>;  // applied to the last occurrence of the text
     std::string name;
     Changes changes;
-    Changes setting = {};  // in both scenes, made first
+    Changes setting = {};  // applied to both scenes, first
 };
 inline void PrintTo(const EditCase& edit, std::ostream* out) {
     *out << edit.name;
 }
 
-/// One of the two scene files of an edit, for as long as it is needed: what is built from a description reads it again.
+/// One of the two scene files of an edit. It must exist as long as its description is used, because building a scene
+/// reads it again.
 class SceneFile {
   public:
     SceneFile(const EditCase& edit, bool after)

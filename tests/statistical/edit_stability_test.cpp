@@ -104,7 +104,7 @@ Residuals replicated(int replicates, const Render& render) {
 
 constexpr double rounding = 1e-6;  // of radiances of about 1 that are subtracted
 
-/// Regions whose means differ, in words.
+/// Describes the regions whose means differ.
 std::vector<std::string> differing(const Residuals& ours, const Residuals& theirs, double alpha, double scale = 1) {
     std::vector<std::string> out;
     for (int c = 0; c < 3; ++c)
@@ -147,7 +147,7 @@ Residuals correlated_of(const EditedScenes& scenes, int replicates, std::uint64_
 
 class EditStress : public testing::TestWithParam<EditCase> {};
 
-// Break seen to fail: the density of ghost two ends doubled (ghost_inside_a_box).
+// Detected mutation: the density of ghost two ends doubled (ghost_inside_a_box).
 TEST_P(EditStress, HasTheMeanOfCorrelatedPaths) {
     const EditedScenes scenes = edited(GetParam());
     const int replicates = full_run() ? 32 : 20;
@@ -177,8 +177,8 @@ TEST_P(EditStress, HasTheMeanOfCorrelatedPaths) {
 INSTANTIATE_TEST_SUITE_P(Stability, EditStress, testing::ValuesIn(asked()),
                          [](const auto& info) { return info.param.name; });
 
-// Where methods switch over: just below and at the samples that a pilot takes, and shapes that hardly move, whose old
-// and new place lie in one.
+// Limits where methods switch: just below and at the samples that a pilot needs; and shapes that hardly move, whose old
+// and new places overlap.
 TEST(StabilityEdit, SwitchesOverWithoutASeam) {
     const int replicates = full_run() ? 32 : 20;
     const double alpha = sidak_alpha(6 * 3 * regions);

@@ -30,10 +30,10 @@ double relative_difference(const Image& a, const Image& b, const char* channel) 
 
 class GraphAgainstImage : public testing::TestWithParam<const char*> {};
 
-// The graph holds all that the tracer used: the image gathered from it is the traced image to rounding, which the
-// sharpest lobes (alpha 0.05) amplify to 1e-5: their value at a direction in world space, taken back to the frame.
-// Breaks seen to fail: normals stored after, but used before their rounding; textured reflectance stored for
-// materials without texture; pdf stored without roulette.
+// The graph stores all that the tracer used: the image gathered from it is the traced image up to rounding. The
+// sharpest lobes (alpha 0.05) amplify rounding to 1e-5, because their value is at a direction in world space converted
+// back to the frame. Detected mutations: normals stored after, but used before their rounding; textured reflectance
+// stored for materials without texture; pdf stored without roulette.
 TEST_P(GraphAgainstImage, GatheredImageEqualsTracedImage) {
     const auto scene = own_scene(GetParam(), 64, 48);
     app::Report report;
@@ -98,8 +98,8 @@ INSTANTIATE_TEST_SUITE_P(Scenes, GraphAgainstImage,
 
 class SamplersAndRoulettes : public testing::TestWithParam<const char*> {};
 
-// Two samplers and two rules of roulette estimate the same image. Break seen to fail: the sobol pairs of
-// light and direction share a scramble.
+// Two samplers and two rules of roulette estimate the same image. Detected mutation: the sobol pairs of light and
+// direction share a scramble.
 TEST_P(SamplersAndRoulettes, SameImageMeanAndTiles) {
     const auto scene = own_scene(GetParam(), 64, 48);
     PathOptions path = options_of(*scene);
@@ -138,7 +138,7 @@ TEST(Noise, ClaimedVarianceIsTheSpreadBetweenReplicates) {
     path.sampler = SamplerKind::independent;
     const Replicates r = trace_replicates(*scene, path, 32, 32);
     EXPECT_NEAR(r.spread_per_pixel / r.claimed_per_pixel, 1.0, 0.1);
-    // Well-spread numbers are less noisy than they claim, never more.
+    // Stratified samples have less noise than their stored variance, never more.
     path.sampler = SamplerKind::sobol;
     const Replicates q = trace_replicates(*scene, path, 32, 32);
     EXPECT_LT(q.spread_per_pixel / q.claimed_per_pixel, 1.0);

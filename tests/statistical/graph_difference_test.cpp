@@ -38,7 +38,7 @@ struct Pair {
     const Scene &before, &after;
 };
 
-/// One pass: both graphs of the same random numbers, in the same cells, gathered and subtracted.
+/// One pass: both graphs with the same random stream, in common cells, gathered and subtracted.
 Image pass_of(const Pair& scenes, std::uint64_t seed, std::uint32_t k, std::uint64_t spp = 1) {
     const PathGraph before = testing::trace_graph(scenes.before, testing::path_options(scenes.before, seed), spp);
     const PathGraph after = testing::trace_graph(scenes.after, testing::path_options(scenes.after, seed), spp);
@@ -87,8 +87,8 @@ std::vector<std::string> differing(const std::vector<RegionMeans>& a, const std:
     return failures;
 }
 
-// Through the whole chain, to the last bit, whatever the scene has. Breaks seen to fail: cuts through
-// vertices of one place (off_ties left out); different random numbers.
+// Through the whole chain, to the last bit, for any scene. Detected mutations: cuts through vertices of one position
+// (off_ties left out); different random streams.
 TEST(GraphDifference, OfTheSameSceneTwiceIsZero) {
     for (const char* name :
          {"cornell-box.xml", "glossy-box.xml", "all-emitters.xml", "textured.xml", "environment-map.xml"}) {
@@ -102,8 +102,8 @@ TEST(GraphDifference, OfTheSameSceneTwiceIsZero) {
     }
 }
 
-// The graph's difference is biased, a little: image mean over many passes. And its noise is that of what differs. Break
-// seen to fail: both graphs of their own random numbers.
+// The graph's difference has a small bias: image mean over many passes. Its noise is only that of what differs.
+// Detected mutation: both graphs with their own random streams.
 TEST(GraphDifference, HasLittleBiasAndLessNoiseThanCorrelatedPaths) {
     const auto before = box_moved(0), after = box_moved(-0.1);
     const Pair scenes{*before, *after};
@@ -134,9 +134,9 @@ TEST(GraphDifference, HasLittleBiasAndLessNoiseThanCorrelatedPaths) {
     EXPECT_LT(bias2, 0.12 * scale2);
 }
 
-// Two passes of four correct all four. Clusters of 256 of some 5000 vertices, whose bias must show where it is left,
-// and be gone with two levels. Power: printed; the bias of the image mean that is seen in nine of ten runs. Break seen
-// to fail, besides the one made here (nothing corrected): B subtracted in full from the corrected parts.
+// Two passes of four correct all four. Clusters of 256 of some 5000 vertices, whose bias must be detected where it
+// remains, and vanish with two levels. Power: printed; the bias of the image mean that is detected in nine of ten runs.
+// Detected mutation, besides the one tested here (nothing corrected): B subtracted in full from the corrected parts.
 TEST(TwoLevels, LeaveNoBias) {
     const auto before = box_moved(0), after = box_moved(-0.46);
     const Pair scenes{*before, *after};
@@ -157,8 +157,7 @@ TEST(TwoLevels, LeaveNoBias) {
     EXPECT_FALSE(differing(one_level, paths).empty()) << "the bias of the clusters is not seen";
 }
 
-// VarMean is the spread that replicates have. Break seen to fail: the variance of the first
-// group over the number of all parts.
+// VarMean is the spread of replicates. Detected mutation: the variance of the first group over the number of all parts.
 TEST(TwoLevels, VarianceIsThatOfReplicates) {
     const auto before = box_moved(0), after = box_moved(-0.1);
     std::vector<Moments> moments(3 * size * size);

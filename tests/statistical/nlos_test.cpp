@@ -1,4 +1,4 @@
-// Captures around a corner: against closed forms, another renderer, and themselves.
+// NLOS captures: against closed forms, another renderer, and themselves.
 #include "stages/core/scene/nlos.h"
 
 #include <fmt/format.h>
@@ -18,7 +18,7 @@ namespace {
 
 constexpr int n_comparisons = 64;  // in this file, rounded up
 
-/// A relay wall [-1, 1]^2 at z = 0, a laser and a sensor at one place, and what they cannot see.
+/// A relay wall [-1, 1]^2 at z = 0, a laser and a sensor at one point, and hidden geometry.
 struct Around {
     std::string capture = "single";
     int res = 16, laser_res = 16;
@@ -116,7 +116,7 @@ std::string text(const Estimate& e) {
     return fmt::format("{:.6g} +- {:.2g}", e.mean, e.se);
 }
 
-/// A relative bias of this size would have been seen in nine of ten runs.
+/// Relative bias that would be detected in nine of ten runs.
 double seen_bias(const Estimate& a, const Estimate& b) {
     return (student_critical(sidak_alpha(n_comparisons), a.dof) + 1.28) * std::hypot(a.se, b.se) / std::abs(b.mean);
 }
@@ -126,7 +126,7 @@ void expect_equal(const Estimate& ours, const Estimate& theirs, double power) {
     EXPECT_LE(seen_bias(ours, theirs), power) << text(ours) << " and " << text(theirs);
 }
 
-/// Bin by bin, neighbours pooled until a bin stands out of its noise ten times: z^2 of all, and the largest.
+/// Compares bin by bin; neighbours are pooled until a bin is ten times its noise: z^2 of all, and the largest.
 void expect_equal_bins(const Bins& ours, const std::vector<double>& mean, const std::vector<double>& var) {
     ASSERT_EQ(mean.size(), ours.mean.size());
     double sum = 0, largest = 0;
@@ -170,7 +170,7 @@ double grid(int i, int n) {
     return 2 * (i + 0.5) / n - 1;
 }
 
-/// Of a sensor and a laser point; calls bin(opl, value).
+/// Calls bin(opl, value) for a sensor and a laser point.
 template <class Bin>
 void plane_pair(double sx, double sy, double lx, double ly, int cells, Bin&& bin) {
     const double E = lit(lx, ly);
@@ -197,7 +197,7 @@ Reference read_reference(const std::filesystem::path& file) {
 
 class PlaneOracle : public ::testing::TestWithParam<const char*> {};
 
-// Breaks seen to fail: no cosine at the spot; one in fifty hidden points lost.
+// Detected mutations: no cosine at the spot; one in fifty hidden points lost.
 TEST_P(PlaneOracle, BinsAndSumAgreeWithMitransient) {
     if (shared_dir().empty()) GTEST_SKIP() << "../shared is not there";
     const std::string name = std::string("nlos_plane_") + GetParam();
@@ -212,7 +212,7 @@ TEST_P(PlaneOracle, BinsAndSumAgreeWithMitransient) {
 INSTANTIATE_TEST_SUITE_P(Captures, PlaneOracle, ::testing::Values("single", "confocal"),
                          [](const auto& info) { return std::string(info.param); });
 
-// Break seen to fail: the way from the laser to its spot left out where all segments count.
+// Detected mutation: the segment from the laser to its spot left out where all segments count.
 TEST(Nlos, PlaneIsItsIntegralBinByBin) {
     Around setup;
     setup.target = "0.3, -0.4, 0";
@@ -245,8 +245,8 @@ TEST(Nlos, PlaneIsItsIntegralBinByBin) {
         }
 }
 
-// Sums over all points, bins and three channels, as the tests of the TAL tools have them (a fixed seed there: 72.7698
-// and 11781.94). Break seen to fail: the laser aimed at the sensor's point in an exhaustive capture.
+// Sums over all points, bins and three channels, as in the tests of the TAL tools (a fixed seed there: 72.7698 and
+// 11781.94). Detected mutation: the laser aimed at the sensor's point in an exhaustive capture.
 TEST(Nlos, SumsAreThoseOfTal) {
     Around setup;
     setup.capture = "confocal";
@@ -269,13 +269,13 @@ TEST(Nlos, SumsAreThoseOfTal) {
     Estimate e = total_of(*load(setup), full_run() ? 8192 : 1024, LaserSpot::unit_area, 16);
     expect_equal({3 * e.mean, 3 * e.se, e.dof}, {confocal, 0, INFINITY}, 0.01);
     setup.capture = "exhaustive";
-    setup.bins = 4;  // the same window: only the sum is asked for
+    setup.bins = 4;  // the same window: only the sum is needed
     setup.width = 2048 * 0.003 / 4;
     e = total_of(*load(setup), full_run() ? 64 : 16, LaserSpot::unit_area, 8);
     expect_equal({3 * e.mean, 3 * e.se, e.dof}, {exhaustive, 0, INFINITY}, 0.015);
 }
 
-// Break seen to fail: the laser aimed at the sensor's point.
+// Detected mutation: the laser aimed at the sensor's point.
 TEST(Nlos, ExhaustivePairsAreTheirIntegralsAndSumToSteady) {
     Around setup;
     setup.capture = "exhaustive";
@@ -308,8 +308,8 @@ std::string panel(double half, double x, double y, double z) {
         half, x, y, z, white);
 }
 
-// A plane that another hides from every point of the wall brings nothing. By area alone, without a look at what lies
-// before, directions to it would count twice. Break seen to fail: no such look.
+// A plane that another one hides from every point of the wall contributes nothing. Sampling by area alone, without a
+// test of visibility, would count directions to it twice. Detected mutation: no such test.
 TEST(Nlos, HiddenLayersDoNotCountTwice) {
     Around setup;
     setup.hidden = panel(1, 0, 0, 1) + panel(1, 0, 0, 1.5);
@@ -328,8 +328,8 @@ TEST(Nlos, HiddenLayersDoNotCountTwice) {
     expect_equal(with, total_of(*load(setup), full_run() ? 32768 : 4096), 0.03);
 }
 
-// All that a path can do: balls, disks, boxes, metal, light that returns by the wall. Breaks seen to fail: no look at
-// what lies before a hidden point; a density without the BSDF's.
+// All features of a path: balls, disks, boxes, metal, light that returns by the wall. Detected mutations: no test of
+// visibility before a hidden point; a density without the BSDF's.
 TEST(Nlos, HiddenSamplingOnOrOffMakesNoDifference) {
     Around setup;
     setup.res = 4;
@@ -357,8 +357,8 @@ TEST(Nlos, HiddenSamplingOnOrOffMakesNoDifference) {
     }
 }
 
-// A spot wide enough that paths find it by themselves. Its area, and where in the beam they meet it, must be those of
-// the laser that next-event estimation sees. Break seen to fail: the spot no larger on a slanted wall.
+// A spot wide enough that paths hit it by themselves. Its area and the hit positions in the beam must be those of the
+// laser in next-event estimation. Detected mutation: the spot no larger on a slanted wall.
 TEST(Nlos, LaserSamplingOnOrOffMakesNoDifferenceForASpotOfTrueArea) {
     Around setup;
     setup.res = 4;
@@ -379,8 +379,8 @@ TEST(Nlos, LaserSamplingOnOrOffMakesNoDifferenceForASpotOfTrueArea) {
     }
 }
 
-// Depths count edges with the laser's among them: between two planes all paths have an even number. What a filter lets
-// through adds up, for the random numbers are those of the same paths. Break seen to fail: a filter by one edge less.
+// Depths count edges, the laser's included: between two planes all paths have an even number. Filtered images add up,
+// because their random streams are those of the same paths. Detected mutation: a filter by one edge less.
 TEST(Nlos, FilteredDepthsAddUp) {
     Around setup;
     setup.res = 4;

@@ -17,16 +17,16 @@ struct Recipe {
     refine::Options refine;
     gather::GatherOptions gather;
     SamplerKind sampler = SamplerKind::independent;
-    bool visibility = true;  // members that a surface hides from one another are kept apart
+    bool visibility = true;  // members that are occluded from each other are separated
 };
 
 struct Pass {
-    Image image;  // from the clusters, as the recipe says
+    Image image;  // from the clusters, by the recipe
     Image paths;  // of the same graph, from its paths alone
     Radiance radiance;
 };
 
-/// One graph, with its own random numbers and borders of clusters.
+/// Makes one pass with its own random streams and borders of clusters.
 inline Pass make_pass(const Scene& scene, std::uint64_t seed, const Recipe& recipe) {
     const PathGraph graph = testing::trace_graph(scene, testing::path_options(scene, seed, recipe.sampler), recipe.spp);
     const Clusters clusters = testing::clusters_of(graph, recipe.k, seed, 0.03f, recipe.visibility ? &scene : nullptr);
@@ -35,7 +35,7 @@ inline Pass make_pass(const Scene& scene, std::uint64_t seed, const Recipe& reci
     return {std::move(image), gather::path_traced_image(graph, 0), std::move(radiance)};
 }
 
-/// Mean of a channel over the pixels of a window [x0, x1) x [y0, y1); all of them by default.
+/// Mean of a channel over the pixels of a window [x0, x1) x [y0, y1); by default over all pixels.
 struct Window {
     std::uint32_t x0 = 0, y0 = 0, x1 = 0xffffffffu, y1 = 0xffffffffu;
 };
@@ -48,7 +48,7 @@ inline double mean_of(const Image& image, const char* channel = "G", Window w = 
     return sum / n;
 }
 
-/// value(pass) of so many passes: its mean and the standard error of that.
+/// Returns the mean of value(pass) over `passes` passes, with its standard error.
 inline Estimate estimate_over_passes(const Scene& scene, const Recipe& recipe, int passes,
                                      const std::function<double(const Pass&)>& value) {
     std::vector<double> values;
@@ -88,7 +88,7 @@ inline double rel_mse(const std::vector<double>& image, const std::vector<double
     return sum / double(image.size());
 }
 
-/// Path-traced, of many samples.
+/// Path-traces a reference with spp samples per pixel.
 inline std::vector<double> reference_of(const Scene& scene, std::uint64_t spp) {
     app::Report report;
     report.set_quiet(true);
@@ -97,7 +97,7 @@ inline std::vector<double> reference_of(const Scene& scene, std::uint64_t spp) {
         trace::render_image(scene, testing::path_options(scene, 77, SamplerKind::sobol), {0, spp, 0}, report, counts));
 }
 
-/// Errors of many passes against a reference: blended, the mean of the clusters, the mean of the paths.
+/// Errors of many passes against a reference: of the blend, of the clusters' mean, of the paths' mean.
 struct Errors {
     double blend = 0, cluster = 0, paths = 0;
 };

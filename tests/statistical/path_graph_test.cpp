@@ -1,5 +1,5 @@
-// Sharing among the vertices of a path graph: right in the mean where closed forms or path tracing say what is right,
-// and the equations as they are printed wrong where METHODS says so.
+// Sharing among the vertices of a path graph: correct in the mean where closed forms or path tracing give the answer;
+// the equations as printed are wrong where METHODS says so.
 #include <fmt/format.h>
 #include <gtest/gtest.h>
 
@@ -64,7 +64,7 @@ std::unique_ptr<Scene> half_sky() {
                                  16, 16, 4});
 }
 
-// METHODS 1.2, which techniques enter rho. Break seen to fail: successes counted instead of attempts.
+// METHODS 1.2, techniques in rho. Detected mutation: successes counted instead of attempts.
 TEST(FailedTechniques, AttemptsCountNotSuccesses) {
     const auto scene = half_sky();
     Recipe recipe;
@@ -76,8 +76,8 @@ TEST(FailedTechniques, AttemptsCountNotSuccesses) {
     EXPECT_GT(printed.mean - 5 * printed.se, 1.5 * 0.4);
 }
 
-/// Strips of two materials, 2 pixels wide, in a tent of lamps: no technique ever fails, but vertices of one cluster
-/// have densities of their own.
+/// Strips of two materials, 2 pixels wide, in a tent of emitters: no technique ever fails, but vertices of one cluster
+/// have different densities.
 std::unique_ptr<Scene> two_materials() {
     std::string body = R"(<bsdf type="diffuse" id="a"><rgb name="reflectance" value="0.8"/></bsdf>
 <bsdf type="roughconductor" id="b"><float name="alpha" value="0.25"/><string name="material" value="Ag"/></bsdf>)";
@@ -98,8 +98,8 @@ std::unique_ptr<Scene> two_materials() {
     return testing::load_inline({from_above, body, 16, 16, 3});
 }
 
-// METHODS 1.2, weights within direct aggregation. Diffuse strips reflect 0.8, all paths say what the others do.
-// Break seen to fail: next-event estimation and BSDF sampling not pooled.
+// METHODS 1.2, weights within direct aggregation. Diffuse strips reflect 0.8; all paths have the same information.
+// Detected mutation: next-event estimation and BSDF sampling not pooled.
 TEST(DirectWeights, PooledDensitiesAreAPartition) {
     const auto scene = two_materials();
     Recipe recipe;
@@ -117,7 +117,7 @@ double furnace(double rho, int n) {
     return (1 - std::pow(rho, n)) / (1 - rho);
 }
 
-// Where light is the same everywhere, nothing that neighbours take over is wrong: no bias is left to excuse.
+// Where light is the same everywhere, reused samples of neighbours are exact: no bias is acceptable.
 TEST(SharedClosedForm, FurnaceWithDepthLimit) {
     const auto scene = testing::own_scene("furnace-box.xml", 16, 16);
     Recipe recipe;
@@ -126,8 +126,8 @@ TEST(SharedClosedForm, FurnaceWithDepthLimit) {
                 "furnace, 6 vertices");
 }
 
-// The light that a vertex's own continuation brings has one bounce less to go. Break seen to fail: the radiance of all
-// vertices after the last step, 0.8 % too bright.
+// Light of a vertex's own continuation has one bounce less. Detected mutation: the radiance of all vertices after the
+// last step, 0.8 % too bright.
 TEST(SharedClosedForm, FurnaceWithDepthLimitByOwnSamples) {
     const auto scene = testing::own_scene("furnace-box.xml", 16, 16);
     Recipe recipe;
@@ -137,7 +137,7 @@ TEST(SharedClosedForm, FurnaceWithDepthLimitByOwnSamples) {
                 "furnace, 6 vertices, own samples");
 }
 
-// Break seen to fail: densities without roulette's q.
+// Detected mutation: densities without roulette's q.
 TEST(SharedClosedForm, FurnaceWithRoulette) {
     const auto scene = testing::own_scene("furnace-box.xml", 16, 16, {{"rho", "0.8"}, {"max_depth", "-1"}});
     Recipe recipe;
@@ -165,8 +165,8 @@ TEST(SharedMean, CornellBoxWithinOnePercent) {
     EXPECT_LT(2 * c.difference.se, 0.01 * c.paths.mean);
 }
 
-// A floor with a coat like a mirror beside a bright wall: what its diffuse part takes in is shared all the same, and
-// the coat loses nothing. Break seen to fail: vertices with a narrow coat in no cluster (errors alike).
+// A floor with a mirror-like coat beside a bright wall: its diffuse component is still shared, and the coat loses
+// nothing. Detected mutation: vertices with a narrow coat in no cluster (errors alike).
 TEST(SharedMean, NarrowCoatSharesDiffuseLight) {
     const auto scene = testing::load_inline({R"(type="perspective"><float name="fov" value="50"/>
 <transform name="to_world"><lookat origin="0, -2, 1.5" target="0, 0, 0" up="0, 0, 1"/></transform>)",
@@ -209,9 +209,10 @@ TEST(SharedMean, FrostedGlassKeepsItsLight) {
     }
 }
 
-// A path that must end at a mirror says nothing of what the mirror shows: for the floor before it, whose own paths may
-// go on, it is no technique. Breaks seen to fail: ends not told apart, or the density of all techniques (either -3.6 % and
-// -2.8 %); survival of roulette counted twice in the density (+15 % of the rough plastic with roulette).
+// A path that must end at a mirror gives no estimate of the mirror's light: for the floor before it, whose own paths
+// may continue, it is no technique. Detected mutations: ends not distinguished, or the density of all techniques
+// (either -3.6 % and -2.8 %); survival of roulette counted twice in the density (+15 % of the rough plastic with
+// roulette).
 TEST(SharedMean, MirrorWherePathsMustEnd) {
     for (const char* floor : {R"(<bsdf type="diffuse"><rgb name="reflectance" value="0.8"/></bsdf>)",
                               R"(<bsdf type="roughplastic"><float name="alpha" value="0.3"/></bsdf>)"}) {
@@ -234,8 +235,8 @@ TEST(SharedMean, MirrorWherePathsMustEnd) {
     }
 }
 
-/// A floor that a lamp reaches only by way of the ceiling, and boards close over it: who sees which point of the
-/// ceiling changes from pixel to pixel.
+/// A floor that an emitter reaches only by way of the ceiling, and boards close over it: the visible points of the
+/// ceiling change from pixel to pixel.
 std::unique_ptr<Scene> slats() {
     const std::string white =
         R"(<bsdf type="twosided"><bsdf type="diffuse"><rgb name="reflectance" value="0.8"/></bsdf></bsdf>)";
@@ -255,9 +256,9 @@ std::unique_ptr<Scene> slats() {
          32, 32, 3});
 }
 
-// Continuations reconnected with occlusion rays: the mean is that of the paths, whose own radiance is gathered here.
-// A bias of 1 % would be seen in nine of ten runs. Breaks seen to fail: members taken to see the vertex's own sample
-// (darker, as densities without visibility are), no ray to the members' samples, M p_i without its M.
+// Continuations reconnected with occlusion rays: the mean is that of the paths, whose own radiance is gathered here. A
+// bias of 1 % would be detected in nine of ten runs. Detected mutations: the vertex's own sample taken as visible to
+// members (darker, as densities without visibility are), no ray to the members' samples, M p_i without its M.
 TEST(SubsetGather, WithOcclusionRaysIsUnbiasedGivenTheRadiance) {
     const auto scene = slats();
     for (const std::uint32_t members : {3u, 15u}) {

@@ -1,5 +1,5 @@
-// The 14 public render references of Mitsuba 3. Breaks seen to fail: cosine of the emitter dropped from its
-// density (image mean off by 30 %), texture v not flipped (tiles), pdf of the environment without sin theta.
+// The 14 public render references of Mitsuba 3. Detected mutations: cosine of the emitter dropped from its density
+// (image mean off by 30 %), texture v not flipped (tiles), pdf of the environment without sin theta.
 #include <fmt/format.h>
 #include <gtest/gtest.h>
 
@@ -72,7 +72,7 @@ TEST_P(RenderOracle, PixelsImageMeanAndTilesAgree) {
     }
     const double share = double(passed) / double(3 * n);
     EXPECT_GE(share, 0.9975);
-    // Both means have errors; that of the reference is not told, so it counts as equal to ours.
+    // Both means have errors; the reference's is not published, so it is taken as equal to ours.
     double worst_tile = 0;
     for (std::size_t region = 0; region < 65; ++region)
         for (int c = 0; c < 3; ++c) {

@@ -1,5 +1,5 @@
-// Old picture + residual against the new scene rendered afresh: image means and 8 x 8 tiles by Welch's test, for edits
-// of every kind and both methods.
+// Old image + residual against the new scene rendered anew: image means and 8 x 8 tiles by Welch's test, for edits of
+// every kind and both methods.
 
 #include "stages/residual/residual.h"
 
@@ -77,7 +77,7 @@ const Base& base() {
 
 struct Residuals {
     std::vector<RegionMeans> regions;  // by replicate
-    // mean over channels, replicates and pixels below the lamp, whose edge is most of a picture's noise
+    // mean over channels, replicates and pixels below the emitter, whose edge dominates the noise of an image
     double var_mean = 0;
 };
 
@@ -98,14 +98,14 @@ Residuals residuals_of(const Scene& before, const Scene& after, Method method, s
     std::vector<Image> images(replicates);
     tbb::parallel_for(0, replicates, [&](int i) {
         PathOptions path = options_of(after);
-        path.seed = std::uint64_t(1000 + i);  // that of the old picture's replicate
+        path.seed = std::uint64_t(1000 + i);  // seed of the old image's replicate
         Counts counts;
         images[std::size_t(i)] = render_residual({before, after}, method, path, {0, spp, 1}, report, counts);
     });
     return summed_up(images);
 }
 
-/// The same from dynamic paths; the edit is found in the two files that the scenes come from.
+/// Residuals from dynamic paths; the edit is found between the two scene files.
 Residuals dynamic_residuals(const EditCase& after, const DynamicOptions& options, std::uint64_t spp) {
     const EditedScenes scenes = edited(after);
     std::vector<Image> images(replicates);
@@ -130,7 +130,7 @@ Estimate sum_of(const Replicates& before, const Residuals& residual, double sign
     return estimate_of(sums);
 }
 
-/// Regions whose means differ, in words.
+/// Describes the regions whose means differ.
 std::vector<std::string> differing(const Replicates& before, const Residuals& residual, double sign,
                                    const Replicates& fresh) {
     const double alpha = sidak_alpha(int(2 * edits().size() * 3 * 65));
@@ -149,10 +149,9 @@ std::vector<std::string> differing(const Replicates& before, const Residuals& re
 
 class OldPlusResidual : public testing::TestWithParam<EditCase> {};
 
-// Power: a bias of the image mean of 1.2 % at most is seen in nine of ten runs (correlated; independent 2 %), in full
-// runs of 0.4 % (0.6 %). Breaks that are made here on purpose and must be seen in each edit: the sign of the residual
-// swapped; the residual left out, which is what a new scene with the old one's lights gives where only lights were
-// edited.
+// Power: a bias of the image mean of 1.2 % at most is detected in nine of ten runs (correlated; independent 2 %), in
+// full runs of 0.4 % (0.6 %). Mutations tested here, which must be detected in each edit: the sign of the residual
+// swapped; the residual left out, which a new scene with the old one's lights gives where only lights were edited.
 TEST_P(OldPlusResidual, IsTheNewSceneRenderedAfresh) {
     const auto scene = scene_of(GetParam());
     const Replicates fresh = trace_replicates(*scene, options_of(*scene), full_run() ? 256 : 64, replicates, 5000);
@@ -163,7 +162,7 @@ TEST_P(OldPlusResidual, IsTheNewSceneRenderedAfresh) {
         EXPECT_TRUE(failures.empty()) << fmt::format("{}", fmt::join(failures, ""));
         EXPECT_FALSE(differing(base().picture, residual, -1, fresh).empty()) << "a swapped sign is not seen";
         EXPECT_FALSE(differing(base().picture, residual, 0, fresh).empty()) << "a missing residual is not seen";
-        // Power: the bias of the image mean that is seen in nine of ten runs.
+        // Power: the bias of the image mean that is detected in nine of ten runs.
         const Estimate sum = sum_of(base().picture, residual, 1, 1, 0), reference = fresh.estimate(1, 0);
         const double critical = student_critical(sidak_alpha(int(2 * edits().size() * 3 * 65)), 2 * replicates - 2);
         const double seen = (critical + 1.28) * std::hypot(sum.se, reference.se) / reference.mean;
@@ -179,8 +178,8 @@ INSTANTIATE_TEST_SUITE_P(Edits, OldPlusResidual, testing::ValuesIn(edits()),
 
 class UntouchedPaths : public testing::TestWithParam<EditCase> {};
 
-// A path that met nothing of what it was watched for is the same path in the other scene, to the last bit. Breaks seen
-// to fail: shadow rays not watched; the choice of an edited light not watched; repainted surfaces not watched.
+// A path that touched no watched target is the same path in the other scene, to the last bit. Detected mutations:
+// shadow rays not watched; the choice of an edited light not watched; repainted surfaces not watched.
 TEST_P(UntouchedPaths, AreTheSameInBothScenes) {
     const EditedScenes scenes = edited(GetParam());
     const DynamicScenes sides(*scenes.old_scene, *scenes.new_scene, scenes.edit);
@@ -218,7 +217,7 @@ TEST_P(UntouchedPaths, AreTheSameInBothScenes) {
 INSTANTIATE_TEST_SUITE_P(Edits, UntouchedPaths, testing::ValuesIn(edits()),
                          [](const auto& info) { return std::string(info.param.name); });
 
-/// Expects the means of two sets of residuals to be the same, and a swapped sign to be seen.
+/// Expects equal means of two sets of residuals, and a swapped sign to be detected.
 void expect_same_means(const Residuals& ours, const Residuals& theirs, int comparisons) {
     const double alpha = sidak_alpha(comparisons * int(edits().size()) * 3 * 65);
     bool swapped_sign_seen = false;
@@ -235,9 +234,9 @@ void expect_same_means(const Residuals& ours, const Residuals& theirs, int compa
 
 class DynamicPaths : public testing::TestWithParam<EditCase> {};
 
-// Dynamic paths against correlated paths, with mappings and without. Breaks seen to fail: the density of ghost two ends
+// Dynamic paths against correlated paths, with mappings and without. Detected mutations: the density of ghost two ends
 // doubled; that of ghost from emitter with the light's density at the vertex in place of the ghost; pairs weighted by
-// halves in place of their densities; specular vertices next to the sensor counted for techniques that join it.
+// halves in place of their densities; specular vertices next to the sensor counted for techniques that connect to it.
 TEST_P(DynamicPaths, HaveTheMeanOfCorrelatedPaths) {
     const std::uint64_t spp = full_run() ? 64 : 2;
     const auto scene = scene_of(GetParam());
@@ -254,11 +253,10 @@ TEST_P(DynamicPaths, HaveTheMeanOfCorrelatedPaths) {
     }
 }
 
-// The letter of [RP] is biased: weights of the path that was found for both of a pair, Eq. (16), and a limit on the
-// Jacobian that rejects a mapping and not its inverse, §5. A box lifted off the floor: paths by way of it have other
-// weights there. Beside it, with the same random numbers, what is not biased; their difference has little noise. Breaks
-// seen to fail: none of it as printed; the limit alone as printed (p = 0.4, seen only with the same numbers: -0.00028
-// +- 0.00004).
+// [RP] as printed is biased: weights of the sampled path for both of a pair, Eq. (16), and a limit on the Jacobian that
+// rejects a mapping but not its inverse, §5. A box lifted off the floor: paths by way of it have other weights there.
+// The unbiased version is rendered with the same random streams; the difference has little noise. Detected mutations:
+// nothing as printed; the limit alone as printed (p = 0.4, detected only with the same streams: -0.00028 +- 0.00004).
 TEST(DynamicPathsOnce, AsPrintedAreBiased) {
     const EditCase lifted{"lifted", {{short_place, "<translate x=\"0.36\" y=\"0\" z=\"0.3\"/>"}}};
     const std::uint64_t spp = full_run() ? 64 : 2;
@@ -281,10 +279,9 @@ TEST(DynamicPathsOnce, AsPrintedAreBiased) {
         mean.mean, mean.se, expected.mean, expected.se, p, bias.mean, bias.se);
 }
 
-// With what a pilot finds: samples by family and by pixel, and camera paths alone where the edit is seen directly.
-// Families are taken whether they pay or not; in full runs also as the pilot judges, when most edits are left to camera
-// paths.
-// Breaks seen to fail: all pixels weighted by the mean number of camera paths.
+// Effort by a pilot: samples by family and by pixel, and camera paths alone where the edit is directly visible.
+// Families are used even where they do not pay; in full runs also as the pilot decides, when most edits are left to
+// camera paths. Detected mutation: all pixels weighted by the mean number of camera paths.
 TEST_P(DynamicPaths, HaveTheMeanOfCorrelatedPathsWithEffortByAPilot) {
     const std::uint64_t spp = full_run() ? 64 : least_spp;
     const auto scene = scene_of(GetParam());
@@ -302,8 +299,8 @@ TEST_P(DynamicPaths, HaveTheMeanOfCorrelatedPathsWithEffortByAPilot) {
 INSTANTIATE_TEST_SUITE_P(Edits, DynamicPaths, testing::ValuesIn(edits()),
                          [](const auto& info) { return std::string(info.param.name); });
 
-// The weighted parts of the families are the whole: every sample is in one of them, with its weight. Break seen to
-// fail: camera paths left in the parts of other families.
+// The weighted components of the families sum to the whole: every sample is in one of them, with its weight. Detected
+// mutation: camera paths left in the components of other families.
 TEST(DynamicPathsOnce, AreTheSumOfTheirFamilies) {
     const EditedScenes scenes = edited(edits()[2]);
     const std::vector<Family> families = families_of(DynamicScenes(*scenes.old_scene, *scenes.new_scene, scenes.edit));
@@ -347,7 +344,7 @@ TEST(DynamicPathsOnce, ThreadsDoNotMatterAndNothingChangedIsZero) {
     }
 }
 
-// Bit for bit, for any number of threads. Break seen to fail: different seeds.
+// Bit for bit, for any number of threads. Detected mutation: different seeds.
 TEST(Residual, OfTheSameSceneTwiceIsZero) {
     app::Report report;
     report.set_quiet(true);
@@ -406,8 +403,8 @@ TEST(Residual, CorrelatedPathsHaveLessVariance) {
         for (const EditCase& edit : edits()) ratio(edit.name, *base().scene, *scene_of(edit));
 }
 
-// The variances of the old picture and the residual add up, though both have one --seed: the replicates above are of
-// the same seeds. Break seen to fail: the seed used as it is (the sum then has the noise of a fresh picture).
+// The variances of the old image and the residual add up, though both have one --seed: the replicates above have the
+// same seeds. Detected mutation: the seed used unchanged (the sum then has the noise of a new image).
 TEST(Residual, VariancesAddUp) {
     const auto scene = scene_of(edits()[7]);
     PathOptions path = options_of(*scene);

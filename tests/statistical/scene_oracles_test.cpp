@@ -17,7 +17,7 @@ struct SharedScene {
     // Relative bound on the image means, where the published 0.x file is not the scene of the reference: then
     // nothing else is judged. 0: means and tiles by their standard errors.
     double means_within = 0;
-    bool swapped_checkerboard = false;  // the two published files have its colours the other way round
+    bool swapped_checkerboard = false;  // the two published files have its colours swapped
 };
 
 /// Means and standard errors of the regions of a reference, from its image and its variance of the mean.

@@ -21,8 +21,8 @@ struct Alarms {
     double image = 0, tiles = 0;  // share of the trials with p < 0.05
 };
 
-/// Pictures of mean 1 + bias and standard deviation 0.5 against a noisy reference with deviation 0.25.
-/// tile_bias: added in one of the 64 tiles only.
+/// Images of mean 1 + bias and standard deviation 0.5 against a noisy reference with deviation 0.25. tile_bias: added
+/// in one of the 64 tiles only.
 Alarms alarms(std::size_t replicates, bool with_variance, double bias, double tile_bias, unsigned seed) {
     std::mt19937 random(seed);
     std::normal_distribution<float> normal;
@@ -68,8 +68,8 @@ TEST(Significance, WelchNeverExceedsItsLevel) {
     EXPECT_GT(alarms(8, false, 0, 0, 20).image, 0.01);
 }
 
-// The mean of the picture has a standard error of 0.020 for Z, 0.011 for eight replicates with the reference's
-// own 0.009: a bias of 0.08 is 4.0 and 7.2 of them.
+// The mean of the image has a standard error of 0.020 for Z, 0.011 for eight replicates with the reference's own 0.009:
+// a bias of 0.08 is 4.0 and 7.2 of them.
 TEST(Significance, SeesABiasOfTheImage) {
     EXPECT_GT(alarms(1, true, 0.08, 0, 3).image, 0.95);
     EXPECT_GT(alarms(8, false, 0.08, 0, 4).image, 0.99);
@@ -78,7 +78,7 @@ TEST(Significance, SeesABiasOfTheImage) {
 // A tile of 12 pixels: its mean has 0.161 for Z; a bias of 0.8 in one of 64 tiles is 5.0 of them per channel.
 TEST(Significance, SeesABiasedTile) {
     EXPECT_GT(alarms(1, true, 0, 0.8, 5).tiles, 0.95);
-    // In the mean of the picture it is lost among the 64.
+    // In the mean of the image one tile of 64 is not significant.
     EXPECT_LT(alarms(1, true, 0, 0.8, 5).image, 0.3);
 }
 

@@ -163,7 +163,7 @@ void expect_right(const std::string& name, const Scene& scene) {
 // Criterion: the mean error of no tile of 8 x 8 pixels is above 2 % and above three standard errors of one image of 16
 // samples.
 
-// Break seen to fail: neither media nor hidden members kept apart (-6.3 % at alpha 0.05); either of the two is enough
+// Detected mutation: neither media nor hidden members separated (-6.3 % at alpha 0.05); either of the two is enough
 // here.
 TEST(StabilitySides, ThinPane) {
     for (const double alpha : full_run() ? std::vector{0.05, 0.1, 0.3, 0.5} : std::vector{0.05, 0.3})
@@ -199,8 +199,8 @@ Front front_of(double half, bool visibility) {
                     "G", window)};
 }
 
-// The glow of the outside is in a few pixels, so it is they that are looked at. Break seen to fail: hidden members not
-// kept apart (0.034 +- 0.004 instead of 0.0226; four standard errors would have let that pass).
+// The glow of the outside is in a few pixels, so only these are tested. Detected mutation: hidden members not separated
+// (0.034 +- 0.004 instead of 0.0226; four standard errors would accept it).
 TEST(StabilitySides, ThinHousing) {
     for (const double half : full_run() ? std::vector{0.03, 0.06, 0.12} : std::vector{0.06}) {
         const Front with = front_of(half, true);
@@ -214,8 +214,8 @@ TEST(StabilitySides, ThinHousing) {
     EXPECT_GT(without.mean, 1.25 * without.reference);
 }
 
-// The light through the net is noisy: what members are kept apart is looked at, too. Break seen to fail: hidden members
-// not kept apart (none, where a tenth must be).
+// The light through the net is noisy, so the number of separated members is tested too. Detected mutation: hidden
+// members not separated (none, where a tenth must be).
 TEST(StabilitySides, Curtain) {
     const auto scene = curtain();
     expect_right("curtain", *scene);
@@ -223,8 +223,8 @@ TEST(StabilitySides, Curtain) {
     EXPECT_GT(testing::clusters_of(graph, 32, 0, 0.03f, scene.get()).separation.occluded[0], graph.n_vertices() / 10);
 }
 
-// Light comes back many times to where it is trapped, a path to a cluster that has it already. Break seen to fail:
-// members of one path not kept apart (-2.6 +- 0.1 %; kept apart, -0.5 +- 0.1 % are left).
+// Trapped light returns many times, a path to a cluster that it has visited. Detected mutation: members of one path not
+// separated (-2.6 +- 0.1 %; separated, -0.5 +- 0.1 % remain).
 TEST(StabilitySides, GlassHouse) {
     const auto scene = glass_house();
     Recipe recipe;

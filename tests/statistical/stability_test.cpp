@@ -14,7 +14,7 @@ namespace {
 
 const std::string grey = R"(<bsdf type="diffuse"><rgb name="reflectance" value="0.7"/></bsdf>)";
 
-/// A lamp that shines down, of half side `half`.
+/// An emitter that faces down, of half side `half`.
 std::string lamp(double x, double y, double z, double half, double Le) {
     return fmt::format(
         R"(<shape type="rectangle"><transform name="to_world"><scale x="{3}" y="{3}"/><rotate x="1" angle="180"/>
@@ -38,8 +38,8 @@ double squared_bias(const std::vector<double>& a, const std::vector<double>& b, 
     return sum / double(a.size());
 }
 
-// Two chambers, a lamp in one, a wall of 1 mm between them; the camera's near plane cuts the ceiling away. Floor and
-// ceiling on both sides of the wall share light where a cluster reaches through: in a strip as wide as a cluster, so
+// Two chambers, an emitter in one, a wall of 1 mm between them; the camera's near plane removes the ceiling. Floor and
+// ceiling on both sides of the wall share light where a cluster extends through it: in a strip as wide as a cluster, so
 // the leak falls with the resolution (48 x 48: 2.7 %).
 TEST(StabilityLeak, WallOfAMillimetre) {
     const auto scene = testing::load_inline(
@@ -91,8 +91,8 @@ TEST(StabilityLeak, ContactShadowSharpensWithSmallerClusters) {
     }
 }
 
-/// A closed box that reflects 0.98, with balls of GGX whose weights f cos / p reach far above 1: normals are sampled
-/// without regard to what is seen.
+/// A closed box that reflects 0.98, with balls of GGX whose weights f cos / p are far above 1, because normals are
+/// sampled without visibility.
 std::unique_ptr<Scene> bright_box() {
     std::string balls;
     for (const char* centre : {"0.4, -0.3, -0.6", "-0.3, 0.5, -0.5", "0.5, 0.6, 0.2"})
@@ -134,8 +134,8 @@ TEST(StabilityDivergence, BrightBoxConvergesUnderBothClamps) {
         }
 }
 
-// Where vertices of one path share, light that rough glass traps grows without a clamp (see SystemSpectrum): the
-// iteration says so by ending early, with finite values. With clusters that keep a path's vertices apart it does not
+// Where vertices of one path share, light that rough glass traps grows without a clamp (see SystemSpectrum). The
+// iteration reports it by ending early, with finite values. With clusters that separate a path's vertices it does not
 // grow.
 TEST(StabilityDivergence, UnclampedGlassIsFoundOut) {
     const auto scene = testing::own_scene("glossy-box.xml", 48, 36, {{"max_depth", "-1"}});
@@ -143,7 +143,7 @@ TEST(StabilityDivergence, UnclampedGlassIsFoundOut) {
     path.max_depth = -1;
     const PathGraph graph = testing::trace_graph(*scene, path, 1);
     PathGraph scattered =
-        testing::trace_graph(*scene, path, 1);  // the same, each vertex a path of its own: nothing is kept apart
+        testing::trace_graph(*scene, path, 1);  // the same, each vertex a path of its own: nothing is separated
     std::vector<std::uint64_t> first(graph.n_vertices() + 1);
     std::iota(first.begin(), first.end(), std::uint64_t{0});
     scattered.paths.first_vertex = std::move(first);
@@ -162,7 +162,7 @@ TEST(StabilityDivergence, UnclampedGlassIsFoundOut) {
     EXPECT_EQ(testing::radiance_of(graph, mixed, options).residual.size(), 400u);
 }
 
-/// A ring of metal on a floor, lit from the side: the caustic is brought by the ring alone.
+/// A ring of metal on a floor, lit from the side: the caustic is from the ring alone.
 std::unique_ptr<Scene> ring_caustic(double alpha) {
     const std::string metal =
         alpha > 0
@@ -184,9 +184,9 @@ std::unique_ptr<Scene> ring_caustic(double alpha) {
          32, 24, 6});
 }
 
-// The criterion: never above path tracing by more than 5 %, whatever the roughness. Clusters blur the caustic most at
-// alpha 0.3, where the blend is at 1.036 over sixteen runs of 16 passes (clusters: 3.5); below 1.2 in the short run,
-// whose reference is noisy. Break seen to fail: bias believed only from two standard errors on (1.25).
+// The criterion: never above path tracing by more than 5 %, at any roughness. Clusters blur the caustic most at alpha
+// 0.3, where the blend is at 1.036 over sixteen runs of 16 passes (clusters: 3.5); below 1.2 in the short run, whose
+// reference is noisy. Detected mutation: bias accepted only above two standard errors (1.25).
 TEST(StabilitySpecular, RingCausticIsNoWorseThanPathTracing) {
     const std::vector<double> alphas =
         full_run() ? std::vector{0.3, 0.2, 0.1, 0.05, 0.03, 0.02, 0.01, 0.0} : std::vector{0.3, 0.0};
@@ -205,7 +205,7 @@ TEST(StabilitySpecular, RingCausticIsNoWorseThanPathTracing) {
     }
 }
 
-/// A corner with a lamp close to it: shadow edges and bright spots narrower than a cluster.
+/// A corner with an emitter close to it: shadow edges and bright spots narrower than a cluster.
 std::unique_ptr<Scene> bright_corner() {
     return testing::load_inline(
         {camera("1.2, 1.2, 0.9", "0.2, 0.2, 0.3", 55),
@@ -223,10 +223,10 @@ double slope_of(const std::vector<double>& x, const std::vector<double>& y) {
     return xy / xx;
 }
 
-// Averaging graphs of one sample keeps their blur; graphs that hold more samples have smaller clusters. With K growing
-// slower than the samples the radius goes to 0, and so does the bias: the root mean square error falls nearly as that
-// of path tracing does (slope -0.41 from 128 to 8,192 samples; -0.5 would be that of noise) and stays far below it.
-// Break seen to fail: one sample per pass, as many passes (0.12: larger clusters only blur more).
+// Averaging graphs of one sample keeps their blur; graphs with more samples have smaller clusters. With K growing
+// slower than the samples the radius goes to 0, and so does the bias. The root mean square error falls nearly as that
+// of path tracing (slope -0.41 from 128 to 8,192 samples; noise alone has -0.5) and stays far below it. Detected
+// mutation: one sample per pass, as many passes (0.12: larger clusters only blur more).
 TEST(StabilityPlateau, PooledPathsAreConsistent) {
     const auto scene = bright_corner();
     const auto reference = reference_of(*scene, full_run() ? 262144 : 16384);

@@ -1,9 +1,9 @@
-// Each technique of dynamic paths by itself, on the paths that it can find.                     [RP] §4.1, §4.2
+// Each technique of dynamic paths alone, on the paths that it can sample.                       [RP] §4.1, §4.2
 //
-// The raw picture of a family, each path over the density of its own technique alone, has the mean
-//   sum over scenes +-  integral of f(p) n(p) dp,   n: from how many places of p the technique starts.
-// The reference is path tracing: camera paths by next-event estimation and by hits, times n. Nothing of it has been
-// found by the technique; n is counted from vertices and crossings by the text of [RP].
+// The raw image of a family has each path over the density of its own technique alone. Its mean is
+//   sum over scenes +-  integral of f(p) n(p) dp,   n: number of vertices or crossings where the technique starts.
+// The reference is path tracing: camera paths by next-event estimation and by hits, times n. No part of it is sampled
+// by the technique; n is counted from vertices and crossings by the text of [RP].
 
 #include <gtest/gtest.h>
 #include <tbb/parallel_for.h>
@@ -78,7 +78,7 @@ int n_places(Technique technique, Site site, const DynamicScene& side, const Ful
     return 0;
 }
 
-/// The difference of all paths times their number of places, by camera paths: one picture per family.
+/// Renders the difference of all paths times their number of sites, by camera paths: one image per family.
 std::vector<RegionMeans> by_camera(const EditedScenes& scenes, const DynamicScenes& sides,
                                    const std::vector<Family>& families, std::uint64_t seed, std::uint64_t spp) {
     PathOptions options = options_of(*scenes.new_scene);
@@ -117,11 +117,11 @@ std::vector<RegionMeans> by_camera(const EditedScenes& scenes, const DynamicScen
 
 class EachTechnique : public testing::TestWithParam<EditCase> {};
 
-// Power: at most a factor of 1.76 between the two, for most families 1.1 to 1.3, is seen in nine of ten runs (full:
-// with 8 times the samples); that half of each is seen is tested. Breaks seen to fail, each in all edits that have the
-// family: density of dynamic from emitter doubled; the cosine of the sensor's segment dropped in dynamic from sensor,
-// that of the direction in dynamic two ends, the ghost's in ghost from emitter and ghost from sensor, the vertex's in
-// ghost two ends.
+// Power: a factor of at most 1.76 between the two, for most families 1.1 to 1.3, is detected in nine of ten runs (full:
+// with 8 times the samples); the test checks that half of each is detected. Detected mutations, each in all edits that
+// have the family: density of dynamic from emitter doubled; the cosine of the sensor's segment dropped in dynamic from
+// sensor, that of the direction in dynamic two ends, the ghost's in ghost from emitter and ghost from sensor, the
+// vertex's in ghost two ends.
 TEST_P(EachTechnique, HasTheMeanOfThePathsThatItCanFind) {
     const EditedScenes scenes = edited(GetParam());
     const DynamicScenes sides(*scenes.old_scene, *scenes.new_scene, scenes.edit);

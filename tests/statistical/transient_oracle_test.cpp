@@ -1,5 +1,5 @@
-// The Cornell box in time against mitransient: pooled bins, bins of the whole image, sums of pixels, tiles and total;
-// and that light in the wrong bins is seen to be there.
+// The transient Cornell box against mitransient: pooled bins, bins of the whole image, sums of pixels, tiles and total;
+// and the test detects light in wrong bins.
 #include <gtest/gtest.h>
 
 #include <cstdio>
@@ -63,16 +63,16 @@ void print(const char* name, const compare::PoolTests& tests) {
                 tests.name.c_str(), tests.n, tests.mean_z, tests.rms_z, tests.worst_z, tests.worst_bin, tests.p);
 }
 
-// 4096 independent samples (in the full run 32768) against 262144 of mitransient. Seen to fail: without the camera's
-// segment, a bin late, or a hundredth of the light too much, each below. 1 % moves the mean z of bins
-// of the image by 0.84, whose standard error is 0.06 at most: its bound of 0.15 lets 0.2 % pass, and not much more.
+// 4096 independent samples (in the full run 32768) against 262144 of mitransient. Detected mutations, each below: the
+// camera's segment left out, a bin late, or a hundredth of the light too much. 1 % moves the mean z of bins of the
+// image by 0.84, whose standard error is 0.06 at most: its bound of 0.15 accepts 0.2 %, and not much more.
 TEST(TransientOracle, CornellBoxInTime) {
     const auto shared = shared_dir();
     if (shared.empty()) GTEST_SKIP() << "the folder of references (../shared/oracles) is not there";
     const TransientCube reference = read_any_cube(shared / "oracles/transient/cornell_box_ref.h5");
     const auto scene = load_scene(shared / "oracles/transient/cornell_box.xml");
 
-    // mitransient counts from the near plane, 0.001 / cos from the camera; 0.00102 in the mean over the picture.
+    // mitransient counts from the near plane, 0.001 / cos from the camera; 0.00102 in the mean over the image.
     TimeResponse right;
     right.n_bins = reference.time.n_bins;
     right.start = reference.time.start_opl + 0.00102;

@@ -28,7 +28,7 @@ struct Options {
     Rule rule = Rule::albedo;
 };
 
-/// A command with every kind of option, run on the given words; what it printed is kept.
+/// A command with every kind of option, run on the given words; its output is kept.
 struct Tried {
     Options options;
     int code = -1;
@@ -153,8 +153,7 @@ TEST_F(App, files_take_many) {
     EXPECT_EQ(output, folder / "x.exr");
 }
 
-// The text goes into the output: what only says where or how fast must not, or equal inputs would give
-// different bytes.
+// The text goes into the output: options of location or speed must not, or equal inputs would give different bytes.
 TEST_F(App, command_text_has_defaults_but_no_place) {
     EXPECT_EQ(Tried({scene, "--threads", "2", "-o", folder / "x.h5", "--quiet"}).command,
               "loom-try 'a scene.xml' --seed 0 --spp 4 --exposure 0 --roulette albedo");
@@ -202,7 +201,7 @@ TEST_F(App, progress_prints_each_tenth_once_from_any_thread) {
         EXPECT_EQ(progress.done(), 100003u);
     }
     const std::vector<std::string> lines = lines_of(testing::internal::GetCapturedStderr());
-    // A slow thread may find its tenth already said by a faster one; none is said twice or out of order.
+    // A slow thread may find its tenth already printed by a faster one; none is printed twice or out of order.
     ASSERT_GE(lines.size(), 2u);
     ASSERT_LE(lines.size(), 10u);
     int last = 0;
@@ -246,7 +245,7 @@ TEST_F(App, usage_counts) {
     EXPECT_GE(report.cost().wall_s, used.wall_s);
 }
 
-// Break seen to fail: every occurrence replaced.
+// Detected mutation: every occurrence replaced.
 TEST_F(App, commands_of_parts) {
     const std::string command = "loom-cluster a.h5 b.h5 --k 8 --seed 3";
     EXPECT_EQ(command_of_part(command, {{" a.h5 b.h5", " b.h5"}, {" --seed 3", " --seed 4"}, {" --with c.h5", ""}}),

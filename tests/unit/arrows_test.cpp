@@ -1,8 +1,8 @@
-// The architecture as a test: every #include of the project goes along an arrow of arrows(), and the rooms with their
-// arrows, floor by floor, are what docs/rooms.md shows.
+// The architecture as a test: every #include of the project follows an arrow of arrows(), and docs/rooms.md lists the
+// rooms with their arrows, floor by floor.
 //
-// Caught: a stage that includes another (they meet in files only), a room that includes one above it, a format that
-// knows a BSDF, HDF5 or OpenEXR outside of formats, Embree outside of its one file.
+// Detected: a stage that includes another (stages share files only), a room that includes one above it, a format that
+// includes a BSDF, HDF5 or OpenEXR outside of formats, Embree outside of its one file.
 
 #include <gtest/gtest.h>
 
@@ -95,7 +95,7 @@ const Arrows& arrows() {
         for (auto& [room, below] : a)
             if (room.find('/') != std::string::npos && !room.starts_with("formats")) below.insert("formats");
         a["formats"] = {"formats/io"};
-        // What a room may include, it may through another.
+        // A room may also include another through a third.
         for (std::size_t pass = 0; pass < a.size(); ++pass)
             for (auto& [room, below] : a)
                 for (const std::string& other : std::set<std::string>(below))

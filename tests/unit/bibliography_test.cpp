@@ -1,4 +1,4 @@
-// A docstring that names its source by a key nobody can look up is no use.
+// A docstring's source key must be in the bibliography.
 
 #include <gtest/gtest.h>
 

@@ -9,8 +9,8 @@
 namespace loom {
 namespace {
 
-// Also of disks that are sheared, whose points are farther from the centre than either axis is long. Break seen to
-// fail: a ball of the longer axis.
+// Includes sheared disks, whose points are farther from the centre than either axis is long. Detected mutation: a ball
+// of the longer axis.
 TEST(Box, OfADiskHasAllItsPointsAndNoMore) {
     Shape disk;
     disk.kind = ShapeKind::disk;
@@ -29,8 +29,8 @@ TEST(Box, OfADiskHasAllItsPointsAndNoMore) {
     }
 }
 
-// The columns say what one box after the other does, for segments of all directions, along axes too. Breaks seen to
-// fail: only the last box counts; the end of a segment left out.
+// The columns give the result of one box after the other, for segments of all directions, along axes too. Detected
+// mutations: only the last box counts; the end of a segment left out.
 TEST(Box, ColumnsOfSegmentsAreAsOneByOne) {
     constexpr std::size_t n = 1000;
     std::uint64_t next = 0;

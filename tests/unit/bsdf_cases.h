@@ -1,5 +1,5 @@
 #pragma once
-// The BSDFs that the tests of scattering go through: each kind at several roughnesses, from both sides.
+// BSDFs for the tests of scattering: each kind at several roughnesses, from both sides.
 
 #include <string>
 #include <vector>
@@ -9,7 +9,7 @@
 
 namespace loom::test {
 
-/// No fewer than the statistical comparisons of the unit binary; each is judged at sidak_alpha(this).
+/// Upper bound on the number of statistical comparisons of the unit binary; each is judged at sidak_alpha(this).
 inline constexpr int n_comparisons = 1000;
 
 struct BsdfCase {
@@ -80,13 +80,13 @@ inline std::vector<BsdfCase> bsdf_cases() {
     return cases;
 }
 
-/// A direction at `cos` above (or below) the surface, at an azimuth that is on no axis.
+/// Returns a direction at `cos` above (or below) the surface, at an azimuth off all axes.
 inline Vector3f direction(float cos, float azimuth_rad = 0.7f) {
     const float sin = std::sqrt(1 - cos * cos);
     return {sin * std::cos(azimuth_rad), sin * std::sin(azimuth_rad), cos};
 }
 
-/// Uniform numbers for one sample of a BSDF, a function of (seed, i) alone.
+/// Uniform samples for one BSDF sample, a function of (seed, i) alone.
 struct Draw {
     float u_lobe;
     Point2f u, v;

@@ -1,7 +1,7 @@
-// Every sample() against its density. Break it once (each was watched to fail): leave the cosine out of
-// sample_cosine_hemisphere's density; replace 1/(4 wo.z) by 1/(4 wi.z) in the rough conductor's pdf; drop
-// eta² from the refraction Jacobian; swap p_specular and 1 - p_specular in a mixture; use the rational fit
-// for the Beckmann G1 of the density (caught by the sum).
+// Every sample() against its density. Detected mutations: leave the cosine out of sample_cosine_hemisphere's density;
+// replace 1/(4 wo.z) by 1/(4 wi.z) in the rough conductor's pdf; drop eta² from the refraction Jacobian; swap
+// p_specular and 1 - p_specular in a mixture; use the rational fit for the Beckmann G1 of the density (caught by the
+// sum).
 
 #include <gtest/gtest.h>
 
@@ -93,7 +93,7 @@ TEST_P(BsdfDensity, SamplesFollowItAndItSumsToOne) {
         double delta_mass = 0;
         for (const Lobe lobe : {Lobe::delta_reflection, Lobe::delta_transmission, Lobe::null})
             delta_mass += delta_pmf(bsdf, wo, lobe);
-        // The last cell holds what has no density: delta lobes and failed samples.
+        // The last cell counts samples without density: delta lobes and failed samples.
         expected.back() = n * std::max(0.0, 1 - smooth_mass);
 
         for (int i = 0; i < n; ++i) {

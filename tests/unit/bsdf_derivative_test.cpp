@@ -1,5 +1,5 @@
-// Derivatives by Dual against central differences of the same formula in double. Break that was watched to
-// fail: the sign of the derivative of atan2; sqrt(0) with an infinite derivative (NaN at mirror symmetry).
+// Derivatives by Dual against central differences of the same formula in double. Detected mutation: the sign of the
+// derivative of atan2; sqrt(0) with an infinite derivative (NaN at mirror symmetry).
 
 #include <gtest/gtest.h>
 

@@ -1,7 +1,7 @@
-// Values of each kind, so that its conventions hold without another renderer at hand. Those of the kinds
-// that Mitsuba 3 has were taken from its release 3.8.0 (scalar_rgb, bsdf.eval(), and weight times pdf of
-// bsdf.sample() for delta lobes; its wi is our wo). Breaks that were watched to fail: η² left out of the
-// refraction, (1 - F) of wi left out of the plastic, alpha_u and alpha_v swapped, G1 of one side only.
+// Values of each kind, so that its conventions hold without another renderer at hand. Those of the kinds that Mitsuba 3
+// has were taken from its release 3.8.0 (scalar_rgb, bsdf.eval(), and weight times pdf of bsdf.sample() for delta
+// lobes; its wi is our wo). Detected mutations: η² left out of the refraction, (1 - F) of wi left out of the plastic,
+// alpha_u and alpha_v swapped, G1 of one side only.
 
 #include <gtest/gtest.h>
 
@@ -267,7 +267,7 @@ TEST(BsdfGolden, RoughDiffuseAtNormalIncidence) {
     const double s2 = 0.5 * 0.4 * 0.4;
     const double c1 = 1 - 0.5 * s2 / (s2 + 0.33), c4 = 0.17 * s2 / (s2 + 0.13);
     EXPECT_NEAR(f_cos_pdf(Bsdf<float>(model), z, wi).f_cos.r, (0.5 * c1 + 0.25 * c4) / pi_double * 0.7, 1e-6);
-    // Seen against the light at a grazing angle it is brighter than Lambert's, with the light darker.
+    // Against the light at a grazing angle it is brighter than Lambert's, with the light it is darker.
     const double back = f_cos_pdf(Bsdf<float>(model), direction(0.3f), direction(0.3f)).f_cos.r;
     const double forward = f_cos_pdf(Bsdf<float>(model), direction(0.3f), direction(0.3f, 0.7f + 3.14159f)).f_cos.r;
     EXPECT_GT(back, 0.5 / pi_double * 0.3);

@@ -1,6 +1,6 @@
-// What every BSDF must keep, whatever its formula. Breaks that were watched to fail: f without 1/η² in
-// refraction (reciprocity); two-sided without mirroring wi (energy); the lobe's weight not divided by the
-// probability of the mask (weight); p_specular fixed at 0.1 (weights).
+// Invariants of every BSDF, for any formula. Detected mutations: f without 1/η² in refraction (reciprocity); two-sided
+// without mirroring wi (energy); the lobe's weight not divided by the probability of the mask (weight); p_specular
+// fixed at 0.1 (weights).
 
 #include <gtest/gtest.h>
 
@@ -106,16 +106,16 @@ TEST_P(BsdfInvariants, WeightIsValueOverDensity) {
             EXPECT_NEAR(v.f_cos.g / v.pdf_w, s.weight.g, 1e-5f * s.weight.g);
         }
     }
-    // Lobes are chosen by energy, so that later iterations over these weights converge. Exempt: a sampling
-    // that was asked to ignore visibility, and Oren and Nayar's fit, which diverges at grazing angles.
+    // Lobes are chosen by energy, so that later iterations over these weights converge. Exempt: sampling with
+    // visibility turned off, and Oren and Nayar's fit, which diverges at grazing angles.
     if (model.sample_visible && model.kind != BsdfKind::rough_diffuse) {
         EXPECT_LE(largest, 1.12f);
     }
 }
 
-// Over a bright base, at grazing wo, weights of rough plastics exceed 1: what one microfacet reflects, F(wo.h), is up
-// to twice the mean that the choice of lobes knows. No choice of lobes that does not know h can mend it: neither the
-// exact G1 in the value (1.54 for 1.53) nor the lobes' energies by quadrature (1.66) does. Clamped by path graphs.
+// Over a bright base, at grazing wo, weights of rough plastics exceed 1: one microfacet reflects F(wo.h), up to twice
+// the mean used for the choice of lobes. No choice of lobes that is independent of h can avoid it: neither the exact G1
+// in the value (1.54 for 1.53) nor the lobes' energies by quadrature (1.66) does. Clamped by path graphs.
 TEST(Bsdf, RoughPlasticOverABrightBaseWeighsAtMostItsFresnelSpread) {
     for (const Microfacet distribution : {Microfacet::ggx, Microfacet::beckmann})
         for (const float alpha : {0.05f, 0.1f, 0.4f}) {

@@ -34,7 +34,7 @@ TEST(ChainOfEdits, TheSameRandomNumbersTwiceAreRefused) {
     const Ledger ledger = {link("", 64, 3, 1, 64), link("correlated", 8, 4, 0.1, 64),
                            link(differences_method, 8, 5, 0.1, 0)};
     EXPECT_NO_THROW(check_numbers({}, "correlated", 3));
-    EXPECT_NO_THROW(check_numbers(ledger, "correlated", 3));  // those of loom-trace are others
+    EXPECT_NO_THROW(check_numbers(ledger, "correlated", 3));  // loom-trace has other random streams
     EXPECT_NO_THROW(check_numbers(ledger, "correlated", 5));
     EXPECT_NO_THROW(check_numbers(ledger, differences_method, 4));
     EXPECT_THROW(check_numbers(ledger, "correlated", 4), InputError);
@@ -75,12 +75,12 @@ TEST(ChainOfEdits, ANewBaseIsDueWhenHalfOfTheFirstDoesAsWell) {
     }
     ledger.push_back(link("correlated", 8, 0, 0.02 / 64, 1));
     EXPECT_TRUE(standing_of(ledger).rebase());
-    // The lamp goes out, the noise of its light stays.
+    // The emitter is turned off; the noise of its light stays.
     EXPECT_TRUE(standing_of({ledger[0], link("correlated", 8, 0, 1e-6, 0.1)}).rebase());
-    // A fresh picture of the edit's 64 paths would be better than the sum, which is still worth 50 of the base's 64.
+    // A new image of the edit's 64 paths would be better than the sum, which still equals 50 of the base's 64 samples.
     EXPECT_TRUE(standing_of({ledger[0], link("correlated", 32, 0, 0.28 / 64, 1)}).rebase());
     EXPECT_FALSE(standing_of({ledger[0], link("correlated", 8, 0, 0.28 / 64, 1)}).rebase());
-    // No variance at all, and none known.
+    // Zero variance, and unknown variance.
     EXPECT_FALSE(standing_of({link("", 64, 0, 0, 0), link("dynamic", 8, 0, 0, 0)}).rebase());
     EXPECT_FALSE(standing_of({link("", 64, 0, 0, 1), link("dynamic", 8, 0, 0, 0)}).rebase());
 }

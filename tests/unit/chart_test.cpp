@@ -1,4 +1,4 @@
-// Curves whose slope, front and crossings are known.
+// Curves with known slope, front and crossings.
 
 #include "stages/chart/chart.h"
 
@@ -174,8 +174,7 @@ TEST(Chart, LinearAxisAndCommand) {
     EXPECT_EQ(commands.find("Pareto"), std::string::npos);
 }
 
-// Columns of which neither is bought with the other: logarithmic axes and slopes, no front, and a key that lies on no
-// curve.
+// Columns that are no trade-off: logarithmic axes and slopes, no front, and a key that covers no curve.
 TEST(Chart, NoFrontWhereNothingIsTraded) {
     Options options;
     const auto curves = curves_of(two_methods(0), "cpu_s", "relmse", "method");

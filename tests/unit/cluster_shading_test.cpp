@@ -27,8 +27,8 @@ class Numbers {
     std::uint32_t pair_ = 0;
 };
 
-/// Three vertices of each BSDF of bsdf_cases(): one as the model says, one with every parameter textured, one with
-/// a bump; seen from both sides, with and without roulette and with each technique attempted or not.
+/// Three vertices of each BSDF of bsdf_cases(): one with the model's parameters, one with every parameter textured, one
+/// with a bump; from both sides, with and without roulette and with each technique attempted or not.
 PathGraph make_graph_of_all_bsdfs() {
     PathGraph g;
     auto& m = g.materials;
@@ -122,7 +122,7 @@ const PathGraph& graph_of_all_bsdfs() {
     return graph;
 }
 
-/// What the loops are asked for.
+/// Queries of the loops.
 enum class Ask { direction, point, delta_point };
 struct Question {
     Ask ask;
@@ -217,8 +217,8 @@ void expect_near(float value, float expected, const char* what, float tolerance 
     EXPECT_NEAR(value, expected, tolerance * std::abs(expected)) << what;
 }
 
-// Breaks seen to fail: survival left out of the density; the geometry factor of a light's back not clamped; the
-// mirror of two-sided surfaces left out; the mean of both alphas used for the one across.
+// Detected mutations: survival left out of the density; the geometry factor of a light's back not clamped; the
+// mirroring of two-sided surfaces left out; the mean of both alphas used for the one across.
 TEST(ClusterColumns, EveryLevelEqualsTheSingleVertex) {
     const PathGraph& graph = graph_of_all_bsdfs();
     const GraphReader reader(graph);
@@ -268,8 +268,8 @@ TEST(ClusterColumns, EveryLevelEqualsTheSingleVertex) {
     EXPECT_GT(lit, asked / 10);
 }
 
-// What the stages call: lanes sorted by material, bumps shaded, and who attempted what. The vertices come unsorted.
-// 1e-4 with bumps, whose shadow is that of the local direction taken back to the world.
+// The functions that stages call: lanes sorted by material, bumps shadowed, attempts recorded. The vertices come
+// unsorted. 1e-4 with bumps, whose shadowing is that of the local direction converted back to the world.
 TEST(ClusterShading, AnswersForEveryVertex) {
     const PathGraph& graph = graph_of_all_bsdfs();
     const GraphReader reader(graph);
@@ -344,7 +344,7 @@ TEST(ClusterShading, RefusesMoreThanItHasLanesFor) {
     EXPECT_EQ(shading->size(), max_lanes);
 }
 
-// The single vertex is told colour by colour: of red, base and coat make up f whatever the colours.
+// The single vertex is tested channel by channel: for red, base and coat sum to f at any colours.
 TEST(ClusterColumns, LobesMakeUpTheSingleVertexOnEveryLevel) {
     const PathGraph& graph = graph_of_all_bsdfs();
     const GraphReader reader(graph);
@@ -411,7 +411,7 @@ TEST(ClusterShading, SplitsWhereCoatsAreGrey) {
     EXPECT_LT(n_split, graph.n_vertices());
 }
 
-// Break seen to fail: the red radiance used for all channels.
+// Detected mutation: the red radiance used for all channels.
 TEST(ClusterColumns, ApplyBlockIsASumOverEdges) {
     for (const int n : {1, 15, 16, 17, 61, 256})
         for (const int n_edges : {0, 1, 7, n}) {

@@ -1,4 +1,4 @@
-// loom-cluster: every vertex that shares is in exactly one cluster, and clusters are what their options say.
+// loom-cluster: every vertex that shares is in exactly one cluster, and clusters satisfy their options.
 
 #include "stages/cluster/cluster.h"
 
@@ -72,8 +72,8 @@ struct GraphOfVertices {
     }
 };
 
-/// A room of 10 x 10 x 3 m and a ground plane of 220 m around it, one vertex in eight on a mirror; 1/20 of the
-/// vertices lie far out.
+/// A room of 10 x 10 x 3 m and a ground plane of 220 m around it, one vertex in eight on a mirror; 1/20 of the vertices
+/// are far outside.
 PathGraph room_on_a_plain(std::size_t n) {
     GraphOfVertices v;
     for (std::uint64_t i = 0; i < n; ++i) {
@@ -189,7 +189,7 @@ TEST_P(MakeClusters, NormalsOfAClusterAreLessThan90DegreesApart) {
                 ASSERT_GT(dot(side_normal(g, c.member[a]), side_normal(g, c.member[b])), 0.0f);
 }
 
-// Cost: where vertices lie four times as dense, clusters must not be larger than twice the mean.
+// Cost: with vertices four times as dense, clusters must not be larger than twice the mean.
 TEST_P(MakeClusters, DenseAndSparseHalvesHaveClustersOfBoundedSize) {
     GraphOfVertices v;
     for (std::uint64_t i = 0; i < 50'000; ++i) {
@@ -342,8 +342,8 @@ void split_by_sorting(std::vector<Point> points, std::uint32_t k, std::uint64_t 
     split_by_sorting({points.begin() + std::ptrdiff_t(n_left), points.end()}, k, 2 * key + 2, pieces);
 }
 
-// Spread evenly, on a few planes (ties), with one point so far away that the rest shares a bin, and all at one place.
-// Breaks seen to fail: the bin of the median itself not divided; ties not broken by vertex.
+// Points spread evenly, on a few planes (ties), with one point so far away that the rest shares a bin, and all at one
+// position. Detected mutations: the bin of the median itself not divided; ties not broken by vertex.
 TEST(MedianSplits, AreThoseOfSorting) {
     for (const int kind : {0, 1, 2, 3})
         for (const std::size_t n : {std::size_t(33), std::size_t(500), std::size_t(5000)}) {

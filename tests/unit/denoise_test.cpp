@@ -1,4 +1,4 @@
-// The denoisers, on pictures whose clean version is known.
+// The denoisers, on images whose clean version is known.
 
 #include "stages/denoise/denoise.h"
 
@@ -21,7 +21,7 @@
 namespace loom::denoise {
 namespace {
 
-/// A picture made of functions of the pixel, with normal noise of known variance.
+/// An image made of functions of the pixel, with normal noise of known variance.
 struct Scene {
     int width, height;
     std::array<std::vector<float>, 3> clean, noisy, var_mean, albedo, normal;
@@ -81,7 +81,7 @@ bool same_bytes(const Filtered& a, const Filtered& b) {
     return true;
 }
 
-/// Texture, an edge in the normal, a slope of depth, a shadow that no feature knows.
+/// Texture, an edge in the normal, a slope of depth, a shadow that no feature contains.
 Scene busy_scene(int width, int height) {
     Scene s(width, height);
     std::mt19937 random(3);
@@ -102,8 +102,8 @@ Scene busy_scene(int width, int height) {
     return s;
 }
 
-// A filter that lets bright pixels weigh more or less than dark ones, or that takes its noise estimate for signal, is
-// biased; one that keeps more than the noise of its ten terms in 225 pixels fits noise.
+// A filter that weighs bright and dark pixels differently, or that takes its noise estimate for signal, is biased. One
+// that keeps more than the noise of its ten terms in 225 pixels fits noise.
 TEST(Filter, constant_stays_and_noise_goes) {
     constexpr int replicates = 16;
     const float color[3] = {1, 2, 0.5f};
@@ -127,7 +127,7 @@ TEST(Filter, constant_stays_and_noise_goes) {
     for (int c = 0; c < 3; ++c) {
         const Estimate mean = estimate_of(means[c]);
         EXPECT_GT(student_p_value((mean.mean - double(color[c])) / mean.se, mean.dof), alpha) << c << ": " << mean.mean;
-        // A bias of 1 % would be seen nine times in ten.
+        // A bias of 1 % would be detected in nine of ten runs.
         EXPECT_LT((student_critical(alpha, mean.dof) + 1.28) * mean.se, 0.01 * double(color[c]));
     }
 }
@@ -152,7 +152,7 @@ TEST(Filter, edges_of_albedo_and_normal_stay) {
     }
 }
 
-// Independent texels: any averaging of pixels without regard to the albedo takes their contrast away.
+// Independent texels: any averaging of pixels without the albedo removes their contrast.
 TEST(Filter, texture_survives) {
     Scene s = busy_scene(64, 48);
     s.add_noise(0.1f, 6);
@@ -309,7 +309,7 @@ TEST(Filter, nothing_negative_and_outliers_are_bounded) {
     }
 }
 
-/// The filter as its formulas say it, in double, one pixel after the other; no outliers.
+/// Reference implementation of the filter's formulas, in double, one pixel after the other; no outliers.
 std::array<std::vector<double>, 3> plain_filter(const Scene& s, const FilterParameters& P) {
     const auto inside = [&](int x, int y) { return x >= 0 && y >= 0 && x < s.width && y < s.height; };
     const auto clamped = [&](int x, int y) {

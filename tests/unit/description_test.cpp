@@ -78,7 +78,7 @@ TEST_F(Description, TransformsComposeInTheOrderOfTheFile) {
     EXPECT_EQ(shapes.at(2)->get_transform("to_world"), Matrix4d{});
 }
 
-// Mitsuba 3: the camera's x axis points to the left of the picture.
+// Mitsuba 3: the camera's x axis points to the left of the image.
 TEST_F(Description, LookAt) {
     const std::string body = R"(<sensor type="perspective"><transform name="NAME">
         <TAG origin="1, 2, 3" target="1, 2, 4" up="0, 1, 0"/></transform></sensor>)";
@@ -193,7 +193,7 @@ bool has_note(const SceneDescription& scene, const std::string& text) {
                        [&](const std::string& note) { return note.find(text) != std::string::npos; });
 }
 
-// <path> goes before the folder of the scene, the last one first, for names that stand before it, too.
+// A <path> precedes the folder of the scene, the last <path> first, also for names written before it.
 TEST_F(Description, PathsAreSearchedFirst) {
     for (const char* name : {"a.png", "near/a.png", "far/near/a.png", "b.png", "far/c.png"}) write(name, name);
     write("far/near/part.xml", R"(<scene version="3.0.0"><bsdf type="diffuse" id="grey">

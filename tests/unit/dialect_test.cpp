@@ -29,7 +29,7 @@ void expect_colour(const Spectrum& a, const Spectrum& b, float tolerance = 1e-6f
     for (int i = 0; i < 3; ++i) EXPECT_NEAR(a[i], b[i], tolerance * std::max(1.0f, std::abs(b[i]))) << "channel " << i;
 }
 
-// Breaks seen to fail: copper in new files, none in old ones, the air outside left out.
+// Detected mutations: copper in new files, none in old ones, the air outside left out.
 TEST_F(Dialect, ConductorWithoutMaterialIsCopperInOldFilesAndAMirrorInNewOnes) {
     for (const char* type : {"conductor", "roughconductor"}) {
         const std::string plain = "<bsdf type='" + std::string(type) + "'/>";
@@ -46,7 +46,7 @@ TEST_F(Dialect, ConductorWithoutMaterialIsCopperInOldFilesAndAMirrorInNewOnes) {
     expect_colour(old.k_c * *dielectric_ior("air"), conductor_ior("Cu")->k);
 }
 
-// Break seen to fail: the default BSDF for emitters, too.
+// Detected mutation: the default BSDF for emitters too.
 TEST_F(Dialect, EmitterWithoutBsdfReflectsNothing) {
     const std::string lamp = "<emitter type='area'/>";
     for (const char* version : dialects) {
@@ -61,7 +61,7 @@ TEST_F(Dialect, EmitterWithoutBsdfReflectsNothing) {
     }
 }
 
-// Breaks seen to fail: exchanged in both dialects, in neither, as a colour, too.
+// Detected mutations: swapped in both dialects, in neither, as a colour too.
 TEST_F(Dialect, CheckerboardAsANumberIsTheOtherWayRoundInNewFiles) {
     const std::string board =
         "<bsdf type='roughconductor'><texture type='checkerboard' name='alpha'><rgb name='color0' value='0.1'/>"
@@ -79,7 +79,7 @@ TEST_F(Dialect, CheckerboardAsANumberIsTheOtherWayRoundInNewFiles) {
     }
 }
 
-// Breaks seen to fail: alpha 0.1 of roughdiffuse, polypropylene for glass, opacity 1, nonlinear, sample_visible off.
+// Detected mutations: alpha 0.1 of roughdiffuse, polypropylene for glass, opacity 1, nonlinear, sample_visible off.
 TEST_F(Dialect, DefaultsOfBsdfs) {
     const float bk7 = 1.5046f, polypropylene = 1.49f, air = 1.000277f;
     for (const char* version : dialects) {
@@ -117,7 +117,7 @@ TEST_F(Dialect, DefaultsOfBsdfs) {
     }
 }
 
-// Breaks seen to fail: a width of 512, a near_clip of 1 mm, `direct` of any depth, 50 mm along x instead of along the
+// Detected mutations: a width of 512, a near_clip of 1 mm, `direct` of any depth, 50 mm along x instead of along the
 // diagonal.
 TEST_F(Dialect, DefaultsOfSensorFilmAndIntegrator) {
     for (const char* version : dialects) {
@@ -142,7 +142,7 @@ TEST_F(Dialect, DefaultsOfSensorFilmAndIntegrator) {
     }
 }
 
-// Breaks seen to fail: cutoff_angle 30, beam_width half of it, irradiance 2.
+// Detected mutations: cutoff_angle 30, beam_width half of it, irradiance 2.
 TEST_F(Dialect, DefaultsOfEmitters) {
     constexpr double rad_per_deg = pi_double / 180;
     for (const char* version : dialects) {
@@ -156,14 +156,14 @@ TEST_F(Dialect, DefaultsOfEmitters) {
         }
         EXPECT_NEAR(plain("spot").cutoff_rad, 20 * rad_per_deg, 1e-6);
         EXPECT_NEAR(plain("spot").beam_rad, 15 * rad_per_deg, 1e-6);
-        EXPECT_NEAR(std::atan(plain("projector").tan_x) / rad_per_deg * 2, 34.0221, 1e-4);  // as Mitsuba 3.8 prints it
+        EXPECT_NEAR(std::atan(plain("projector").tan_x) / rad_per_deg * 2, 34.0221, 1e-4);  // as printed by Mitsuba 3.8
         EXPECT_EQ(plain("directional").frame.n, Normal3f(0, 0, 1));
         EXPECT_EQ(build("<shape type='sphere'><emitter type='area'/></shape>", version)->emitters.at(0).radiance,
                   Spectrum(1.0f));
     }
 }
 
-// Break seen to fail: the two colours exchanged.
+// Detected mutation: the two colours swapped.
 TEST_F(Dialect, DefaultsOfTextures) {
     for (const char* version : dialects) {
         const auto scene = build(
@@ -175,8 +175,8 @@ TEST_F(Dialect, DefaultsOfTextures) {
     }
 }
 
-// Parameters that the sources of Mitsuba 0.6 read beside those that its documentation names. Break seen to fail: each
-// of them unknown, as before: a warning, and the default instead.
+// Parameters in the sources of Mitsuba 0.6 beyond its documentation. Detected mutation: each of them unknown, as
+// before: a warning, and the default instead.
 TEST_F(Dialect, ParametersOfOldFilesAlone) {
     for (const char* type : {"diffuse", "roughdiffuse"}) {
         const std::string named = "<bsdf type='" + std::string(type) + "'><rgb name='";
@@ -210,8 +210,8 @@ TEST_F(Dialect, ParametersOfOldFilesAlone) {
     EXPECT_NEAR(sky("<float name='scale' value='3'/><float name='skyScale' value='2'/>") / sky(""), 2, 1e-4);
 }
 
-// Mitsuba 0.6 scales a reflectance above 1 to a largest channel of 0.99, and both of phong and ward by their sum. Break
-// seen to fail: channels clamped to 1.
+// Mitsuba 0.6 scales a reflectance above 1 to a largest channel of 0.99, and phong and ward by the sum of their lobes.
+// Detected mutation: channels clamped to 1.
 TEST_F(Dialect, ReflectancesAboveOneAreScaledInOldFiles) {
     const auto bsdf = [&](const char* type, const char* parameters, const char* version) {
         return model(std::string("<bsdf type='") + type + "'>" + parameters + "</bsdf>", version);

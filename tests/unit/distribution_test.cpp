@@ -1,6 +1,6 @@
-// Sampling by inversion against the probabilities it claims and against a search without the guide table.
-// Breaks that were watched to fail: no step back from a guide that is one cell
-// too high, `<` for `<=` (cells of no weight are chosen at their border), rows and columns swapped.
+// Sampling by inversion against the probabilities it claims and against a search without the guide table. Detected
+// mutations: no step back from a guide that is one cell too high, `<` for `<=` (cells of no weight are chosen at their
+// border), rows and columns swapped.
 
 #include "stages/core/sampling/distribution.h"
 

@@ -9,8 +9,8 @@ namespace {
 
 using D = Dual<2, double>;
 
-/// f(x, y) with its two derivatives against central differences. Break that was watched to fail: the sign
-/// in the derivative of a quotient.
+/// f(x, y) with its two derivatives against central differences. Detected mutation: the sign in the derivative of a
+/// quotient.
 template <class F>
 void expect_derivatives(const char* name, F&& f, double x, double y) {
     const D dual = f(D::variable(x, 0), D::variable(y, 1));

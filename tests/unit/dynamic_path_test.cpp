@@ -1,7 +1,7 @@
-// Densities of paths that meet an edit against a plain twin, and mappings there and back.
-// Breaks that were watched to fail: cosines of a segment swapped in the sensor prefix (twin); a vertex next to the
-// sensor that is perfectly specular counted for techniques that join it to the sensor (DynamicPaths of the statistical
-// tests); neighbours of the moved vertex judged smooth by one of the two scenes alone (there and back).
+// Densities of paths through an edit against a plain reference implementation, and mappings there and back. Detected
+// mutations: cosines of a segment swapped in the sensor prefix (reference); a perfectly specular vertex next to the
+// sensor counted for techniques that connect it to the sensor (DynamicPaths of the statistical tests); neighbours of
+// the moved vertex judged smooth by one of the two scenes alone (there and back).
 
 #include <gtest/gtest.h>
 #include <unistd.h>
@@ -165,7 +165,7 @@ TEST(DynamicPath, DensitiesAreThoseOfThePlainTwin) {
         for (std::uint64_t i = 0; i < 20000; ++i)
             finder.find_from_camera({i % side->scene.sensor.n_pixels(), i}, Sampler(SamplerKind::independent, 8, 0, i),
                                     check);
-        EXPECT_LT(finder.n_unrelocated, 3000u);  // of 60000: the bottom of the box lies in the floor
+        EXPECT_LT(finder.n_unrelocated, 3000u);  // of 60000: the bottom of the box coincides with the floor
     }
     EXPECT_GT(n_paths, 100000u);
     EXPECT_GT(n_several, 1000u);
@@ -210,9 +210,9 @@ TEST(PathMapper, ThereAndBackIsTheSamePath) {
     EXPECT_GT(n, 5000u);
 }
 
-// |T'| by moving each vertex a little on its tangent plane and looking where the partner's goes: the measure of a path
-// is that of the directions from one vertex to the next. Breaks seen to fail: the cosine of the start left out;
-// distances not squared.
+// |T'| by finite differences: each vertex is moved a little on its tangent plane, and the partner's vertex follows. The
+// measure of a path is that of the directions from one vertex to the next. Detected mutations: the cosine of the start
+// left out; distances not squared.
 TEST(PathMapper, JacobianIsThatOfFiniteDifferences) {
     const Fixture scenes_of(Changes{{"<translate x=\"0.42\" y=\"-0.74\" z=\"0.3\"/>",
                                      "<rotate y=\"1\" angle=\"25\"/><translate x=\"0.3\" y=\"-0.7\" z=\"0.35\"/>"}});

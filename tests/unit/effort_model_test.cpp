@@ -48,8 +48,8 @@ Pilot random_pilot() {
     return pilot;
 }
 
-// Break seen to fail: the derivative of the camera's mean taken into account twice; the share of a path that is left to
-// camera paths counted for other families.
+// Detected mutations: the derivative of the camera's mean counted twice; the share of a path that is left to camera
+// paths counted for other families.
 TEST(EffortModel, SlopesAreThoseOfFiniteDifferences) {
     const Pilot pilot = random_pilot();
     for (const bool first_to_camera : {false, true}) {
@@ -89,7 +89,7 @@ TEST(EffortModel, CameraPathsVaryAboutTheirMean) {
     add_sample(pilot.families[0], {own_part(0, 3)}, {5});
     add_sample(pilot.families[0], {own_part(0, 3)}, {5});
     EXPECT_EQ(variance_of(pilot, false, {1}).M, 0);
-    add_sample(pilot.families[0], {own_part(0, 3)}, {6});  // and one that is 0
+    add_sample(pilot.families[0], {own_part(0, 3)}, {6});  // and a zero one
     EXPECT_DOUBLE_EQ(variance_of(pilot, false, {1}).M, 2 * 2 * 1.5 * 1.5);
 }
 
@@ -110,7 +110,7 @@ TEST(EffortModel, BestSpendingOfSeparateFamiliesIsNeymans) {
     EXPECT_NEAR(best.M, 28 * 28 / budget, 1e-3);
 }
 
-// What camera paths find as well is left to them when it costs less.
+// Contributions that camera paths find too are left to them when that costs less.
 TEST(EffortModel, AFamilyThatDoesNotPayIsLeftOut) {
     Pilot pilot;
     pilot.families.resize(2);
@@ -124,7 +124,8 @@ TEST(EffortModel, AFamilyThatDoesNotPayIsLeftOut) {
     EXPECT_NEAR(best.x[1], 1000, 1e-6);
 }
 
-// Families that find all that camera paths find, and as often, say what camera paths have, whoever has sampled it.
+// Families that find all that camera paths find, equally often, predict the variance of camera paths, whichever sampled
+// it.
 TEST(EffortModel, SiteSamplesSayWhatCameraPathsWouldHave) {
     Pilot pilot;
     pilot.families.resize(2);

@@ -1,7 +1,7 @@
-// Light samples against the density that multiple importance sampling asks for: over directions by chi-square,
-// and direction by direction. Breaks that were watched to fail: no cosine in the density of an area light, the
-// cone's 1 - cos_max squared, sin(theta) left out of the environment's density or taken from its cosine (wrong by
-// 12 % near the poles), the choice of the emitter left out of pdf_light_w.
+// Light samples against the density that multiple importance sampling requires: over directions by chi-square, and
+// direction by direction. Detected mutations: no cosine in the density of an area light, the cone's 1 - cos_max
+// squared, sin(theta) left out of the environment's density or derived from its cosine (wrong by 12 % near the poles),
+// the choice of the emitter left out of pdf_light_w.
 
 #include <OpenImageIO/imageio.h>
 #include <fmt/format.h>
@@ -134,10 +134,10 @@ TEST_F(Emitters, Disk) {
     expect_samples_follow_density(*scene_of(lamp("disk", "<scale x='0.5' y='1.2'/>" + tilted)), origin, "ellipse");
 }
 
-/// Where a sample and a ray find the same point of a light, they must find the same radiance: with the densities above,
+/// Where a sample and a ray find the same point of a light, they must find the same radiance. With the densities above,
 /// next-event estimation and hits by the BSDF then estimate the same integral. The texture is smooth, 3 to 1 along both
-/// of its axes, so that texture coordinates that are swapped, turned or left out by one of the two show in every
-/// sample. Seen to fail with the radiance of a sphere taken without its texture.
+/// of its axes, so that swapped, rotated or missing texture coordinates in one of the two differ in every sample.
+/// Detected mutation: the radiance of a sphere without its texture.
 TEST_F(Emitters, TextureOfALightSampleIsThatOfTheHit) {
     {
         auto out = OIIO::ImageOutput::create(path("map.exr").string());
@@ -306,8 +306,8 @@ TEST_F(Emitters, WeightsThatAddUpToNothing) {
     EXPECT_EQ(environment(*half, {0, 1, 0}), Spectrum(1));
 }
 
-// Many queries at once give bit for bit what one at a time does, whatever the emitters. Break seen to fail: the pmf of
-// the environment left out of the density of a miss.
+// Many queries at once equal single queries bit for bit, for any emitters. Detected mutation: the pmf of the
+// environment left out of the density of a miss.
 TEST_F(Emitters, ManyQueriesAtOnceEqualOneByOne) {
     const std::string map = "<emitter type='envmap'><string name='filename' value='" +
                             (std::filesystem::path(LOOM_SOURCE_DIR) / "scenes/textures/sky.png").string() +

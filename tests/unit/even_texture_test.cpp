@@ -1,7 +1,7 @@
-// A texture that is the same everywhere must give what the constant gives, for every parameter of every BSDF and
-// emitter that the schema lets a texture stand for: at the tracer's hit and at the vertex of a path graph, evaluated
-// alone and in a cluster. Seen to fail where a rough plastic took its tables from the default alpha, where phong was
-// darkened by its constants alone, and where a vertex lost its exponent or index on the way through the graph.
+// A constant texture must give the result of the constant, for every parameter of every BSDF and emitter that may be
+// textured: at the tracer's hit and at the vertex of a path graph, evaluated alone and in a cluster. Detected
+// mutations: tables of a rough plastic from the default alpha, phong darkened by its constants alone, a vertex that
+// lost its exponent or index in the graph.
 
 #include <OpenImageIO/imageio.h>
 #include <fmt/format.h>

@@ -1,4 +1,4 @@
-// Flat matte clusters: their loops over columns, and the iteration that knows of them only what they pass on.
+// Flat diffuse clusters: their loops over columns, and the iteration that stores only the light that they pass on.
 
 #include "stages/refine/flat_cluster.h"
 
@@ -93,8 +93,8 @@ Plain plain(const FlatColumns& c, const FlatLights& e, bool area) {
     return out;
 }
 
-// All levels give the same bits, and what the equations say within 1e-5.
-// Breaks seen to fail: the cosine at the light dropped; attempts of lanes that do not see the light counted.
+// All levels give the same bits, and the equations' values within 1e-5. Detected mutations: the cosine at the light
+// dropped; attempts of lanes from which the light is not visible counted.
 TEST(FlatColumns, EveryLevelEqualsTheEquations) {
     const auto c = std::make_unique<FlatColumns>();
     const auto e = std::make_unique<FlatLights>();
@@ -135,9 +135,9 @@ TEST(FlatColumns, EveryLevelEqualsTheEquations) {
 
 class FlatSystem : public ::testing::TestWithParam<const char*> {};
 
-// Steps of the light that flat clusters pass on are the steps of all vertices: X <- M X + B in double, vertex by
-// vertex, with every figure of the log.
-// Breaks seen to fail: the direct light of flat ends dropped after the first step; the albedo of another vertex taken.
+// Steps of the light that flat clusters pass on equal the steps of all vertices: X <- M X + B in double, vertex by
+// vertex, with every figure of the log. Detected mutations: the direct light of flat ends dropped after the first step;
+// the albedo of another vertex used.
 TEST_P(FlatSystem, StepsAreThoseOfAllVertices) {
     const auto scene = testing::own_scene(GetParam(), 32, 24);
     const PathGraph graph = testing::trace_graph(*scene, testing::path_options(*scene, 12), 2);

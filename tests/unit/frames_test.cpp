@@ -1,4 +1,4 @@
-// What pictures of a transient cube show, by cubes made by hand.
+// Images of a transient cube, from handmade cubes.
 
 #include "stages/frames/frames.h"
 

@@ -1,4 +1,4 @@
-// Breaks that were watched to fail: eta in place of 1/eta from inside; R_p without R_s for conductors.
+// Detected mutations: eta in place of 1/eta from inside; R_p without R_s for conductors.
 
 #include "stages/core/scattering/fresnel.h"
 

@@ -1,6 +1,6 @@
-// hide_emitters as Mitsuba 3.8 has it: camera rays pass through area lights, and the sky is black to them until they
-// have been scattered; a mask, a null surface and the straight way through a thin pane do not count. What is lit stays
-// lit. Seen to fail: all but the lit wall with hide_emitters unread; the area lights with camera_rays = rays.
+// hide_emitters as in Mitsuba 3.8: camera rays pass through area lights, and the sky is black to them until they
+// scatter; a mask, a null surface and straight transmission through a thin pane do not count. Lit surfaces stay lit.
+// Detected mutations: all but the lit wall with hide_emitters unread; the area lights with camera_rays = rays.
 
 #include <fmt/format.h>
 #include <gtest/gtest.h>
@@ -43,7 +43,7 @@ struct Mean {
     double L = 0, depth = 0;
 };
 
-/// Over all pixels: red, and the distance of what the camera has met first.
+/// Means over all pixels: red, and the distance of the camera's first hit.
 Mean mean(const Scene& scene, std::uint64_t spp, int max_depth = -1) {
     PathOptions options = path_options(scene, 1, SamplerKind::sobol);
     options.max_depth = max_depth;
@@ -78,7 +78,7 @@ TEST(HiddenEmitters, CameraRaysPassThroughAreaLights) {
     const std::string lit = std::string(light) + wall;
     EXPECT_NEAR(mean(*scene_of(lit, false), 16).depth, 4, 0.01);
     EXPECT_EQ(mean(*scene_of(lit, false), 16, 1).L, 2);
-    // The wall behind, and of the light nothing but what it casts there: nowhere, for its back is dark.
+    // The wall behind; of the light only its illumination there, which is zero, because its back is black.
     EXPECT_NEAR(mean(*scene_of(lit, true), 16).depth, 6, 0.01);
     EXPECT_EQ(mean(*scene_of(lit, true), 16, 1).L, 0);
     EXPECT_EQ(mean(*scene_of(std::string(light) + sky, true), 16).L, 0);

@@ -1,7 +1,7 @@
-// Which way the normals of our own shapes point, mirrored or not, as Mitsuba 3.8 has them (its shading normals;
-// for flat meshes of ours the geometric normal is the same). Breaks that were watched to fail: triangles of a
-// mirrored cube not turned round, a mirrored sphere left as it is, flip_normals of a disk ignored, a mirrored
-// sphere's z taken for the cross product of its x and y.
+// Which way the normals of our own shapes point, mirrored or not, as Mitsuba 3.8 has them (its shading normals; for
+// flat meshes of ours the geometric normal is the same). Detected mutations: triangles of a mirrored cube not turned
+// round, a mirrored sphere left as it is, flip_normals of a disk ignored, a mirrored sphere's z taken for the cross
+// product of its x and y.
 
 #include <gtest/gtest.h>
 
@@ -13,7 +13,7 @@ namespace {
 
 class Interaction : public SceneFolder {
   protected:
-    /// What a ray from (0.2, 0.3, 5) downwards meets.
+    /// Returns the hit of a ray from (0.2, 0.3, 5) downwards.
     SurfacePoint below(const std::string& shape, const std::string& parameters) {
         const auto scene = load_scene(
             write("scene.xml", text("<shape type='" + shape + "'>" + parameters + "<bsdf type='diffuse'/></shape>")));
@@ -71,7 +71,7 @@ TEST_F(Interaction, TextureCoordinates) {
         EXPECT_NEAR(at.uv.x, u, 1e-5);
         EXPECT_NEAR(at.uv.y, v, 1e-5);
     };
-    // Texture coordinates are worked out only where something asks for them: here an emitter does.
+    // Texture coordinates are computed only where they are needed: here by an emitter.
     const std::string lamp = "<emitter type='area'/>";
     expect_uv(below("rectangle", lamp), 0.6f, 0.65f);
     expect_uv(below("rectangle", lamp + scaled(mirrored_x)), 0.4f, 0.65f);

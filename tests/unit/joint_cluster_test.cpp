@@ -23,9 +23,9 @@ float uniform(std::uint64_t i) {
     return unit_float(std::uint32_t(mix64(i * 0x9e3779b97f4a7c15ull + 29) >> 32));
 }
 
-/// A floor of 10 x 10 m and a wall; from `edited` on every third vertex lies where the edit put it, and `extra` more
-/// lie in a corner that the other graph does not reach. Each vertex is of a path of its own. Rows before are the same
-/// in graphs of any `edited`.
+/// A floor of 10 x 10 m and a wall. From `edited` on every third vertex is where the edit put it; `extra` more are in a
+/// corner that the other graph does not reach. Each vertex has a path of its own. Rows before are equal in graphs of
+/// any `edited`.
 PathGraph floor_and_wall(std::size_t n, std::size_t edited, std::uint64_t edit, std::size_t extra) {
     std::vector<float> p, wo;
     std::vector<std::int16_t> ns;
@@ -79,7 +79,7 @@ class JointClustersTest : public ::testing::TestWithParam<Method> {
 INSTANTIATE_TEST_SUITE_P(Methods, JointClustersTest, ::testing::Values(Method::balanced, Method::centres),
                          [](const auto& info) { return std::string(cluster::method_name(info.param)); });
 
-/// Of the places that both graphs have: clusters of one that fall into several of the other, as seen by those places.
+/// Counts positions of both graphs: clusters of one graph that are split over several of the other, by these positions.
 std::size_t torn(const PathGraph& a, const Clusters& of_a, const PathGraph& b, const Clusters& of_b) {
     std::map<Place, std::uint32_t> cluster_in_b;
     const auto cluster_a = cluster_of_vertices(of_a), cluster_b = cluster_of_vertices(of_b);
@@ -95,8 +95,8 @@ std::size_t torn(const PathGraph& a, const Clusters& of_a, const PathGraph& b, c
     return n;
 }
 
-// Breaks seen to fail: cuts by rank alone (off_ties left out: 3545 of 60 000 places are torn from their cluster by
-// median splits); clusters made of each graph by itself.
+// Detected mutations: cuts by rank alone (off_ties left out: 3545 of 60 000 positions are separated from their cluster
+// by median splits); clusters made of each graph by itself.
 TEST_P(JointClustersTest, VerticesOfOnePlaceAreInOneCell) {
     const PathGraph before = floor_and_wall(60'000, 30'000, 1, 0), after = floor_and_wall(60'000, 30'000, 2, 5'000);
     const JointClusters joint = make_joint_clusters(before, after, options());

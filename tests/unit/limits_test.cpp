@@ -1,4 +1,4 @@
-// What the scene file says of the length of paths.
+// Limits on the length of paths in the scene file.
 #include <gtest/gtest.h>
 
 #include "stages/core/scene/build.h"
@@ -21,7 +21,7 @@ class Limits : public SceneFolder {
     }
 };
 
-// A sphere that emits before a sky, seen directly: no path has 0 edges.
+// A sphere that emits before a sky, directly visible: no path has 0 edges.
 TEST_F(Limits, DepthZeroIsBlack) {
     const auto scene =
         load("<integrator type='volpath'><integer name='max_depth' value='0'/></integrator>",

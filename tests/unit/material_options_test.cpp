@@ -1,6 +1,6 @@
-// Options of materials and skies that decide a value, against closed forms.
-// Seen to fail: each with its reader taken out (the values before: shadowed and flipped whatever the file said,
-// balanced for all variants of ward, gamma as the type of the image says).
+// Options of materials and skies that decide a value, against closed forms. Detected mutations: each with its reader
+// removed (the values before: shadowed and flipped in any file, balanced for all variants of ward, gamma by the type of
+// the image).
 
 #include <fmt/format.h>
 #include <gtest/gtest.h>
@@ -16,7 +16,7 @@ namespace {
 
 class MaterialOptions : public SceneFolder {
   protected:
-    /// f cos of a white square with an even normal map, seen from `from` at the origin, for light from wi.
+    /// Returns f cos of a white square with a constant normal map, viewed from `from` at the origin, for light from wi.
     float f_cos(Vector3f n, bool flips, bool shadows, const Vector3f& from, const Vector3f& wi) {
         const auto byte = [](float x) { return int(std::lround((x + 1) * 127.5f)); };
         write("n.ppm", fmt::format("P3\n1 1\n255\n{} {} {}\n", byte(n.x), byte(n.y), byte(n.z)));
@@ -45,7 +45,7 @@ TEST_F(MaterialOptions, NormalMapsFlipAndShadeOnlyWhereTheyAreToldTo) {
         EXPECT_NEAR(f_cos(n, flips, true, {0, 0, 5}, wi), lit * shadow, 0.002f);
     }
     EXPECT_GT(lit * (1 - shadow), 0.01f);
-    // Seen from behind the normal: black, or the normal turned to the other side.
+    // From behind the normal: black, or the normal turned to the other side.
     const Vector3f steep = normalize(Vector3f{0.8f, 0, 0.6f}), grazing{-4, 0, 1.2f},
                    above = normalize(Vector3f{-1, 0, 3});
     const float turned = dot(normalize(Vector3f{-0.8f, 0, 0.6f}), above) * inv_pi<float>;

@@ -1,5 +1,5 @@
-// The index of refraction along a path, worked out by hand. Breaks that were watched to fail: leaving pops the
-// innermost entry whatever the shape; the outside of the first surface is not kept.
+// The index of refraction along a path, worked out by hand. Detected mutations: leaving pops the innermost entry
+// whatever the shape; the outside of the first surface is not kept.
 
 #include "stages/core/scene/media.h"
 
@@ -29,7 +29,7 @@ TEST(MediumStack, NestedObjects) {
 }
 
 TEST(MediumStack, ImmersedObjectKnowsItsSurroundings) {
-    MediumStack media;  // a scene that lies in water: the first surface says so
+    MediumStack media;  // a scene in water: the first surface shows it
     media.cross(glass, true, 1.5f, 1.33f);
     EXPECT_EQ(media.index(), 1.5f);
     media.cross(glass, false, 1.5f, 1.33f);
@@ -56,7 +56,7 @@ TEST(MediumStack, APathThatBeginsInsideLearnsTheOutsideWhenItLeaves) {
     EXPECT_EQ(media.index(), 1.01f);
 }
 
-// Break seen to fail: only the shape that was entered can be left.
+// Detected mutation: only the shape that was entered can be left.
 TEST(MediumStack, AnObjectMadeOfTwoShapesIsLeftByEither) {
     MediumStack media;  // front and back of a pane; a bottle whose inside is another mesh
     EXPECT_TRUE(media.cross(1, true, 1.5f, 1.0f));
@@ -92,14 +92,14 @@ float index_at(const std::string& body, const Point3f& p) {
     return media_at(*testing::load_inline({.sensor = R"(type="perspective">)", .body = body}), p).index();
 }
 
-// Break seen to fail: every surface entered, whatever its normal.
+// Detected mutation: every surface entered, with any normal.
 TEST(MediaAt, InsideOfAClosedShape) {
     EXPECT_EQ(index_at(dielectric(ball, 1.5), {0.3f, 0.1f, -0.9f}), 1.5f);
     EXPECT_EQ(index_at(dielectric(ball, 1.5), {0.8f, 0.8f, 0}), 1.0f);
     EXPECT_EQ(index_at(dielectric(box, 1.25), {4.99f, 0, 0}), 1.25f);
 }
 
-// Breaks seen to fail: the innermost first; a shape that is entered replaces the one around it.
+// Detected mutations: the innermost first; an entered shape replaces the one around it.
 TEST(MediaAt, NestedShapesCountFromOutsideIn) {
     const std::string both = dielectric(ball, 1.5, 1.25) + dielectric(box, 1.25);
     const auto scene = testing::load_inline({.sensor = R"(type="perspective">)", .body = both});
@@ -113,13 +113,13 @@ TEST(MediaAt, NestedShapesCountFromOutsideIn) {
     EXPECT_EQ(media_at(*scene, {6, 0, 0}).index(), 1.0f);
 }
 
-// Break seen to fail: inside only of what all directions leave.
+// Detected mutation: inside only of shapes that all directions leave.
 TEST(MediaAt, AnOpenSurfaceHasItsInsideBehindIt) {
     EXPECT_EQ(index_at(dielectric(surface, 1.25), {1, 2, -0.5f}), 1.25f);
     EXPECT_EQ(index_at(dielectric(surface, 1.25), {1, 2, 0.5f}), 1.0f);
 }
 
-// Breaks seen to fail: rays that pass opaque walls; inside only of what all directions leave.
+// Detected mutations: rays that pass opaque walls; inside only of shapes that all directions leave.
 TEST(MediaAt, AnOpaqueWallEndsWhatIsSeen) {
     // A pool that is tiled within the water sees it through its open side alone; a dry basement does not see the lake
     // above.
@@ -127,14 +127,14 @@ TEST(MediaAt, AnOpaqueWallEndsWhatIsSeen) {
     EXPECT_EQ(index_at(dielectric(box, 1.25) + tiles, {0, 0, 3}), 1.25f);
 }
 
-// Breaks seen to fail: vacuum outside of everything; one direction instead of 64.
+// Detected mutations: vacuum outside of all shapes; one direction instead of 64.
 TEST(MediaAt, OutsideOfEverythingTheFirstSurfaceTells) {
     EXPECT_EQ(index_at(dielectric(ball, 1.5, 1.25), {0, 0, 3}), 1.25f);
     EXPECT_EQ(index_at("", {0, 0, 3}), 1.0f);
 }
 
-// A tank without a lid, from the side: some directions see its far wall from within. Break seen to fail: inside of what
-// any direction leaves.
+// A tank without a lid, from the side: some directions hit its far wall from within. Detected mutation: inside of a
+// shape that any direction leaves.
 TEST(MediaAt, BesideAnOpenTank) {
     const auto file = testing::scratch_file(".obj");
     std::ofstream(file) << "v -1 -1 -1\nv 1 -1 -1\nv 1 1 -1\nv -1 1 -1\nv -1 -1 1\nv 1 -1 1\nv 1 1 1\nv -1 1 1\n"
@@ -149,7 +149,7 @@ TEST(MediaAt, BesideAnOpenTank) {
     std::filesystem::remove(file);
 }
 
-// Break seen to fail: only the shape that was entered can be left.
+// Detected mutation: only the shape that was entered can be left.
 TEST(MediaAt, APaneOfTwoShapesSeenFromBothSides) {
     const std::string pane =
         dielectric(R"(type="rectangle"><transform name="to_world"><translate z="0.01"/></transform>)", 1.5) +

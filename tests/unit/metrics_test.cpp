@@ -30,7 +30,7 @@ TEST(Metrics, PointwiseByHand) {
     EXPECT_TRUE(std::isnan(mean_squared_relative(Values{NAN, 1}, Values{1, 1})));
 }
 
-// Of 2000 pixels the two with the largest sums over channels go; of 999 none does.
+// Of 2000 pixels the two with the largest sums over channels are removed; of 999 none.
 TEST(Metrics, TrimmingDropsWholePixels) {
     Values x(6000), r(6000);
     for (std::size_t i = 0; i < x.size(); ++i) x[i] = 0.1f;
@@ -130,8 +130,8 @@ TEST(Metrics, DecompositionAddsUp) {
     EXPECT_TRUE(std::isnan(decompose(std::span(x).first(1), {}, r, {}).bias2));
 }
 
-// A picture of 8 x 8 pixels has a tile for each. Green is 0.5 too bright; every pixel's mean has variance 4: the
-// picture's has 4/64, z = 0.5 / 0.25 = 2. Each tile: z = 0.25. Of three channels, of 192 tiles: corrected.
+// An image of 8 x 8 pixels has one tile per pixel. Green is 0.5 too bright; every pixel's mean has variance 4, the
+// image's 4/64, so z = 0.5 / 0.25 = 2. Each tile: z = 0.25. Corrected for three channels, and for 192 tiles.
 TEST(Metrics, ZTestByHand) {
     constexpr std::size_t n = 64;
     Values r(3 * n, 1), x = r;

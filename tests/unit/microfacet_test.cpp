@@ -1,5 +1,5 @@
-// Breaks that were watched to fail: cos² in place of cos⁴ in Beckmann's D; the alpha of the other axis
-// in GGX's; the stretched view direction added with the wrong sign.
+// Detected mutations: cos² in place of cos⁴ in Beckmann's D; the alpha of the other axis in GGX's; the stretched view
+// direction added with the wrong sign.
 
 #include "stages/core/scattering/microfacet.h"
 

@@ -1,4 +1,4 @@
-// Captures around a corner in scene files: what they may say, and what follows from it.
+// NLOS captures in scene files: their allowed parameters and their consequences.
 #include <fmt/format.h>
 #include <gtest/gtest.h>
 
@@ -38,7 +38,7 @@ class NlosScene : public SceneFolder {
     }
 };
 
-// Many of these lie on the very edge of the wall's two triangles, where the ray engine may let a ray through.
+// Many of these lie exactly on the edge of the wall's two triangles, where the ray engine may let a ray through.
 TEST_F(NlosScene, SensorSeesAllPointsOfTheGrid) {
     const auto scene = load({});
     const NlosCapture& c = *scene->nlos;
@@ -73,7 +73,7 @@ TEST_F(NlosScene, WallIsSeenByItsOwnCoordinatesAndBehindWhatHidesIt) {
     EXPECT_NEAR(points[0].p.y, -1.875, 1e-6);
     std::size_t screened = 0;
     for (const auto& at : points) screened += at.hit.shape == 1;
-    EXPECT_EQ(screened, 2u);  // what it hides of the wall is five times as large: y of +-1/8 and x of -3/8
+    EXPECT_EQ(screened, 2u);  // its shadow on the wall is five times as large: y of +-1/8 and x of -3/8
 }
 
 TEST_F(NlosScene, ConfocalAndExhaustiveLaserPoints) {
@@ -121,8 +121,9 @@ constexpr const char* camera_scene = R"(<scene version="3.0.0">
 <shape type="rectangle"><transform name="to_world"><scale value="0.005"/><rotate x="1" angle="180"/><translate z="1"/></transform><bsdf type="diffuse"/></shape>
 </scene>)";
 
-// A camera looks at the wall in (0, 0, 0), the laser lights (0.5, 0, 0), a patch of 1 cm^2 hangs at (0, 0, 1). Breaks
-// seen to fail: the lit wall among the hidden shapes, the laser at the camera, twice the density of hidden geometry.
+// The camera looks at the wall in (0, 0, 0), the laser points at (0.5, 0, 0), a patch of 1 cm^2 is at (0, 0, 1).
+// Detected mutations: the lit wall among the hidden shapes, the laser at the camera, twice the density of hidden
+// geometry.
 TEST_F(NlosScene, CameraLooksAtTheWall) {
     const auto scene = load_scene(
         write("scene.xml", fmt::format(fmt::runtime(camera_scene), R"(<integer name="max_depth" value="4"/>)")));
@@ -150,10 +151,10 @@ TEST_F(NlosScene, CameraLooksAtTheWall) {
         sum2 += L * L;
     }
     EXPECT_NEAR(sum / n, expected, 4 * std::sqrt(sum2) / n);
-    EXPECT_LT(std::sqrt(sum2) / n, 0.02 * expected);  // it can tell
+    EXPECT_LT(std::sqrt(sum2) / n, 0.02 * expected);  // the test can detect a difference
 }
 
-// Breaks seen to fail: any capture_type (crash), the note although lengths count from the first hit, START on the wrong
+// Detected mutations: any capture_type (crash), the note although lengths count from the first hit, START on the wrong
 // side.
 TEST_F(NlosScene, CameraTakesSingleCapturesAndItsNearPlaneIsSaid) {
     const auto text = [&](const char* parameters) {

@@ -1,29 +1,31 @@
-// The correlated difference of the paths of a graph against that of paths traced afresh: to the last bit, for edits of
-// every kind; what is refused; and what the sum with a picture of the same samples is.
+// The correlated difference of the paths of a graph against that of newly traced paths: to the last bit, for edits of
+// every kind; refused inputs; and the sum with an image of the same samples.
 //
-// Breaks seen to fail, each in the edits in brackets: failed light samples not drawn again (20 edits), nor directions
-// of rays that found nothing (11), nor camera rays (ball_moved, lamps); shapes that differ in the last digits taken for
-// the same (moved_by_less_than_counts); ends on the back of a light forgotten (back_of_a_light_no_longer_black), and on
-// its front (light_no_longer_black); segments to vertices (16) or to lights (15) not asked; the sky, a changed light, a
-// failed sample of it forgotten (2, 10, 6); segments that end a thousandth short (glossy_moved). Of what paths had
-// brought: survival left out (28), densities of the heuristic swapped (37). The probe left out.
+// Detected mutations, each in the edits in brackets:
+// Of finding touched paths: failed light samples not drawn again (20 edits), nor directions of rays that found nothing
+// (11), nor camera rays (ball_moved, lamps); shapes that differ in the last digits taken for equal
+// (moved_by_less_than_counts); ends on the back of a light ignored (back_of_a_light_no_longer_black), and on its front
+// (light_no_longer_black); segments to vertices (16) or to lights (15) not tested; the sky, a changed light, a failed
+// sample of it ignored (2, 10, 6); segments that end a thousandth short (glossy_moved).
+// Of the old contribution of paths: survival left out (28), densities of the heuristic swapped (37). The probe left out.
 // Of the scan of a graph with misses: segments to vertices (14), to lights (13), camera segments from the path before
-// (14), blocked rays (12) or BSDF samples without light (9) not asked for, directions that end (15), failed samples of
-// a changed light (6), the sky, ends on a light, escaped camera rays (1, 1, 3) forgotten.
-// Frames that turn with the first surface that has a grain (made_anisotropic).
-// Of paths that are taken up where they change: rays cut one vertex late (19), hits of changed lights one late (7) or
-// not at all (7), the ray that ended in the sky (3), light samples taken for seen (26), drawn without survival (16) or
-// added before what they wait behind (17); density (33), lobe (light_colour_behind_glass), vertex (14) or squared index
-// (other_metal) of the ray that is taken up left out, light seen directly forgotten (10), all behind the last change
-// (40). Of repainted surfaces: direction (rougher) or lobe not compared (repainted, other_metal: roulette had ended
-// them), light that the old surface could not reflect taken for blocked (mirror_made_matte), blocked light asked again
-// (PathsAreTracedFromWhereTheyChange), roulette by the old throughput (5), the material behind not looked at
+// (14), blocked rays (12) or BSDF samples without light (9) not tested, directions that end (15), failed samples of a
+// changed light (6), the sky, ends on a light, escaped camera rays (1, 1, 3) ignored.
+// Frames that rotate with the first anisotropic surface (made_anisotropic).
+// Of resumed paths: rays cut one vertex late (19), hits of changed lights one late (7) or not at all (7), the ray that
+// ended in the sky (3), light samples taken for visible (26), drawn without survival (16) or added before the terms
+// that they wait for (17); density (33), lobe (light_colour_behind_glass), vertex (14) or squared index (other_metal) of the
+// resumed ray left out, directly visible light ignored (10), all behind the last change (40).
+// Of repainted surfaces: direction (rougher) or lobe not compared (repainted, other_metal: roulette had ended them),
+// light that the old surface could not reflect taken for blocked (mirror_made_matte), blocked light tested again
+// (PathsAreTracedFromWhereTheyChange), roulette by the old throughput (5), the material behind ignored
 // (painted_on_both_sides), the last vertex of all sampled (mirror_made_matte, repainted), hits weighted by the old
 // density (5), the old albedo (7), textured and bumpy ones taken for plain (papered, bumps_made_flat).
-// Of lights that are only relit: the old radiance kept of samples (7), hits (6) or what is seen directly (5), none of
-// these looked for (7, 7, 5), a black light (sky_lit), one that moves (2) or whose surface changes
-// (light_colour_and_surface) taken for relit. Of plain matte vertices: the back (moved_beside_the_back_of_a_disk),
-// texture (over_textures), mask (behind_a_mask) or bumps (2) not looked at.
+// Of lights that only changed their radiance: the old radiance kept in samples (7), hits (6) or directly visible light
+// (5), none of these searched for (7, 7, 5), a black light (sky_lit), one that moves (2) or whose surface changes
+// (light_colour_and_surface) taken for such.
+// Of plain diffuse vertices: the back (moved_beside_the_back_of_a_disk), texture (over_textures), mask (behind_a_mask)
+// or bumps (2) ignored.
 
 #include "stages/residual/stored/old_graph.h"
 
@@ -45,8 +47,7 @@ namespace {
 constexpr std::uint64_t spp = 8, seed = 11;
 const char* const rgb[] = {"R", "G", "B"};
 
-using Changes =
-    std::vector<std::pair<std::string, std::string>>;  // of the text of a scene, at the last place where it stands
+using Changes = std::vector<std::pair<std::string, std::string>>;  // of the text of a scene, at its last occurrence
 
 struct EditCase {
     std::string name, scene;
@@ -326,7 +327,7 @@ TEST_P(OfAnOldGraph, IsTheFullDifferenceBitForBit) {
     }
     RecordProperty("touched", fmt::format("{:.4f}", double(ours.touched) / double(ours.paths)));
 
-    // With the misses few paths are looked at closely, and light samples that asked for no ray are not drawn again.
+    // With misses few paths are examined closely, and light samples without a ray are not drawn again.
     const OldGraph graph = edited.graph(path, true);
     const GraphResidual scanned = render_residual(edited.pair(), edited.edit, graph, 2, nullptr, quiet());
     for (const char* channel : {"R", "G", "B", "VarMean.R", "VarMean.G", "VarMean.B", "Albedo.R", "Albedo.G",
@@ -335,7 +336,7 @@ TEST_P(OfAnOldGraph, IsTheFullDifferenceBitForBit) {
     EXPECT_LE(scanned.touched, ours.touched);
 }
 
-// What the scan lets through is little more than what is touched.
+// The scan keeps little more than the touched paths.
 TEST(OldGraph, ScanOfTheGraphLeavesFewPathsToLookAt) {
     for (const auto& [name, most] :
          {std::pair{"moved", 1.6}, {"repainted", 1.0}, {"glossy_moved", 1.5}, {"light_colour", 1.0}, {"sky", 1.02}}) {
@@ -361,13 +362,13 @@ TEST(OldGraph, ScanOfTheGraphLeavesFewPathsToLookAt) {
     }
 }
 
-/// How paths of the new scene were come by.
+/// Origins of the new scene's paths.
 struct Ways {
     std::uint64_t shadow_rays = 0, cut = 0, last_ray = 0, whole = 0, repainted = 0, repainted_without_rays = 0,
                   without_rays = 0;
 };
 
-/// Path by path: what it has brought, what it brings, and that it is traced from where it changes only.
+/// Checks path by path: the old and the new contribution, and that the path is traced only from its first change.
 Ways check_paths(const Edited& edited, const PathOptions& options, bool misses = false) {
     PathOptions path = options;
     path.seed = seed;
@@ -457,10 +458,10 @@ TEST(OldGraph, PathsAreTracedFromWhereTheyChange) {
     EXPECT_GT(repainted.repainted, 100u);
     EXPECT_EQ(repainted.cut + repainted.last_ray + repainted.whole, 0u);
     EXPECT_GT(10 * repainted.repainted_without_rays,
-              8 * repainted.repainted);  // 407 of 479; 347 if what was blocked were asked again
+              8 * repainted.repainted);  // 407 of 479; 347 if blocked rays were traced again
 }
 
-// Also with other random numbers, other roulette and passes with a gap, on any number of threads.
+// Also with other random streams, other roulette and passes with a gap, on any number of threads.
 TEST(OldGraph, IsOfAllKindsOfPaths) {
     const Edited edited(edits()[0]);
     for (const auto& [sampler, roulette] :
@@ -481,8 +482,8 @@ TEST(OldGraph, IsOfAllKindsOfPaths) {
     }
 }
 
-// Old + residual of the same samples is the picture that these samples have in the new scene, with its variance.
-// Break seen to fail: the change of the mean left out of the variance.
+// Old + residual of the same samples is the image of these samples in the new scene, with its variance. Detected
+// mutation: the change of the mean left out of the variance.
 TEST(OldGraph, SumOfTheSameSamplesIsAFreshPicture) {
     for (const std::size_t c : {0u, 5u, 10u, 34u}) {
         SCOPED_TRACE(edits()[c].name);
@@ -622,7 +623,7 @@ TEST_F(OldGraphFile, ThatDoesNotFitIsRefused) {
                    "was not traced like " + good);
 }
 
-// A graph that only says that it is of the scene.
+// A graph whose attributes alone claim the scene.
 TEST_F(OldGraphFile, OfOtherPathsIsFoundOut) {
     const OldGraph graph = read({write(0, 2, [](PathGraphInPieces& g) { g.provenance.seed = 4; })});
     try {

@@ -33,7 +33,7 @@ struct Value {
     double pdf_w;
 };
 
-/// A vertex asked by itself, all in double precision; what the loops read is what the graph holds, in floats.
+/// A single vertex, all in double precision; the loops read the graph's values, in floats.
 class PlainVertex {
   public:
     PlainVertex(const GraphReader& reader, std::size_t j) : at_(reader.vertex(j)), bsdf_(*at_.bsdf.model) {
@@ -64,7 +64,7 @@ class PlainVertex {
     Bsdf<double> bsdf_;
 };
 
-/// Where the light of an edge comes from, in the measure in which all vertices of a cluster agree.
+/// Source of an edge's light, in the measure that all vertices of a cluster share.
 struct PlainLight {
     enum { direction, surface_point, point } kind;
     Vector3d y, n;  // n: towards the source vertex
@@ -179,7 +179,7 @@ std::string name_of(std::string text) {
     return text;
 }
 
-/// Of unknowns: each has one.
+/// Returns the vertex of each unknown.
 std::vector<std::uint32_t> vertices_of(const System& s) {
     std::vector<std::uint32_t> vertex(s.n_unknowns, System::nothing);
     for (std::uint32_t j = 0; j < s.n_unknowns; ++j) {
@@ -191,10 +191,9 @@ std::vector<std::uint32_t> vertices_of(const System& s) {
 
 class SystemTwin : public ::testing::TestWithParam<TwinCase> {};
 
-// Every coefficient within half a step of its 16 bits (1 / 65535 of the column's largest) and the tolerance; direct
-// light within the tolerance, of the value and a tenth of the cluster's largest: 1e-5, and 1e-4 where narrow lobes
-// of refraction amplify the rounding of directions.
-// Breaks seen to fail: see the commit of this file.
+// Every coefficient within half a step of its 16 bits (1 / 65535 of the column's largest) and the tolerance. Direct
+// light within the tolerance, relative to the value and a tenth of the cluster's largest: 1e-5, and 1e-4 where narrow
+// lobes of refraction amplify the rounding of directions. Detected mutations: see the commit of this file.
 TEST_P(SystemTwin, CoefficientsAndDirectLight) {
     const TwinCase& param = GetParam();
     const auto scene = own_scene(param.scene, 14, 11);
@@ -262,7 +261,7 @@ TEST_P(SystemTwin, CoefficientsAndDirectLight) {
                 Rgbd brightest;
                 for (const Rgbd& d : twin.direct)
                     if (max_channel_of(d) > max_channel_of(brightest)) brightest = d;
-                // A direction that just grazes may lie on either side of a surface.
+                // A grazing direction may lie on either side of a surface.
                 for (const std::uint32_t end : seen) n_strays += !twin.columns.contains(end);
                 for (const auto& [end, column] : twin.columns) n_strays += !seen.contains(end);
                 for (std::size_t k = 0; k < member.size(); ++k) {
@@ -384,10 +383,10 @@ int longest_path(const PathGraph& g) {
 
 class SystemOfOne : public ::testing::TestWithParam<const char*> {};
 
-// With clusters of one, pooled densities are the balance heuristic and M is the step along the path: from darkness the
-// iteration ends, after as many steps as the longest path has edges between vertices, at what path tracing says.
-// Every vertex within 2e-5 of the vertices' mean (rounding of up to 16 bounces).
-// Breaks seen to fail: the power heuristic; the delta branch dropped; q left out of the densities.
+// With clusters of one, pooled densities are the balance heuristic and M is the step along the path. From zero the
+// iteration ends at the estimate of path tracing, after as many steps as the longest path has edges between vertices.
+// Every vertex within 2e-5 of the vertices' mean (rounding of up to 16 bounces). Detected mutations: the power
+// heuristic; the delta branch dropped; q left out of the densities.
 TEST_P(SystemOfOne, IsPathTracing) {
     const auto scene = own_scene(GetParam(), 32, 24);
     PathOptions path = path_options(*scene, 7);
@@ -406,7 +405,7 @@ TEST_P(SystemOfOne, IsPathTracing) {
     const Difference from_zero = difference(X, balance);
     EXPECT_LT(from_zero.mean, 1e-5);
     EXPECT_LT(from_zero.largest, GetParam() == std::string("cornell-box.xml") ? 1e-4 : 1e-3);
-    // And there it stays.
+    // The iteration stays there.
     HugeArray<Light> Y = by_unknown(s, path_radiance(reader, 0, Heuristic::balance));
     refine::solve(s, {}, {3, Clamp::none, 0, 0}, Y);
     EXPECT_LT(difference(Y, balance).mean, 1e-5);
@@ -418,7 +417,7 @@ TEST_P(SystemOfOne, IsPathTracing) {
                 from_zero.largest, steps);
 }
 
-// D edges of a path are D - 2 steps from darkness: one fewer lacks light, the right number is all there is.
+// D edges of a path are D - 2 steps from zero: one step fewer lacks light, the right number has all.
 TEST_P(SystemOfOne, FromDarknessDepthIsCounted) {
     const auto scene = own_scene(GetParam(), 24, 18);
     for (const int depth : {2, 3, 5}) {
@@ -456,8 +455,8 @@ INSTANTIATE_TEST_SUITE_P(Scenes, SystemOfOne,
 
 class SystemSolve : public ::testing::TestWithParam<const char*> {};
 
-// Where steps count bounces, what continues from a first hit has one less: exactly what the first hit took.
-// Breaks seen to fail: the last step for all; none of the last two for the others.
+// Where steps count bounces, light of a first hit's continuation has one less: exactly the first hit's input. Detected
+// mutations: the last step for all; none of the last two for the others.
 TEST_P(SystemSolve, LastStepIsForFirstHits) {
     const auto scene = own_scene(GetParam(), 24, 18);
     const PathGraph graph = trace_graph(*scene, path_options(*scene, 10), 1);
@@ -483,7 +482,7 @@ TEST_P(SystemSolve, LastStepIsForFirstHits) {
     }
 }
 
-// From darkness and from the noisy paths, 200 steps lead to one fixed point: relative difference below 1e-5.
+// From zero and from the noisy paths, 200 steps lead to one fixed point: relative difference below 1e-5.
 TEST_P(SystemSolve, BothStartsMeet) {
     const auto scene = own_scene(GetParam(), 32, 24);
     const PathGraph graph = trace_graph(*scene, path_options(*scene, 9), 1);
@@ -540,7 +539,7 @@ double spectral_radius(System& s, int steps) {
     return growth;
 }
 
-/// A closed room of plaster with a lamp, a ball of plastic, one of rough plastic and one of rough metal.
+/// A closed room of plaster with an emitter, a ball of plastic, one of rough plastic and one of rough metal.
 std::unique_ptr<Scene> glossy_room() {
     return testing::load_inline({R"(type="perspective"><float name="fov" value="80"/>
 <transform name="to_world"><lookat origin="-0.9, -0.9, 0.8" target="0.3, 0.3, -0.2" up="0, 0, 1"/></transform>)",
@@ -648,8 +647,7 @@ TEST(SystemByHand, DivergenceIsDetected) {
     for (std::size_t k = 0; k < 5; ++k) EXPECT_TRUE(std::isfinite(X[k].r));
 }
 
-// What comes in may not grow, whatever the coefficients say: 1 - epsilon of it goes on, and the log says how much did
-// not.
+// The input may not grow, for any coefficients: 1 - epsilon of it is passed on, and the log reports the rest.
 TEST(SystemByHand, ClusterClampTamesIt) {
     const System s = ring(5, 1.5f);
     HugeArray<Light> X = direct_of(s);
@@ -660,7 +658,7 @@ TEST(SystemByHand, ClusterClampTamesIt) {
     EXPECT_NEAR(log.back().clamped_share, 1 - 0.9 / 1.5, 1e-5);
 }
 
-// An edge that survived roulette with q stands for 1 / q of its kind: that much may come in.
+// An edge that survived roulette with q represents 1 / q edges: that much input is allowed.
 TEST(SystemByHand, ClusterClampKnowsRoulette) {
     const System s = ring(5, 1.5f, 0.5f);
     HugeArray<Light> X = direct_of(s);

@@ -39,7 +39,7 @@ class Plots : public SceneFolder {
     }
 };
 
-// Breaks seen to fail: the end of a PNG or of an SVG not checked; the commands kept although the image failed.
+// Detected mutations: the end of a PNG or of an SVG not checked; the commands kept although the image failed.
 TEST_F(Plots, AreWholeOrMissing) {
     for (const std::string format : {"png", "svg"}) {
         try {

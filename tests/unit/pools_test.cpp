@@ -73,7 +73,7 @@ TEST(Pools, BiasFails) {
     EXPECT_LT(test(NoisyCube(5000, 2, 1, 1), reference, Pooling::image).p, 1e-10);
 }
 
-// A loose bound lets every pixel stand alone; a tight one takes all into a pool per channel.
+// A loose bound leaves every pixel alone; a tight one puts all into one pool per channel.
 TEST(Pools, BoundSaysHowManyBinsArePooled) {
     const NoisyCube x(2000, 1), r(2000, 2);
     const std::size_t loose = test(x, r, Pooling::pixels, 10).n, middle = test(x, r, Pooling::pixels, 0.05).n;
@@ -98,7 +98,7 @@ TEST(Pools, SumsOfPixels) {
     EXPECT_LT(test_pixels({sums.data(), 1}, var, 10, reference, var_reference, 1000), 1e-3);
     for (auto& replicate : sums) replicate[70] += 20;
     EXPECT_LT(test_pixels(sums, {}, 10, reference, var_reference, 1000), 1e-2);
-    // A sample that saw nothing says that it is sure; what samples of the reference vary by says otherwise.
+    // A sample without any hit has variance 0; the variance of the reference's samples corrects that.
     std::vector<float> dark(n), sure(n);
     const double p = test_pixels(std::vector<std::vector<float>>{dark}, sure, 1, std::vector<float>(n, 0.5f),
                                  std::vector<float>(n, 0.001f), 1000);

@@ -1,5 +1,5 @@
-// Rays leave and reach surfaces at every scale without a hit of the surface itself, and see what is next to it.
-// Break that was watched to fail: rounding_bound a quarter of what it is (self-hits).
+// Rays leave and reach surfaces at every scale without a hit of the surface itself, and hit geometry next to it.
+// Detected mutation: rounding_bound a quarter of its value (self-hits).
 
 #include <gtest/gtest.h>
 
@@ -37,7 +37,7 @@ class Numbers {
     std::normal_distribution<double> normal_;
 };
 
-/// One shape alone, as a scene holds it.
+/// One shape alone, in a scene.
 struct Alone {
     Scene scene;
     double size = 1;
@@ -113,7 +113,7 @@ TEST(RayOffset, NoShapeIsHitByARayThatLeavesIt) {
                 if (!hit) continue;
                 const SurfacePoint at = alone->scene.surface(ray, hit);
                 const Vector3f d = r.leaving(at.ng);
-                // A ray that starts inside of a sphere meets its other side.
+                // A ray that starts inside a sphere hits its other side.
                 const bool inside = kind == Kind::sphere && dot(at.ng, d) < 0;
                 const Hit next = alone->scene.intersect(spawn_ray(at.end(), d));
                 ++n;
@@ -142,7 +142,7 @@ TEST(RayOffset, NoShapeHidesItsOwnPoints) {
                 if (dot(at.ng, d) * dot(at.ng, ray.d) > 0) d = -d;
                 const Point3f viewer = at.p + d * float(alone->size * r.size(-1, 3));
                 if (kind == Kind::sphere && dot(at.ng, d) < 0) continue;
-                // Of a viewer within rounding of the plane nobody can tell on which side it is.
+                // The side of a viewer within rounding of the plane is undefined.
                 if (std::abs(dot(at.ng, viewer - at.p)) < 4 * surface_offset(at.p, at.ng, at.hit_error)) continue;
                 ++n;
                 hidden += alone->scene.occluded(spawn_segment({viewer}, at.end()));
@@ -171,7 +171,7 @@ TEST(RayOffset, SurfacesAHundredThousandthApartHideEachOther) {
         const RayEnd to{triangle_point(above, facing, false).p, above.triangles[0].ng, above.hit_error};
         const Vector3f up(from.n);
         EXPECT_EQ(scene->intersect(spawn_ray(from, up)).shape, 1u);
-        // A light seen through the gap, and one that the upper square hides from afar.
+        // A light visible through the gap, and one that the upper square occludes from afar.
         EXPECT_FALSE(scene->occluded(spawn_segment(from, to)));
         EXPECT_TRUE(scene->occluded(spawn_segment({to.p + up * 10.0f}, from)));
         EXPECT_FALSE(scene->occluded(spawn_segment({to.p + up * 10.0f}, to)));

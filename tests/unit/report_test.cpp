@@ -1,4 +1,4 @@
-// Pages whose parts are known; in a browser they are looked at by tests/pipeline/report_test.cpp.
+// Pages with known parts; tests/pipeline/report_test.cpp tests them in a browser.
 
 #include "stages/report/report.h"
 
@@ -107,7 +107,7 @@ Cost cost(const std::string& stage, double cpu_s, std::vector<std::string> paren
     return c;
 }
 
-/// A picture merged of two passes, each from a graph that is gone, beside a reference without a history.
+/// An image merged of two passes, each from a deleted graph, beside a reference without a history.
 class Page : public testing::Test {
   protected:
     void SetUp() override {
@@ -171,7 +171,7 @@ TEST_F(Page, LineageGathersFilesOfAKind) {
     EXPECT_EQ(rows[2].from, std::vector<std::string>{"graph/pass-*.exr"});
 }
 
-// Same inputs, same bytes, wherever they lie; and nothing in it that a browser would fetch.
+// Same inputs give same bytes in any folder; and a browser would fetch nothing.
 TEST_F(Page, DependsOnItsInputsOnly) {
     const std::string page = page_of(options("a"));
     EXPECT_TRUE(page == page_of(options("a")));
@@ -187,8 +187,8 @@ TEST_F(Page, SaysWhatTheTablesSay) {
     EXPECT_TRUE(has("<h1>a &lt;scene&gt;</h1>"));
     EXPECT_TRUE(has("<td>0.600\u202f<small>±\u202f0.10</small></td>"));  // relMSE of two replicates
     EXPECT_TRUE(has("<td>&lt;\u202f0.0001</td>"));
-    EXPECT_TRUE(has("<td>–</td><td>2.0 KiB</td>"));  // rays that nobody counted are no zero
-    // Where both curves reach furthest; a ratio whose interval holds 1 is called what it is.
+    EXPECT_TRUE(has("<td>–</td><td>2.0 KiB</td>"));  // an unknown number of rays is no zero
+    // At the highest common level; a ratio whose interval contains 1 is reported as no difference.
     EXPECT_TRUE(
         has("At an equal CPU time of 4.00 s, <em>x</em> has <strong>3.00 times less</strong> relMSE than "
             "<em>pt</em> (2.00 to 4.00)."));

@@ -1,4 +1,4 @@
-// The edit between two scenes as it is found: in words for the user, by shape for the estimators.
+// The edit between two scenes: as text for the user, by shape for the estimators.
 
 #include <cmath>
 #include <filesystem>
@@ -67,7 +67,7 @@ class FindEdit : public SceneFolder {
     static unsigned changes_of(const std::vector<ShapeEdit>& shapes, std::size_t i) { return shapes.at(i).changes; }
 
   private:
-    /// Partners know each other, and the map leads the points of one to those of the other.
+    /// Partners refer to each other, and the map takes the points of one to those of the other.
     static void check_side(const std::vector<ShapeEdit>& mine, const std::vector<ShapeEdit>& theirs,
                            const Scene& my_scene, const Scene& their_scene) {
         for (std::size_t i = 0; i < mine.size(); ++i) {
@@ -109,8 +109,8 @@ TEST_F(FindEdit, MovesOfSmallThings) {
 
 TEST_F(FindEdit, NothingDiffersHoweverItIsWritten) {
     EXPECT_TRUE(found(base, base).nothing());
-    // Another order of attributes and parameters, grey as a number, a matrix instead of its factors, 0.x spelling of
-    // the whole, -D instead of a literal, an include, other spaces, an id that only the BSDF's users know.
+    // Another order of attributes and parameters, grey as a number, a matrix instead of its factors, 0.x spelling
+    // throughout, -D instead of a literal, an include, other spaces, an id that only the BSDF's users refer to.
     const std::string other =
         with({{"<rgb name=\"reflectance\" value=\"0.7 0.7 0.7\"/>", "<rgb value='0.7' name='reflectance'/>"},
               {"<scale value=\"0.2\"/><translate x=\"0.5\" z=\"0.2\"/>",
@@ -308,7 +308,7 @@ TEST_F(FindEdit, WithoutIds) {
                " 0.5 0.5'/></bsdf></shape>\n";
     };
     Edit edit = found(cube(0) + cube(3) + cube(6), cube(-3) + cube(0) + cube(3) + cube(7));
-    // The last cube of the old scene goes with the first that has no partner; one is left over.
+    // The last cube of the old scene is paired with the first that has no partner; one is left over.
     EXPECT_EQ(edit.new_shapes[1].partner, 0u);
     EXPECT_EQ(edit.new_shapes[2].partner, 1u);
     EXPECT_EQ(edit.new_shapes[0].partner, 2u);
@@ -353,7 +353,7 @@ TEST_F(FindEdit, WhatCannotBeAResidualIsRefusedWithBothPlaces) {
               "new.xml:2:58: max_depth is 5, not 4 as in the old scene, at old.xml:2:58");
     EXPECT_EQ(refusal(scene("", depth("4")), scene("")),
               "new.xml:1:1: max_depth is -1, not 4 as in the old scene, at old.xml:2:58");
-    // The same said otherwise is the same.
+    // Two spellings of the same value are equal.
     EXPECT_EQ(refusal(scene(camera("0")), scene("")), "no error");
     EXPECT_EQ(refusal(scene(film("768", "576", "<rfilter type='gaussian'/>")), scene("")), "no error");
     EXPECT_EQ(refusal(scene("", depth("-1")), scene("")), "no error");

@@ -1,7 +1,7 @@
-// Paths that are taken up under way against the same paths traced whole: to the last bit, from every depth, whatever
-// lies beside them.
+// Paths that are resumed midway against the same paths traced as a whole: to the last bit, from every depth, with any
+// neighbours in the batch.
 //
-// Breaks seen to fail: paths that join out of order (it does not end), with the random numbers of another, or that were
+// Detected mutations: paths that join out of order (it does not end), with the random stream of another, or that were
 // to be left alone.
 
 #include <fmt/format.h>
@@ -15,7 +15,7 @@
 namespace loom {
 namespace {
 
-/// A path as it is before each of its edges, by the plain step; rays are asked as a batch asks them.
+/// Returns a path's states before each of its edges, by the plain step; rays are traced as in a batch.
 std::vector<PathState> states_of(const Scene& scene, const PathOptions& options, PathId id) {
     const Sampler sampler(options.sampler, options.seed, id.pixel, id.sample);
     PathState path(scene, sampler, id, sampler.pair(film_pair));

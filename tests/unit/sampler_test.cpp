@@ -1,6 +1,6 @@
-// The random numbers: uniform, stratified as promised, and of one another independent. Breaks that were watched
-// to fail: no index shuffle (pairs correlate), pascal() without its first step (the net), the seed left out of
-// the key (seeds correlate), two dimensions with one key.
+// Random streams: uniform, stratified as specified, and independent of each other. Detected mutations: no index shuffle
+// (pairs correlate), pascal() without its first step (the net), the seed left out of the key (seeds correlate), two
+// dimensions with one key.
 
 #include "stages/core/sampling/sampler.h"
 
@@ -50,7 +50,7 @@ TEST(Sampler, PairsAreUniformOverTheSamplesOfAPixel) {
     }
 }
 
-/// True when 2^k points lie one in each elementary interval of every shape 2^-a x 2^-(k - a).
+/// Whether 2^k points have one in each elementary interval of every shape 2^-a x 2^-(k - a).
 bool is_net(const std::vector<Point2f>& points, int k) {
     for (int a = 0; a <= k; ++a) {
         std::set<std::pair<int, int>> taken;

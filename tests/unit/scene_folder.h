@@ -12,7 +12,7 @@
 
 namespace loom {
 
-/// A folder of scene files that goes with the test.
+/// A temporary folder of scene files of the test.
 class SceneFolder : public ::testing::Test {
   protected:
     void SetUp() override {
@@ -28,7 +28,7 @@ class SceneFolder : public ::testing::Test {
         std::ofstream(path(name), std::ios::binary) << bytes;
         return path(name);
     }
-    /// A scene with a sensor and `body`, whose first line is line 2 of the file.
+    /// Reads a scene with a sensor and `body`, whose first line is line 2 of the file.
     SceneDescription read(const std::string& body, const Defines& defines = {}, const char* version = "3.0.0",
                           const std::string& sensor = {}) const {
         return read_scene(write("scene.xml", text(body, version)), defines, sensor);
@@ -37,7 +37,7 @@ class SceneFolder : public ::testing::Test {
         return std::string("<scene version=\"") + version + "\"><sensor type=\"perspective\"/>\n" + body +
                "\n</scene>\n";
     }
-    /// The message of the InputError that reading must end with, the folder's name cut off.
+    /// Returns the message of the InputError that reading throws, without the folder's name.
     template <class Body>
     std::string error_of(const Body& body) const {
         try {

@@ -1,6 +1,6 @@
 // Every parameter that the schema accepts is read when a scene with it is built, or is declared to be without effect
-// (flag::ignored). Seen to fail: with the readers of hide_emitters, flip_invalid_normals, use_shadowing_function, the
-// variant of ward and the gamma of envmap taken out again, each by name.
+// (flag::ignored). Detected mutations: the readers of hide_emitters, flip_invalid_normals, use_shadowing_function, the
+// variant of ward and the gamma of envmap removed, each by name.
 
 #include <fmt/format.h>
 #include <gtest/gtest.h>
@@ -17,8 +17,7 @@ namespace {
 
 using enum Category;
 
-/// What a parameter needs beside itself to have an effect, by "plugin.parameter", ".parameter" or "plugin": more
-/// parameters.
+/// Further parameters that a parameter needs for an effect, by "plugin.parameter", ".parameter" or "plugin".
 const std::map<std::string, std::string> companions = {
     {"perspective.fov_axis", "<float name='fov' value='30'/>"},
     {"projector.fov_axis", "<float name='fov' value='30'/>"},
@@ -224,7 +223,7 @@ TEST_F(SchemaWalk, EveryParameterIsReadOrDeclaredToBeWithoutEffect) {
     EXPECT_GT(n_parameters, 100);
 }
 
-// What has an effect only beside another parameter is named when that one is missing.
+// A parameter with an effect only beside another one is named when that one is missing.
 TEST_F(SchemaWalk, UnreadParametersAreNamedWithTheirPlace) {
     const auto scene = load_scene(write("scene.xml", R"(<scene version="3.0.0"><sensor type="perspective"/>
 <integrator type="transient_path"><float name="gaussian_stddev" value="2"/></integrator>

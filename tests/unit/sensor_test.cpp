@@ -1,6 +1,6 @@
-// Camera rays against numbers worked out by hand (and found so in Mitsuba 3), and film positions against the
-// filters they are drawn from. Breaks that were watched to fail: y divided by the aspect twice, the sign of the
-// principal point, the tent's distribution without truncation at the border, gaussian_stddev doubled.
+// Camera rays against numbers computed by hand (and confirmed in Mitsuba 3), and film positions against the filters
+// that they are drawn from. Detected mutations: y divided by the aspect twice, the sign of the principal point, the
+// tent's distribution without truncation at the border, gaussian_stddev doubled.
 
 #include "stages/core/scene/sensor.h"
 

@@ -1,4 +1,4 @@
-// What clusters keep apart: members of different media, and members that a surface hides from one another.
+// Separation of cluster members: of different media, and occluded from each other.
 #include <gtest/gtest.h>
 
 #include "stages/cluster/cluster.h"
@@ -79,7 +79,7 @@ TEST(Separation, SheetsAboveOneAnother) {
     EXPECT_EQ(mixed(apart, across), 0u);
 }
 
-// What is smooth and seen from outside stays together: a plane as before, a ball nearly.
+// Smooth surfaces from outside stay together: a plane completely, a ball nearly.
 TEST(Separation, PlanesAndBallsStayWhole) {
     const auto plane = load_inline({above, floor + sky, 32, 32, 3});
     const PathGraph on_plane = trace_graph(*plane, path_options(*plane, 3), 2);
@@ -91,9 +91,8 @@ TEST(Separation, PlanesAndBallsStayWhole) {
     EXPECT_LT(clusters_of(on_ball, ball.get()).separation.occluded[0], on_ball.n_vertices() / 100);
 }
 
-// The faces of a pane, seen from one side: one is seen through air, the other through glass. No scene is needed for
-// that.
-// Breaks seen to fail: media not looked at; only the medium across.
+// The faces of a pane, from one side: one is visible through air, the other through glass. No scene is needed for that.
+// Detected mutations: media not compared; only the medium across.
 TEST(Separation, MediaOfAPane) {
     const auto scene = load_inline({above,
                                     R"(<shape type="cube"><transform name="to_world"><scale z="0.002"/></transform>

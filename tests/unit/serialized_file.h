@@ -1,5 +1,5 @@
 #pragma once
-// Bytes of mesh files for tests.
+// Makes bytes of mesh files for tests.
 
 #include <zlib.h>
 
@@ -19,7 +19,7 @@ inline void append(std::string& bytes, T value, bool swap = false) {
     bytes.append(raw, sizeof value);
 }
 
-/// Two shapes; the second lies one unit higher.
+/// Makes two shapes; the second lies one unit higher.
 inline std::string serialized_file(int version, bool doubles, std::uint32_t flags) {
     std::string file;
     std::vector<std::uint64_t> starts;

@@ -1,4 +1,4 @@
-// What stored paths contribute: the walk with several numbers, and the fast twins of the walk and of the readers.
+// Contributions of stored paths: the walk with several numbers, and the fast versions of the walk and of the readers.
 
 #include <gtest/gtest.h>
 
@@ -68,8 +68,8 @@ TEST_P(StoredPath, HasTheSameRadianceInEveryNumber) {
     EXPECT_GT(derivative, 0.1 * sum);
 }
 
-// The columns that refine adds up against vertices read one by one.
-// Break seen to fail: the balance heuristic on one side.
+// The columns that refine sums up against vertices read one by one. Detected mutation: the balance heuristic on one
+// side.
 TEST_P(StoredPath, IsTheSameFromTheColumnsOfTheSystem) {
     const PathGraph graph = graph_of(GetParam());
     const GraphReader reader(graph);
@@ -102,10 +102,10 @@ INSTANTIATE_TEST_SUITE_P(Scenes, StoredPath, ::testing::Values("cornell-box.xml"
                              return name.substr(0, name.find_first_of("-."));
                          });
 
-// Break seen to fail: the shading normal in place of the geometric one.
+// Detected mutation: the shading normal in place of the geometric one.
 TEST(StoredVertex, HasTheGeometricNormalOfItsCluster) {
     PathGraph graph = graph_of("glossy-box.xml");
-    // Geometric normals that are not the shading normals: each vertex takes that of another.
+    // Geometric normals that differ from the shading normals: each vertex gets that of another.
     const auto& ns = graph.vertices.ns;
     const std::size_t n_vertices = graph.n_vertices();
     std::vector<std::int16_t> ng(2 * n_vertices);

@@ -21,7 +21,7 @@ TEST(Student, WelchDegreesOfFreedom) {
     // Equal errors with n - 1 degrees each add up to 2 (n - 1).
     const Estimate a{1.0, 0.1, 9}, b{1.3, 0.1, 9};
     EXPECT_NEAR(welch_p_value(a, b), student_p_value(0.3 / std::sqrt(0.02), 18), 1e-12);
-    // A known mean leaves the one-sample test.
+    // A mean without error gives the one-sample test.
     EXPECT_NEAR(welch_p_value(a, {1.3, 0, INFINITY}), student_p_value(3, 9), 1e-12);
 }
 

@@ -50,8 +50,8 @@ Rgb<double> sphere_integral(const EnvironmentMap& map, int n) {
     return sum * (2 * pi_double * pi_double / (double(width) * height));
 }
 
-// Catches a table in another order (channels, albedos, turbidities or control points swapped): the curve goes
-// through its first and last control points.
+// Detects a table in another order (channels, albedos, turbidities or control points swapped): the curve passes through
+// its first and last control points.
 TEST(SkyCoefficients, ends_of_the_curve_are_control_points) {
     const SkyCoefficients first = sky_coefficients(1, 0, 0, 0);
     EXPECT_DOUBLE_EQ(first.shape[0], -1.099459);
@@ -163,8 +163,7 @@ TEST(Sunsky, baked_disk_is_even_and_ends_at_its_radius) {
         EXPECT_TRUE(is_black(map.eval({0.25f, float((50 + offset_deg) / 180)})));
 }
 
-// Catches light from below, and half a row lost or won at the horizon, in maps whose middle row lies on it
-// too.
+// Detects light from below, and half a row lost or added at the horizon, also in maps whose middle row is on it.
 TEST(Sunsky, horizon) {
     for (int height : {512, 513}) {
         Sunsky s;
@@ -269,7 +268,7 @@ Sunsky mitsuba3(double turbidity, const Rgb<double>& albedo, const Vector3<doubl
     return s;
 }
 
-// Values of Mitsuba 3.8 (scalar_rgb). Breaks seen to fail: the unit of 0.6, the red of the albedo for all channels.
+// Values of Mitsuba 3.8 (scalar_rgb). Detected mutations: the unit of 0.6, the red of the albedo for all channels.
 TEST(SunskyOfMitsuba3, radiance_of_the_sky) {
     expect_rgb(
         sky_radiance(mitsuba3(2.5, {0.1, 0.4, 0.8}, from_mitsuba3(-0.5, 0.1, 0.6)), from_mitsuba3(0.2, 0.7, 0.3)),
@@ -283,8 +282,8 @@ TEST(SunskyOfMitsuba3, radiance_of_the_sky) {
                {1.379344, 1.388928, 1.131967}, 2e-4);
 }
 
-// Values of Mitsuba 3.8: radiance of an even disk times its solid angle. Between nodes of the table, at its ends.
-// Breaks seen to fail: turbidity or elevation rounded down, elevations off by a node, the irradiance of 0.6.
+// Values of Mitsuba 3.8: radiance of a uniform disk times its solid angle, between nodes of the table and at its ends.
+// Detected mutations: turbidity or elevation rounded down, elevations off by a node, the irradiance of 0.6.
 TEST(SunskyOfMitsuba3, irradiance_of_the_sun) {
     const struct {
         double turbidity, elevation_deg;
@@ -311,7 +310,7 @@ class SunskyScene : public SceneFolder {
     }
 };
 
-// Values of Mitsuba 3.8. Breaks seen to fail: sun_direction or the frame with y up, the azimuth by time mirrored, the
+// Values of Mitsuba 3.8. Detected mutations: sun_direction or the frame with y up, the azimuth by time mirrored, the
 // albedo of 0.6.
 TEST_F(SunskyScene, axes_of_mitsuba3) {
     const auto turned = scene_of(
@@ -329,8 +328,8 @@ TEST_F(SunskyScene, axes_of_mitsuba3) {
     EXPECT_EQ(towards(*scene_of("", "0.6.0"), 0.5, -0.5, 0.7), Rgb<double>());
 }
 
-// Breaks seen to fail: an aperture taken for a radius, the irradiance of 0.6, no limb darkening, limb darkening that
-// changes the power of a sun of three texels, a disk that goes on below the horizon.
+// Detected mutations: an aperture used as a radius, the irradiance of 0.6, no limb darkening, limb darkening that
+// changes the power of a sun of three texels, a disk that extends below the horizon.
 TEST_F(SunskyScene, sun_of_mitsuba3) {
     const std::string place =
         "<float name='sky_scale' value='0'/><vector name='sun_direction' x='0' y='0.8' z='0.6'/><float "
@@ -355,7 +354,7 @@ TEST_F(SunskyScene, sun_of_mitsuba3) {
     EXPECT_EQ(towards(*low, 0, 1, -0.02), Rgb<double>());
 }
 
-// Breaks seen to fail: Mitsuba 3's defaults in 0.x files, apertures of any size, a sky at night.
+// Detected mutations: Mitsuba 3's defaults in 0.x files, apertures of any size, a sky at night.
 TEST_F(SunskyScene, parameters_are_those_of_the_dialect) {
     EXPECT_NE(error_of([&] { scene_of("<float name='stretch' value='1.5'/>"); }).find("has no parameter 'stretch'"),
               std::string::npos);

@@ -147,7 +147,7 @@ TEST_F(TextureFile, SixteenBitIsSrgbAndFloatLinear) {
     EXPECT_EQ(error_of([&] { cache_.image(path("none.png"), {}); }), "none.png: no such file");
 }
 
-// Seen to fail with channels by position: 9 0.2 0.5, and R and G alone as grey.
+// Detected mutations: channels by position (9 0.2 0.5), and R and G alone as grey.
 TEST_F(TextureFile, ChannelsOfExrFilesGoByName) {
     EXPECT_EQ(colour_of({"Z", "color.R", "color.G", "color.B"}, {9, 0.2f, 0.5f, 0.8f}), "0.2 0.5 0.8");
     EXPECT_EQ(colour_of({"B", "G", "R", "A", "depth.Z", "N.X"}, {0.8f, 0.5f, 0.2f, 0.1f, 9, 7}), "0.2 0.5 0.8");
@@ -161,7 +161,7 @@ TEST_F(TextureFile, ChannelsOfExrFilesGoByName) {
     EXPECT_EQ(colour_of({"height"}, {0.4f}), "0.4 0.4 0.4");
     // Y = 0.2126 0.2 + 0.7152 0.5 + 0.0722 0.8, RY = R / Y - 1, BY = B / Y - 1.
     EXPECT_EQ(colour_of({"BY", "RY", "Y"}, {0.8f / 0.45788f - 1, 0.2f / 0.45788f - 1, 0.45788f}), "0.2 0.5 0.8");
-    // Numbers stay numbers, whatever their type.
+    // Numbers stay numbers, for any type.
     EXPECT_EQ(colour_of<std::uint32_t>({"R", "G", "B"}, {0, 1, 3}), "0 1 3");
 }
 

@@ -20,7 +20,7 @@ struct Cube {
     std::vector<float> radiance, var_mean, before, after, never, steady;
 
     double bin(std::size_t pixel, std::uint32_t k, int c = 1) const { return radiance[(pixel * n_bins + k) * 3 + c]; }
-    /// Of all pixels.
+    /// Returns the sum over all pixels.
     std::vector<double> histogram(int c = 1) const {
         std::vector<double> sum(n_bins, 0.0);
         for (std::size_t i = 0; i < radiance.size() / 3; ++i) sum[i % n_bins] += radiance[3 * i + c];
@@ -91,7 +91,7 @@ constexpr const char* white =
 constexpr const char* shining =
     R"(<bsdf type="diffuse"><rgb name="reflectance" value="0"/></bsdf><emitter type="area"><rgb name="radiance" value="2"/></emitter>)";
 
-/// Shines down.
+/// Emits downwards.
 std::string lamp_above(double z, double half, double x = 0) {
     return fmt::format(
         R"(<shape type="rectangle"><transform name="to_world"><scale x="{1}" y="{1}"/><rotate x="1" angle="180"/><translate x="{2}" z="{0}"/></transform>{3}</shape>)",
@@ -111,7 +111,7 @@ PathGraph graph_of(const std::string& sensor, const std::string& body, int size 
     return testing::trace_graph(*scene, testing::path_options(*scene, 3), spp);
 }
 
-// One bounce: camera 3 m over a plate, a lamp at its side, 4 m over the plate; the pixel is a hair's breadth wide.
+// One bounce: camera 3 m over a plate, an emitter at its side, 4 m over the plate; the pixel is very narrow.
 TEST(TimeOfFlight, OneBounceIsInTheBinWorkedOutByHand) {
     const PathGraph graph =
         graph_of(looking_down(3, 1e-4),
@@ -134,7 +134,7 @@ std::string glass_ball(double int_ior, double ext_ior = 1) {
         int_ior, ext_ior);
 }
 
-// Breaks seen to fail: paths that start in vacuum; one stack for all origins of an orthographic sensor.
+// Detected mutations: paths that start in vacuum; one stack for all origins of an orthographic sensor.
 TEST(TimeOfFlight, ACameraInsideOfGlassCountsItsFirstSegmentByTheGlass) {
     const std::string body = glass_ball(1.5) + plate(-3, shining);
     EXPECT_EQ(cube_of(graph_of(pinhole, body, 4, 2), bins(100, -0.05, 0.1)).only_bin(), 35u);  // 1.5 * 1 + 2
@@ -151,7 +151,7 @@ TEST(TimeOfFlight, ACameraInsideOfGlassCountsItsFirstSegmentByTheGlass) {
     EXPECT_GT(inside, 100u);
 }
 
-// Breaks seen to fail: paths that start in vacuum; nested media in the wrong order; vacuum outside of everything.
+// Detected mutations: paths that start in vacuum; nested media in the wrong order; vacuum outside of all shapes.
 TEST(TimeOfFlight, CameraAndLightUnderWater) {
     // 4 m to the floor and 5 m to the bulb, under an open surface of water.
     const std::string floor = plate(-4, white),
@@ -164,7 +164,7 @@ TEST(TimeOfFlight, CameraAndLightUnderWater) {
     // In a ball of glass in a box of water.
     const std::string immersed = glass_ball(1.5, 1.25) + glass_box(0, 6, 1.25) + plate(-4, shining);
     EXPECT_EQ(cube_of(graph_of(pinhole, immersed, 4, 2), bins(200, 0, 0.1)).only_bin(), 52u);  // 1.5 * 1 + 1.25 * 3
-    // A scene that lies in water without a surface.
+    // A scene in water without a surface.
     EXPECT_EQ(
         cube_of(graph_of(looking_down(3, 1e-4), plate(-2, shining) + glass_ball(1.5, 1.25), 4, 3), bins(200, 0, 0.1))
             .only_bin(),
@@ -177,7 +177,7 @@ TEST(TimeOfFlight, DirectlySeenLampArrivesAfterItsDistance) {
     EXPECT_NEAR(cube.bin(5, 27), 2, 1e-6);
 }
 
-// Distances start at the camera, not at the near plane. Break seen to fail: rays that start there.
+// Distances start at the camera, not at the near plane. Detected mutation: rays that start there.
 TEST(TimeOfFlight, NearPlaneChangesNothing) {
     const auto of = [](double near_clip) {
         return cube_of(graph_of(looking_down(3, 1, near_clip), plate(0, white) + lamp_above(5, 1)), bins(300, 0, 0.05));
@@ -187,7 +187,7 @@ TEST(TimeOfFlight, NearPlaneChangesNothing) {
     EXPECT_GT(a.histogram()[162], 0);
 }
 
-// A slab of 0.5 m and index n at normal incidence makes the way (n - 1) 0.5 m longer. The lamp is behind it.
+// A slab of 0.5 m and index n at normal incidence makes the path (n - 1) 0.5 m longer. The emitter is behind it.
 TEST(TimeOfFlight, SlabDelaysByItsIndex) {
     for (const double n : {1.0001, 1.33, 1.5, 2.4}) {
         const PathGraph graph = graph_of(looking_down(3, 1), glass_box(1, 0.25, n) + plate(-1, shining, 4), 4, 3, 64);
@@ -199,7 +199,7 @@ TEST(TimeOfFlight, SlabDelaysByItsIndex) {
     }
 }
 
-// The index of light's energy, not of its phase, says how long it takes.
+// The group index, not the phase index, determines the time of flight.
 TEST(TimeOfFlight, GroupIndexStandsForThePhaseIndex) {
     const PathGraph graph = graph_of(looking_down(3, 1), glass_box(1, 0.25, 1.5) + plate(-1, shining, 4), 4, 3, 64);
     const Cube cube = cube_of(graph, bins(2, 4 + 0.52 * 0.5 - 1e-4, 2e-4), {{true, {{1.5f, 1.52f}}}});
@@ -207,10 +207,10 @@ TEST(TimeOfFlight, GroupIndexStandsForThePhaseIndex) {
     EXPECT_EQ(cube.before[1] + cube.after[1], 0);
 }
 
-// A lamp inside glass, glass inside water: absolute indices, whatever is in what. METHODS 4.4, 7.
-// Break seen to fail: the relative index of the last interface.
+// An emitter inside glass, glass inside water: absolute indices at any nesting. METHODS 4.4, 7. Detected mutation: the
+// relative index of the last interface.
 TEST(TimeOfFlight, NestedAndImmersedObjectsHaveAbsoluteIndices) {
-    // Water from z = -2 to 2, in it glass from -1 to 1, in that the lamp at 0; camera at 4.
+    // Water from z = -2 to 2, in it glass from -1 to 1, in that the emitter at 0; camera at 4.
     const PathGraph graph = graph_of(
         looking_down(4, 0.5), glass_box(0, 2, 1.33) + glass_box(0, 1, 1.5, 1.33, 4) + plate(0, shining, 1), 4, 3, 64);
     const double opl = 2 + 1.33 * 1 + 1.5 * 1;
@@ -221,10 +221,11 @@ TEST(TimeOfFlight, NestedAndImmersedObjectsHaveAbsoluteIndices) {
     EXPECT_EQ(cube.before[1] + cube.after[1], 0);
 }
 
-// A diffuse plate and a lamp, both under water; light goes on to the lamp in water whichever technique finds it.
-// Break seen to fail: index 1 for edges of next-event estimation.
+// A diffuse plate and an emitter, both under water; light travels to the emitter in water with either technique.
+// Detected mutation: index 1 for edges of next-event estimation.
 TEST(TimeOfFlight, LightEdgesUnderWaterAreSlowToo) {
-    // The lamp is a large ceiling 0.5 m over the plate, seen from it at 0.5 to 0.7 m; the camera looks through a hole.
+    // The emitter is a large ceiling 0.5 m over the plate, at a distance of 0.5 to 0.7 m; the camera looks through a
+    // hole.
     const PathGraph graph = graph_of(
         looking_down(2, 0.05),
         glass_box(0, 1, 1.33, 1, 3) + plate(0, white, 1) + lamp_above(0.5, 0.2, -0.35) + lamp_above(0.5, 0.2, 0.35), 4,
@@ -241,8 +242,8 @@ TEST(TimeOfFlight, LightEdgesUnderWaterAreSlowToo) {
     for (const float early : cube.before) EXPECT_EQ(early, 0);
 }
 
-// A lamp inside rough glass: next-event estimation goes through the surface into the glass, as the BSDF sample does.
-// METHODS 4.4, 8. Break seen to fail: the index of the side that the vertex is seen from, for next-event estimation.
+// An emitter inside rough glass: next-event estimation passes through the surface into the glass, as the BSDF sample
+// does. METHODS 4.4, 8. Detected mutation: the index of the side of wo, for next-event estimation.
 TEST(TimeOfFlight, NextEventEstimationThroughRoughGlassIsSlow) {
     const std::string rough = R"(<shape type="cube"><transform name="to_world"><scale x="4" y="4" z="1"/></transform>
 <bsdf type="roughdielectric"><float name="alpha" value="0.4"/><float name="int_ior" value="1.5"/></bsdf></shape>)";
@@ -329,8 +330,8 @@ TEST(TimeOfFlight, NarrowBinsFarAwayAreHit) {
     EXPECT_GT(misses_in_float, 500);
 }
 
-// The same room in another unit: the same histogram over bins of that unit. Paths are the same but for what the offset
-// of rays, which has a length of its own, moves.
+// The same room in another unit: the same histogram over bins of that unit. Paths are equal except for the offset of
+// rays, which has a length of its own.
 TEST(TimeOfFlight, UnitOfTheSceneChangesNothing) {
     const auto of = [](double scale) {
         const std::string body = fmt::format(
@@ -348,7 +349,7 @@ TEST(TimeOfFlight, UnitOfTheSceneChangesNothing) {
     EXPECT_LT(difference, 1e-3 * sum);
 }
 
-/// The glossy box: every kind of lobe, glass and a lamp.
+/// The glossy box: every kind of lobe, glass and an emitter.
 PathGraph glossy_graph(int size, std::uint64_t spp, std::uint64_t seed = 11) {
     const auto scene = testing::own_scene("glossy-box.xml", size, size, {});
     return testing::trace_graph(*scene, testing::path_options(*scene, seed), spp);
@@ -374,7 +375,7 @@ TEST(TimeOfFlight, SumsOverTimeAreTheSteadyImage) {
     }
 }
 
-// The same numbers for any number of threads and any size of blocks.
+// The same values for any number of threads and any size of blocks.
 TEST(TimeOfFlight, ThreadsAndBlocksChangeNothing) {
     const PathGraph graph = glossy_graph(24, 4);
     const Clusters clusters = testing::clusters_of(graph, 16);
@@ -405,8 +406,7 @@ TEST(SharedArrivals, ClustersOfOneAreThePathsThemselves) {
     EXPECT_LT(difference, 0.02 * sum);
 }
 
-// Direct light shared by clusters, summed over time, is what refining says of it.
-// Break seen to fail: factors without 1 / rho.
+// Direct light shared by clusters, summed over time, is that of refining. Detected mutation: factors without 1 / rho.
 TEST(SharedArrivals, DirectLightIsThatOfRefining) {
     const auto scene = testing::own_scene("cornell-box.xml", 16, 16, {{"max_depth", "2"}});
     PathOptions path = testing::path_options(*scene, 5);

@@ -33,12 +33,12 @@ double integral(F f, double a, double b, int n = 20000) {
     return sum * h / 3;
 }
 
-// Break seen to fail: exp(v^2 - u v) instead of exp(v^2 / 2 - u v) in the tail's part.
+// Detected mutation: exp(v^2 - u v) instead of exp(v^2 / 2 - u v) in the tail's part.
 TEST(TimeResponse, ArrivedIsTheIntegralOfPower) {
     for (const auto& [name, pulse] : smooth_pulses()) {
         SCOPED_TRACE(name);
         for (const double s : {-0.4, -0.01, 0.05, 0.3, 0.69, 1.5, 3.0}) {
-            double sum = 0;  // piece by piece, so that no jump or bend lies within
+            double sum = 0;  // in pieces, so that no discontinuity or kink lies inside
             double from = pulse.begin();
             for (const double to : {-0.5, 0.0, 0.1, 0.4, 0.7, 2.0, s})
                 if (to > from && to <= s && to <= pulse.end()) {
@@ -126,7 +126,7 @@ TEST(TimeResponse, ModulationIsTheProductOfLightAndSensor) {
     }
 }
 
-// Break seen to fail: S_e derived by start instead of tof (sign).
+// Detected mutation: S_e derived by start instead of tof (sign).
 TEST(TimeResponse, DerivativesAgreeWithDifferences) {
     using D = Dual<1, double>;
     const double h = 1e-6;
@@ -141,7 +141,7 @@ TEST(TimeResponse, DerivativesAgreeWithDifferences) {
     }
 }
 
-// What bins, before and after get adds up to all of the light.
+// Bins, before and after sum to all of the light.
 TEST(TimeResponse, EnergyIsKept) {
     for (const auto& [name, r] : responses()) {
         if (r.gate != r.width) continue;

@@ -1,5 +1,5 @@
-// Each warp against its density, by the moments of what it samples and by its range. Breaks that were
-// watched to fail: the disk's radius squared; sin_cos_turn off by a quarter.
+// Each warp against its density, by the moments of its samples and by its range. Detected mutations: the disk's radius
+// squared; sin_cos_turn off by a quarter.
 
 #include "stages/core/sampling/warp.h"
 

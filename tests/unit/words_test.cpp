@@ -1,7 +1,8 @@
-// Texts for users speak the language of the field: no word of the list below stands in a string literal of more than one
-// word (help, errors, warnings, plan lines, descriptions of datasets), in what make prints, or in the page of loom-report.
+// Texts for users use the terms of the field: no word of the list below is in a string literal of more than one word
+// (help, errors, warnings, plan lines, descriptions of datasets), in what make prints, or in the page of loom-report.
 //
-// Seen to fail: "picture" in an option of loom-trace, in an error of loom-merge and in the `## ` text of a variable.
+// Detected mutations: "picture" in an option of loom-trace, in an error of loom-merge and in the `## ` text of a
+// variable.
 
 #include <fmt/format.h>
 #include <gtest/gtest.h>
@@ -96,7 +97,7 @@ std::vector<Text> literals(const std::string& source, const std::string& name) {
     return found;
 }
 
-/// What make prints: `## ` texts, errors and notes.
+/// Returns the texts that make prints: `## ` texts, errors and notes.
 std::vector<Text> printed_by_make(const std::string& makefile, const std::string& name) {
     std::vector<Text> found;
     std::istringstream lines(makefile);

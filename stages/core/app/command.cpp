@@ -17,14 +17,14 @@
 namespace loom::app {
 namespace {
 
-/// A list option is bounded only by the command line's own length.
+/// Upper bound for a list option; the command line's own length is the real limit.
 constexpr int any_number = 1 << 20;
 
 std::string program_of(const std::string& about) {
     return "loom-" + about.substr(0, about.find(':'));
 }
 
-/// Absolute paths, alone or as the value of a definition, tell where a run took place: base name only.
+/// Replaces absolute paths, alone or as the value of a definition, by base names, because they reveal the machine.
 std::string without_place(const std::string& word) {
     const std::size_t value = word.find('=') == std::string::npos ? 0 : word.find('=') + 1;
     if (value >= word.size() || word[value] != '/') return word;
@@ -96,7 +96,7 @@ Command::Option Command::declare(const std::string& names, const std::string& he
     option->type_name(type);
     const std::vector<std::string> now = get();
     if (!now.empty()) option->default_str(now.front());
-    // "-o,--output" is known by its last name, the long one.
+    // "-o,--output" is identified by its last name, the long one.
     declared_.push_back({kind, shown.starts_with('-') ? shown : "", std::move(get)});
     return Option(option);
 }
@@ -212,7 +212,7 @@ void Command::check_files() const {
 }
 
 int Command::execute_body(int argc, char** argv, const std::function<int()>& body) {
-    std::signal(SIGXFSZ, SIG_IGN);  // a file that has reached its limit is a failed write, like a full disk
+    std::signal(SIGXFSZ, SIG_IGN);  // a file at its size limit is a failed write, like a full disk
     try {
         app_->parse(argc, argv);
         report.set_command(text(true));

@@ -27,18 +27,17 @@ class Option;
 
 namespace loom::app {
 
-/// done 0 · the answer is no 1 · the command line or an input is wrong 2 · anything else 3
+/// Exit codes: 0 done, 1 the answer is no, 2 the command line or an input is wrong, 3 any other failure.
 enum Exit : int { exit_done = 0, exit_no = 1, exit_wrong_input = 2, exit_failed = 3 };
 
-/// Options and body of one stage. Every function that declares an option takes the field that holds its
-/// default; the field must outlive the Command. Names are CLI11's: "--spp", "-o,--output", "scene"
-/// (positional).
+/// Options and body of one stage. A function that declares an option binds it to a field that holds the default. The
+/// field must outlive the Command. Names are CLI11's: "--spp", "-o,--output", "scene" (positional).
 class Command {
   public:
-    /// What was declared, to say more of it.
+    /// Handle of a declared option.
     class Option {
       public:
-        /// Its absence is an error.
+        /// Makes the absence of the option an error.
         void required();
 
       private:
@@ -47,39 +46,39 @@ class Command {
         CLI::Option* option_;
     };
 
-    /// about: "NAME: what the stage does"; the program is then called loom-NAME.
+    /// in:      about  "NAME: what the stage does"; the program's name is then loom-NAME
     explicit Command(const std::string& about);
     ~Command();
 
-    /// A number, or an optional one (left out of the command's text while unset).
+    /// Declares a number, or an optional number (omitted from the command's text while unset).
     template <class T>
     requires Number<typename value_of<T>::type> Option
     option(const std::string& names, T& field, const std::string& help,
            std::optional<Range<typename value_of<T>::type>> range = std::nullopt);
-    /// A text; a list of texts, one per use of the flag (`-D a=1 -D b=2`).
+    /// Declares a text, or a list of texts, one per use of the flag (`-D a=1 -D b=2`).
     Option option(const std::string& names, std::string& field, const std::string& help);
     Option option(const std::string& names, std::vector<std::string>& field, const std::string& help);
     Option flag(const std::string& names, bool& field, const std::string& help);
-    /// One value of a closed set, by name.
+    /// Declares one value of a closed set, by name.
     template <class Enum>
     Option choice(const std::string& names, Enum& field, const std::string& help,
                   std::vector<std::pair<std::string, Enum>> values);
 
-    /// An input that must be there; `files` takes one or more. The command's text has base names only.
+    /// Declares an input that must exist; `files` takes one or more. The command's text has base names only.
     Option file(const std::string& names, std::string& field, const std::string& help);
     Option files(const std::string& names, std::vector<std::string>& field, const std::string& help);
-    /// One or more inputs that may carry a label, LABEL=FILE (see split_label). Whether they are there is the body's
-    /// to check.
+    /// Declares one or more inputs with an optional label, LABEL=FILE (see split_label). The body checks that they
+    /// exist.
     Option labelled_files(const std::string& names, std::vector<std::string>& field, const std::string& help);
-    /// A file to write; its folder must be there. Not in the command's text.
+    /// Declares a file to write; its folder must exist. Not in the command's text.
     Option output(const std::string& names, std::string& field, const std::string& help);
-    /// --threads; 0 is all. Not in the command's text.
+    /// Declares --threads; 0: all. Not in the command's text.
     Option threads(int& field);
-    /// A line to copy, shown at the end of the help.
+    /// Adds an example command line to the end of the help.
     void example(const std::string& line);
 
-    /// Parses, prints the resolved options, runs the body and turns its outcome into an exit code. The body
-    /// returns an exit code or nothing, and throws InputError for a wrong input.
+    /// Parses, prints the resolved options, runs the body and maps its outcome to an exit code. The body returns an
+    /// exit code or nothing, and throws InputError for a wrong input.
     template <class Body>
     int execute(int argc, char** argv, Body&& body) {
         if constexpr (std::is_void_v<std::invoke_result_t<Body&>>)
@@ -88,14 +87,14 @@ class Command {
             return execute_body(argc, argv, [&]() -> int { return body(); });
     }
 
-    /// Resolved options, defaults included. for_output: without what must not reach an output (folders,
-    /// names of outputs, threads).
+    /// Returns the resolved options as text, defaults included.
+    /// in:      for_output  omit what must not reach an output: folders, names of outputs, threads
     std::string text(bool for_output) const;
 
     Report report;
 
   private:
-    enum class Kind { value, input, labelled_input, place };  // place: where or how fast, never what
+    enum class Kind { value, input, labelled_input, place };  // place: location or speed, no effect on the result
     struct Declared {
         Kind kind;
         std::string flag;                               // empty for a positional
@@ -110,7 +109,7 @@ class Command {
     int execute_body(int argc, char** argv, const std::function<int()>& body);
     [[noreturn]] static void refuse(const std::string& message);
 
-    std::unique_ptr<CLI::App> app_;  // behind a pointer: its headers are slow to compile
+    std::unique_ptr<CLI::App> app_;  // a pointer, because its headers are slow to compile
     std::vector<Declared> declared_;
 };
 
@@ -129,7 +128,7 @@ requires Number<typename value_of<T>::type> Command::Option Command::option(
     const auto set = [&field, range, kind](const std::string& text) {
         const std::optional<Value> value = parse_number<Value>(text);
         if (!value) {
-            // A number too large for the type is out of range to the user, not "no number".
+            // A number too large for the type is reported as out of range, not as "no number".
             refuse(fmt::format("'{}' is not a {}{}", text, kind,
                                range ? fmt::format(" from {} to {}", range->low, range->high) : ""));
         }
@@ -170,8 +169,8 @@ Command::Option Command::choice(const std::string& names, Enum& field, const std
     return declare(names, help, allowed, Kind::value, set, get);
 }
 
-/// Returns the command that makes one part of what `command` makes: for each of `changes` the first occurrence of its
-/// first text is replaced by its second.
+/// Returns the command that makes one part of the output of `command`. For each of `changes`, the first occurrence of
+/// its first text is replaced by its second.
 std::string command_of_part(std::string command, std::span<const std::pair<std::string, std::string>> changes);
 inline std::string command_of_part(std::string command,
                                    std::initializer_list<std::pair<std::string, std::string>> changes) {

@@ -20,7 +20,7 @@ namespace loom::app {
 namespace {
 
 constexpr std::string_view heading = "loom-stamp 1";
-// A file that changed so shortly before it was hashed may have changed again within one tick of the file system's
+// A file that changed this shortly before it was hashed may have changed again within one tick of the file system's
 // clock.
 constexpr std::int64_t settling_ns = 2'000'000'000;
 
@@ -29,7 +29,7 @@ struct Entry {
     std::string identity;         // size, device, inode, modification and change time
     std::int64_t changed_ns = 0;  // change time, since 1970
     std::int64_t hashed_ns = 0;   // when the file was read
-    std::string name;             // on one line: \n and \\ for a newline and a backslash
+    std::string name;             // on one line: \n and \\ stand for a newline and a backslash
 
     bool settled() const { return changed_ns + settling_ns < hashed_ns; }
 };
@@ -60,7 +60,7 @@ std::vector<Entry> read_stamp(const std::filesystem::path& stamp) {
     return entries;
 }
 
-/// The entries of `files` now; those that stat() finds unchanged since `before` are not read.
+/// Returns the current entries of `files`; those that stat() finds unchanged since `before` are not read.
 std::vector<Entry> examine(std::span<const std::string> files, const std::vector<Entry>& before) {
     std::unordered_map<std::string_view, const Entry*> known;
     for (const Entry& entry : before) known.emplace(entry.name, &entry);
@@ -78,7 +78,7 @@ std::vector<Entry> examine(std::span<const std::string> files, const std::vector
             entry.hash = found->second->hash;
             entry.hashed_ns = found->second->hashed_ns;
         } else {
-            // Before the file is read: a change while it is read makes the entry unsettled.
+            // Taken before the file is read, so that a change while it is read leaves the entry unsettled.
             entry.hashed_ns = std::chrono::duration_cast<std::chrono::nanoseconds>(
                                   std::chrono::system_clock::now().time_since_epoch())
                                   .count();
@@ -110,14 +110,14 @@ void write_stamp(const std::filesystem::path& stamp, const std::vector<Entry>& e
     write_text_file(stamp, text, modified);
 }
 
-/// Compares, and renews notes of times where nothing else differs.
+/// Compares, and renews the recorded times where nothing else differs.
 bool matches(const std::filesystem::path& stamp, const std::vector<Entry>& before, const std::vector<Entry>& now) {
     if (before.empty() || !same_contents(before, now)) return false;
     if (same_notes(before, now)) return true;
     try {
         write_stamp(stamp, now, std::filesystem::last_write_time(stamp));
     } catch (const std::exception&) {
-        // A folder of somebody else's: the files are read again the next time.
+        // The folder is not writable: the files are read again the next time.
     }
     return true;
 }

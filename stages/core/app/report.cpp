@@ -24,8 +24,8 @@ double cpu_now_s() {
     return seconds(r.ru_utime) + seconds(r.ru_stime);
 }
 
-/// VmHWM rather than ru_maxrss: the latter survives exec, so a small stage started by a large parent
-/// would report its parent's memory.
+/// Returns VmHWM, not ru_maxrss, which survives exec: a small stage started by a large parent would report its parent's
+/// memory.
 std::uint64_t peak_memory_bytes() {
     std::ifstream status("/proc/self/status");
     std::string word;
@@ -157,19 +157,19 @@ Progress::~Progress() {
 
 void Progress::show(std::uint64_t done) {
     std::unique_lock lock(report_.mutex_);
-    if (done < next_.load(std::memory_order_relaxed)) return;  // another thread has just shown as much
+    if (done < next_.load(std::memory_order_relaxed)) return;  // another thread has just shown this progress
     const std::chrono::duration<double> elapsed = std::chrono::steady_clock::now() - start_;
     const double fraction = std::min(1.0, static_cast<double>(done) / static_cast<double>(total_));
     const std::string left = done < total_ ? duration_text(elapsed.count() * (1 - fraction) / fraction) + " left"
                                            : "took " + duration_text(elapsed.count());
     if (report_.terminal_) {
-        // Ten updates a second at most, whatever the speed of the work.
+        // At most ten updates a second at any speed of the work.
         const double speed = static_cast<double>(done) / std::max(elapsed.count(), 1e-6);
         next_ = done + std::max<std::uint64_t>(1, static_cast<std::uint64_t>(0.1 * speed));
         report_.rewrite_line(fmt::format("{}: {} {:.1f} %, {}", report_.name_, what_, 100 * fraction, left));
     } else {
         const std::uint64_t tenth = std::min<std::uint64_t>(10, static_cast<std::uint64_t>(10 * fraction));
-        // Smallest count that reaches the next tenth; after the last tenth nothing more is said.
+        // Smallest count that reaches the next tenth; nothing is printed after the last tenth.
         next_ = tenth == 10
                     ? UINT64_MAX
                     : static_cast<std::uint64_t>((static_cast<unsigned __int128>(total_) * (tenth + 1) + 9) / 10);

@@ -1,6 +1,6 @@
 #pragma once
-// What a running stage says, and where: log lines and progress on stderr, answers on stdout.
-// Nothing else in a stage prints.
+// Console output of a running stage: log lines and progress on stderr, answers on stdout. Nothing else in a stage
+// prints.
 
 #include <fmt/format.h>
 
@@ -25,7 +25,7 @@ namespace loom::app {
 
 class Report;
 
-/// What a stage has used since its Report was made.
+/// Resources used by a stage since its Report was constructed.
 struct Usage {
     double wall_s = 0;
     double cpu_s = 0;                     // all threads, user and system
@@ -33,8 +33,8 @@ struct Usage {
 };
 Usage usage_since(std::chrono::steady_clock::time_point start, double cpu_start_s);
 
-/// Progress of one piece of work with an estimate of the time left; add() may be called by any thread.
-/// On a terminal one line is rewritten, elsewhere a line is printed at each tenth.
+/// Progress of one piece of work with an estimate of the remaining time. add() is thread-safe. On a terminal one line
+/// is rewritten, elsewhere a line is printed at each tenth.
 class Progress {
   public:
     Progress(Report& report, std::string what, std::uint64_t total);
@@ -42,7 +42,7 @@ class Progress {
     Progress(const Progress&) = delete;
     Progress& operator=(const Progress&) = delete;
 
-    /// n more of `total` are done.
+    /// Counts n more of `total` as done.
     void add(std::uint64_t n = 1) {
         const std::uint64_t done = done_.fetch_add(n, std::memory_order_relaxed) + n;
         if (done >= next_.load(std::memory_order_relaxed)) show(done);
@@ -60,18 +60,18 @@ class Progress {
     std::atomic<std::uint64_t> next_;
 };
 
-/// The only mouth of a stage; safe to use from any thread.
+/// The only output channel of a stage; thread-safe.
 class Report {
   public:
-    /// name: the program as log lines call it, for example "loom-trace".
+    /// in:      name  the program's name in log lines, for example "loom-trace"
     explicit Report(std::string name = "loom");
 
     const std::string& name() const { return name_; }
-    /// Resolved options, defaults included, as the output's `command` attribute: no path, place or number
-    /// of threads in it, so that equal inputs give equal bytes. Just the program's name outside of a Command.
+    /// Returns the resolved options, defaults included, as the output's `command` attribute. It has no path, output
+    /// name or number of threads, so that equal inputs give equal bytes. Outside of a Command it is the program's name.
     const std::string& command() const { return command_; }
     void set_command(std::string command) { command_ = std::move(command); }
-    /// Silences info, progress and done; warnings, errors and answers stay.
+    /// Silences info, progress and done; warnings, errors and answers are still printed.
     void set_quiet(bool quiet) { quiet_ = quiet; }
     bool quiet() const { return quiet_; }
 
@@ -88,13 +88,13 @@ class Report {
     void error(fmt::format_string<Args...> text, Args&&... args) {
         log_line(Level::error, fmt::format(text, std::forward<Args>(args)...));
     }
-    /// What the user asked for, on stdout, as it is.
+    /// Prints a requested result on stdout, unchanged.
     /// throws:  std::runtime_error when it cannot be written, as does flush_answers()
     void answer(std::string_view text);
-    /// Hands all answers to the system; a stage must not end well before.
+    /// Flushes all answers to the system. Must be called before a stage ends with success.
     void flush_answers();
-    /// The closing line: counts and what was dropped from the caller; seconds, peak memory and the number
-    /// of warnings are added.
+    /// Prints the closing line. The caller gives counts and what was dropped; seconds, peak memory and the number of
+    /// warnings are added.
     template <class... Args>
     void done(fmt::format_string<Args...> counts, Args&&... args) {
         if (!quiet_) close(fmt::format(counts, std::forward<Args>(args)...));
@@ -102,9 +102,9 @@ class Report {
 
     std::uint64_t warnings() const { return warnings_.load(std::memory_order_relaxed); }
     Usage usage() const { return usage_since(start_, cpu_start_s_); }
-    /// Cost of the stage so far; the caller fills in rays, samples, load_s and sources (see write_cost_of()).
+    /// Returns the cost of the stage so far; the caller adds rays, samples, load_s and sources (see write_cost_of()).
     Cost cost(std::string plan = {}) const;
-    /// Provenance of an output of this stage.
+    /// Returns the provenance of an output of this stage.
     Provenance provenance(std::uint64_t seed, std::vector<InputId> inputs, std::string plan) const;
 
   private:
@@ -126,9 +126,9 @@ class Report {
     double cpu_start_s_;
 };
 
-/// "850 ms", "12.3 s", "4 min 05 s", "2 h 10 min".
+/// Formats a duration: "850 ms", "12.3 s", "4 min 05 s", "2 h 10 min".
 std::string duration_text(double seconds);
-/// "512 B", "3.4 MiB".
+/// Formats a size: "512 B", "3.4 MiB".
 std::string bytes_text(std::uint64_t bytes);
 
 }  // namespace loom::app

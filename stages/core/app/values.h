@@ -1,5 +1,6 @@
 #pragma once
-// Text of the command line <-> values: whole-text parsing with short messages, and printing that reads back.
+// Conversion between text of the command line and values: whole-text parsing with short messages, and printing that
+// reads back.
 
 #include <fmt/format.h>
 
@@ -14,7 +15,7 @@
 
 namespace loom::app {
 
-/// What a number may be, both ends included; `unit` is shown in the help ("px", "EV", …).
+/// Allowed values of a number, both ends included; the help shows `unit` ("px", "EV", …).
 template <class T>
 struct Range {
     T low, high;
@@ -37,7 +38,7 @@ struct value_of<std::optional<T>> {
     using type = T;
 };
 
-/// The number that the whole text says, or nothing: no blanks, no sign on unsigned, no overflow, finite.
+/// Parses the whole text as a number; nothing on failure: no blanks, no sign on unsigned, no overflow, finite.
 template <Number T>
 std::optional<T> parse_number(std::string_view text) {
     T value{};
@@ -48,22 +49,23 @@ std::optional<T> parse_number(std::string_view text) {
     return value;
 }
 
-/// The shortest text that reads back to the same value.
+/// Returns the shortest text that reads back to the same value.
 template <Number T>
 std::string number_text(T value) {
     return fmt::format("{}", value);
 }
 
-/// `name` without its folders: what a file that should not depend on its place says of another.
+/// Returns `path` without its folders, for files whose bytes must not depend on their folder.
 std::string base_name(std::string_view path);
 
 struct Labelled {
     std::string label, file;  // the label is empty when there is none
 };
-/// "pt=out/image.exr" -> pt, out/image.exr. A file that has this whole text for its name has no label.
+/// Splits a labelled input: "pt=out/image.exr" -> pt, out/image.exr. When a file with the whole text as its name
+/// exists, there is no label.
 Labelled split_label(const std::string& text);
 
-/// The word as a shell would need it: in single quotes when it holds anything but plain characters.
+/// Quotes a word for a shell: in single quotes when it has any character that is not plain.
 std::string shell_word(std::string_view word);
 
 }  // namespace loom::app

@@ -21,7 +21,7 @@ int base_of(std::string_view name) {
     return n_bases;
 }
 
-/// "diffuse.R" -> "diffuse" and "r".
+/// A channel name split into layer and base: "diffuse.R" -> "diffuse" and "r".
 struct ChannelName {
     std::string layer, base;
     explicit ChannelName(const std::string& name) {
@@ -31,7 +31,7 @@ struct ChannelName {
         std::transform(base.begin(), base.end(), base.begin(), [](unsigned char c) { return char(std::tolower(c)); });
     }
     bool is_alpha() const { return base == "a" || base == "alpha"; }
-    /// What no one means by a picture, even alone.
+    /// Whether the channel is geometry, which is never a colour, even alone.
     bool is_geometry() const {
         constexpr std::array<std::string_view, 7> names{"x", "z", "zback", "zfront", "depth", "nx", "nz"};
         return std::find(names.begin(), names.end(), base) != names.end();
@@ -42,7 +42,7 @@ struct Layer {
     std::size_t part = 0;
     std::string name;
     std::array<int, n_bases> at{-1, -1, -1, -1, -1, -1};
-    bool has_x = false;  // its Y is a coordinate, not a luminance
+    bool has_x = false;  // Y is then a coordinate, not a luminance
 
     bool has(std::initializer_list<Base> bases) const {
         return std::all_of(bases.begin(), bases.end(), [&](Base base) { return at[base] >= 0; });
@@ -70,7 +70,7 @@ std::vector<Layer> layers_of(const std::vector<std::vector<std::string>>& parts)
     return layers;
 }
 
-/// The only channel beside alpha.
+/// Returns the only channel beside alpha.
 ColourChannels sole_channel(const std::vector<std::vector<std::string>>& parts) {
     ColourChannels found;
     std::size_t n_channels = 0, n_colours = 0;

@@ -10,7 +10,7 @@
 namespace loom {
 namespace {
 
-/// From PREFIX/bin, or from a build folder, to its lib.
+/// Loads the module from lib/ beside bin/, in an installation or a build folder.
 ImageDecoder* load_decoder() {
     const auto folder = std::filesystem::read_symlink("/proc/self/exe").parent_path();
     std::string tried;

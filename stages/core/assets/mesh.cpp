@@ -19,7 +19,7 @@ Vector3d face_vector(const Mesh& mesh, std::size_t triangle) {
     return cross(b - a, c - a);
 }
 
-/// Angle between two unit vectors, accurate near 0 and pi where acos is not.
+/// Returns the angle between two unit vectors, accurate near 0 and pi where acos is not.
 double unit_angle(const Vector3d& a, const Vector3d& b) {
     const double half = 0.5 * length(dot(a, b) < 0 ? a + b : b - a);
     const double angle = 2 * std::asin(std::min(half, 1.0));

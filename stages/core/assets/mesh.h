@@ -21,36 +21,37 @@ struct Mesh {
     std::size_t n_triangles() const { return indices.size() / 3; }
 };
 
-/// Each loader returns the file's triangles in the order of the file, polygons cut as fans, with the
-/// file's own normals and texture coordinates, unchanged apart from `flip_tex_coords` (v -> 1 - v).
-/// throws: InputError that names the file and the vertex, face or byte: missing, truncated, empty, index
-///         out of range, number not finite
+/// Loads the triangles in the order of the file. Polygons are cut as fans. Normals and texture coordinates are those of
+/// the file, unchanged apart from `flip_tex_coords` (v -> 1 - v).
+/// throws: InputError naming the file and the vertex, face or byte: missing, truncated, empty, index out of range,
+///         number not finite
 Mesh load_obj(const std::filesystem::path& file, bool flip_tex_coords = true);
 Mesh load_ply(const std::filesystem::path& file, bool flip_tex_coords = false);
-/// Mitsuba's compressed format, versions 3 and 4.
+/// Loads Mitsuba's compressed format, versions 3 and 4.
 Mesh load_serialized(const std::filesystem::path& file, int shape_index);
 
-/// What every loader checks of its result; `file` is how messages call it.
-/// throws: InputError: empty, an index out of range, a number that is not finite
+/// Checks the result of a loader.
+/// in:     file  name of the file in messages
+/// throws: InputError: empty, index out of range, number not finite
 void check_mesh(const Mesh& mesh, const std::string& file);
 
-/// Moves positions by the matrix and normals by its inverse transpose, to unit length; in double. The order
-/// of the vertices stays, so that a mirrored mesh has its geometric normals turned inside, its vertex normals
-/// not (as in Mitsuba).
+/// Transforms positions by the matrix and normals by its inverse transpose, normalised; computed in double. The order
+/// of the vertices is kept. A mirrored mesh therefore has its geometric normals reversed, but not its vertex normals
+/// (as in Mitsuba).
 void transform(Mesh& mesh, const Matrix4d& world_from_object);
 
-/// Vertex normals: means of the normals of the triangles around, weighted by their angle at the vertex.
+/// Computes vertex normals: means of the normals of the adjacent triangles, weighted by their angle at the vertex.
 ///   n = sum_t angle_t n_t / |...|                       [Thuermer1998] "Computing Vertex Normals"
 void compute_normals(Mesh& mesh);
 
-/// Drops triangles without area (they cannot be hit or emit); returns how many.
+/// Drops triangles of zero area, which cannot be hit or emit. Returns their number.
 std::size_t drop_degenerate_triangles(Mesh& mesh);
 
-/// The mesh of a shape description (obj, ply, serialized) in world space: loaded, transformed, normals
-/// computed where the file has none, dropped for face_normals, turned for flip_normals. Triangles without
-/// area are left out; a mesh may end with none. Safe to call from several threads.
-/// out:    notes   what a person should know, one line each
-/// throws: InputError, with the place in the scene file: what the loaders throw, an emitter without area
+/// Returns the mesh of a shape description (obj, ply, serialized) in world space. It is loaded and transformed. Normals
+/// are computed where the file has none, dropped for face_normals, reversed for flip_normals. Triangles of zero area
+/// are dropped; the mesh may end empty. Thread-safe.
+/// out:    notes   one line per fact that the user should read
+/// throws: InputError, with the location in the scene file: errors of the loaders, an emitter of zero area
 Mesh load_mesh(const Object& shape, std::vector<std::string>& notes);
 
 }  // namespace loom

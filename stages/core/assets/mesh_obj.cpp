@@ -1,5 +1,5 @@
-// A reader of our own: the common libraries join, split by material or reorder vertices, and the
-// computed normals and the path graph both depend on the order and identity of the file's vertices.
+// A reader of this project, because the common libraries join, split by material or reorder vertices. The computed
+// normals and the path graph depend on the order and identity of the file's vertices.
 
 #include <fmt/format.h>
 
@@ -32,7 +32,7 @@ class ObjReader {
     Mesh read() {
         for (line_ = 1; at_ < end_; ++line_) read_line();
         if (!any_uv_) mesh_.uvs.clear();
-        // A file that gives normals to some corners only does not say what the others are.
+        // With normals at some corners only, the other normals are undefined.
         if (!any_normal_ || missing_normal_) mesh_.normals.clear();
         return std::move(mesh_);
     }
@@ -80,7 +80,7 @@ class ObjReader {
             else if (keyword == "f")
                 read_face();
         }
-        // Groups, materials, lines, and what stands behind the numbers have no meaning here.
+        // Groups, materials, lines, and text after the numbers have no effect.
         const void* newline = at_ < end_ ? std::memchr(at_, '\n', std::size_t(end_ - at_)) : nullptr;
         at_ = newline ? static_cast<const char*>(newline) + 1 : end_;
     }
@@ -91,7 +91,7 @@ class ObjReader {
         float value = 0;
         const auto [end, error] = std::from_chars(at_, end_, value);
         if (error == std::errc::result_out_of_range) {
-            // from_chars refuses what a float cannot hold; too small is 0, too large is not finite.
+            // from_chars refuses values out of a float's range; here too small becomes 0, too large becomes infinite.
             const std::string word_text(at_, end);
             value = float(std::strtod(word_text.c_str(), nullptr));
         } else if (error != std::errc{}) {
@@ -107,7 +107,7 @@ class ObjReader {
         texture_points_.push_back({u, flip_v_ ? 1.0f - v : v});
     }
 
-    /// One index of a corner, from 1, or from the end when negative.
+    /// Parses one index of a corner: from 1, or from the end when negative.
     std::uint32_t index(std::size_t count, const char* what) {
         std::int64_t value = 0;
         const auto [end, error] = std::from_chars(at_, end_, value);
@@ -119,7 +119,7 @@ class ObjReader {
         return std::uint32_t(position);
     }
 
-    /// False between two slashes and behind the last: some programs write v/vt/ and v//.
+    /// Returns false between two slashes and after the last one: some programs write v/vt/ and v//.
     bool has_index() const { return at_ < end_ && *at_ != '/' && *at_ != '\n' && !is_blank(*at_); }
 
     std::uint32_t corner() {
@@ -136,7 +136,7 @@ class ObjReader {
         return vertex(p, t, n);
     }
 
-    /// The mesh vertex with these indices: corners that agree in all three share one.
+    /// Returns the mesh vertex of these indices; corners with three equal indices share one.
     std::uint32_t vertex(std::uint32_t p, std::uint32_t t, std::uint32_t n) {
         if (p >= first_.size()) first_.resize(points_.size(), none);
         std::uint32_t* link = &first_[p];
@@ -184,8 +184,8 @@ class ObjReader {
     std::vector<Point3f> points_;
     std::vector<Point2f> texture_points_;
     std::vector<Normal3f> directions_;
-    std::vector<std::uint32_t> first_;  // of each point: the first mesh vertex made from it
-    std::vector<Key> keys_;             // of each mesh vertex
+    std::vector<std::uint32_t> first_;  // [point] the first mesh vertex made from it
+    std::vector<Key> keys_;             // [mesh vertex]
     Mesh mesh_;
     bool any_uv_ = false, any_normal_ = false, missing_normal_ = false;
 };

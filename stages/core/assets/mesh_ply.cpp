@@ -30,7 +30,7 @@ struct PlyElement {
     std::vector<PlyProperty> properties;
 };
 
-/// Where the numbers of a vertex go.
+/// Destination of a vertex property.
 enum class Target : std::uint8_t { x, y, z, nx, ny, nz, u, v, other };
 Target target_of(std::string_view name) {
     constexpr std::pair<std::string_view, Target> names[] = {
@@ -114,7 +114,7 @@ class PlyReader {
                 read_element(line);
             } else if (keyword == "property") {
                 read_property(line);
-            }  // comments and obj_info say nothing about the data
+            }  // skip comments and obj_info
         }
         if (!format_known) fail("the header names no format");
     }
@@ -126,7 +126,7 @@ class PlyReader {
         const auto [end, error] = std::from_chars(count.data(), count.data() + count.size(), element.count);
         if (error != std::errc{} || end != count.data() + count.size())
             fail(fmt::format("'{}' is not a number of elements", count));
-        // A row has at least one byte: a larger count cannot be true, and must not be allocated.
+        // A row has at least one byte, so a larger count is invalid and must not be allocated.
         if (element.count > bytes_.size())
             fail(fmt::format("truncated: {} elements '{}' in {} bytes", element.count, element.name, bytes_.size()));
         elements_.push_back(std::move(element));
@@ -191,7 +191,7 @@ class PlyReader {
         const auto blank = [](char c) { return c == ' ' || c == '\t' || c == '\r' || c == '\n'; };
         while (at_ < bytes_.size() && blank(bytes_[at_])) ++at_;
         if (at_ >= bytes_.size()) fail(fmt::format("truncated at byte {}", bytes_.size()));
-        if (bytes_[at_] == '+') ++at_;  // from_chars takes none
+        if (bytes_[at_] == '+') ++at_;  // from_chars accepts no plus sign
         double value = 0;
         const char* start = bytes_.data() + at_;
         const auto [end, error] = std::from_chars(start, bytes_.data() + bytes_.size(), value);

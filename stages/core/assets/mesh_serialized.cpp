@@ -1,5 +1,5 @@
-// Mitsuba's .serialized: zlib streams of triangle meshes, one after the other, and a table of where they
-// start at the end of the file.
+// Mitsuba's .serialized format: consecutive zlib streams of triangle meshes, and at the end of the file a table of
+// their offsets.
 
 #include <fmt/format.h>
 #include <zlib.h>
@@ -20,7 +20,7 @@ constexpr std::uint16_t magic = 0x041C;
 /// Bits of the mesh header.
 constexpr std::uint32_t has_normals = 0x1, has_uvs = 0x2, has_colors = 0x8, double_precision = 0x2000;
 
-/// Decompresses a stream piece by piece.
+/// Decompresses a stream in pieces.
 class Inflater {
   public:
     Inflater(std::span<const std::byte> compressed, const std::string& file) : file_(file), bytes_(compressed.size()) {
@@ -85,7 +85,7 @@ T at_byte(std::span<const std::byte> bytes, std::size_t offset) {
     return value;
 }
 
-/// The bytes of one shape, header included.
+/// Returns the bytes of one shape, header included.
 std::span<const std::byte> shape_bytes(std::span<const std::byte> bytes, int shape_index, const std::string& file) {
     const auto bad = [&](const std::string& what) { return InputError(fmt::format("{}: {}", file, what)); };
     if (bytes.size() < 12) throw bad("truncated: shorter than its header");

@@ -10,8 +10,8 @@ namespace {
 
 constexpr float below_one = 0x1.fffffep-1f;
 
-/// Brings a coordinate into the range in which wrapped() works: [0, 1], or [0, 2) for mirror. Anything that
-/// is not finite becomes 0, so that no pixel outside the image is ever read.
+/// Maps a coordinate to the range of wrapped(): [0, 1], or [0, 2) for mirror. Non-finite values become 0, so that no
+/// pixel outside the image is ever read.
 float folded(float u, WrapMode mode) {
     if (mode == WrapMode::clamp) return u > 0 ? std::min(u, 1.0f) : 0.0f;
     const float period = mode == WrapMode::mirror ? 2.0f : 1.0f, inverse = mode == WrapMode::mirror ? 0.5f : 1.0f;
@@ -19,7 +19,7 @@ float folded(float u, WrapMode mode) {
     return t >= 0 ? std::min(t, period * below_one) : 0.0f;
 }
 
-/// Pixel index of i in [-1, n] (mirror: [-1, 2 n]).
+/// Returns the pixel index of i in [-1, n] (mirror: [-1, 2 n]).
 int wrapped(int i, int n, WrapMode mode) {
     switch (mode) {
         case WrapMode::repeat:
@@ -34,7 +34,7 @@ int wrapped(int i, int n, WrapMode mode) {
     return 0;
 }
 
-/// The four pixels around a point and where it lies between them.
+/// The four pixels around a point and its position between them.
 struct Footprint {
     std::size_t p00, p10, p01, p11;
     float x, y;
@@ -57,8 +57,8 @@ std::size_t nearest_pixel(const TextureImage& image, Point2f uv, WrapMode mode) 
     return std::size_t(y) * std::size_t(image.width) + std::size_t(x);
 }
 
-/// Calls use(fetch) with the function pixel -> value (float for grey, Spectrum for colour), so that the
-/// layout is chosen once per look-up.
+/// Calls use(fetch) with the function pixel -> value (float for grey, Spectrum for colour), so that the layout is
+/// chosen once per look-up.
 template <class Use>
 auto with_pixels(const TextureImage& image, const Use& use) {
     const float* decode = image.decode.data();
@@ -84,7 +84,7 @@ Spectrum as_spectrum(const Spectrum& v) {
 float as_float(float v) {
     return v;
 }
-/// Luminance, but exact for a grey.
+/// Returns the luminance; exact for grey.
 float as_grey(const Spectrum& v) {
     return v.r == v.g && v.g == v.b ? v.r : luminance(v);
 }
@@ -223,7 +223,7 @@ Texture make_texture(const Object& o, TextureCache& cache) {
     Texture texture;
     texture.id = o.id;
     const Matrix4d m = o.get_transform("to_uv");
-    // The third coordinate of the scene file's transform has no meaning for (u, v).
+    // The third coordinate of the scene file's transform has no effect on (u, v).
     texture.to_uv = {float(m(0, 0)), float(m(0, 1)), float(m(0, 3)), float(m(1, 0)), float(m(1, 1)), float(m(1, 3))};
     if (o.plugin == "checkerboard") {
         texture.kind = TextureKind::checkerboard;

@@ -16,15 +16,15 @@ namespace loom {
 
 class Object;
 
-/// How the numbers of an image file become linear values.
+/// Conversion from the numbers of an image file to linear values.
 struct Decode {
-    bool raw = false;  // as they are
-    float gamma = 0;   // 0: as the type says (integers: sRGB, floating point: linear); below 0: sRGB; else value^gamma
+    bool raw = false;  // numbers are linear already
+    float gamma = 0;   // 0: by type (integers: sRGB, floating point: linear); below 0: sRGB; else value^gamma
     bool operator<(const Decode& o) const { return std::pair(raw, gamma) < std::pair(o.raw, o.gamma); }
 };
 
-/// Pixels of an image file, row 0 on top, colour or grey; alpha is dropped. Eight-bit files stay eight-bit
-/// and are decoded through a table at look-up.
+/// Pixels of an image file, row 0 on top, colour or grey, without alpha. Eight-bit files stay eight-bit and are decoded
+/// through a table at look-up.
 struct TextureImage {
     int width = 0, height = 0;
     bool grey = false;
@@ -32,8 +32,8 @@ struct TextureImage {
     std::vector<float> floats;        // 1 or 3 per pixel; one of the two arrays is empty
     std::array<float, 256> decode{};  // linear value of a byte
 
-    Spectrum mean{0.0f};  // of all pixels
-    std::string note;     // what of the file has no effect; empty: nothing
+    Spectrum mean{0.0f};  // over all pixels
+    std::string note;     // the parts of the file without effect; empty: none
 
     Spectrum texel(int x, int y) const;
 };
@@ -41,8 +41,8 @@ struct TextureImage {
 enum class TextureKind : std::uint8_t { bitmap, checkerboard, constant };
 enum class WrapMode : std::uint8_t { repeat, mirror, clamp };
 
-/// A function of (u, v), evaluated in the tracer's inner loop: plain data, no virtual call. Conventions of
-/// Mitsuba 3: v = 0 is the upper edge of an image, (0.5, 0.5) / size the centre of the first pixel.
+/// A function of (u, v), evaluated in the tracer's inner loop: plain data, no virtual call. Conventions of Mitsuba 3: v
+/// = 0 is the upper edge of an image, (0.5, 0.5) / size the centre of the first pixel.
 struct Texture {
     TextureKind kind = TextureKind::bitmap;
     WrapMode wrap = WrapMode::repeat;
@@ -59,7 +59,8 @@ struct Texture {
     Rgb<Dual<N, Real>> eval(const Point2<Dual<N, Real>>& uv) const;
     /// Asks for the memory of the pixels that eval() will read.
     void prefetch(Point2f uv) const;
-    /// Luminance of a colour texture, the value of a grey one. [Mitsuba 3.8, checkerboard: eval_1 swaps the colours]
+    /// Returns the luminance of a colour texture, the value of a grey one.
+    ///                                             [Mitsuba 3.8, checkerboard: eval_1 swaps the colours]
     float eval_float(Point2f uv) const;
     /// d eval / d(u, v) as eval_gradient().
     struct ColourGradient {
@@ -69,9 +70,9 @@ struct Texture {
     /// d eval_float / d(u, v) of the bilinear interpolant; 0 for `nearest`, checkerboard and constant.
     /// differs: Mitsuba 3.8 scales by the image size after a rotation in to_uv, we before it
     Point2f eval_gradient(Point2f uv) const;
-    /// Mean over the unit square of the untransformed texture.
+    /// Returns the mean over the unit square of the untransformed texture.
     Spectrum mean() const;
-    /// Largest value of each channel, and smallest and largest of eval_float(), anywhere.
+    /// Return the largest value of each channel, and the smallest and largest value of eval_float(), over all (u, v).
     Spectrum maximum() const;
     std::pair<float, float> float_range() const;
 };
@@ -90,9 +91,9 @@ Rgb<Dual<N, Real>> Texture::eval(const Point2<Dual<N, Real>>& uv) const {
 /// Decodes each (file, decoding) once, however many textures use it. Safe from several threads.
 class TextureCache {
   public:
-    /// throws: InputError that names the file: missing, not an image, empty, too large
+    /// throws: InputError naming the file: missing, not an image, empty, too large
     std::shared_ptr<const TextureImage> image(const std::filesystem::path& file, Decode decode);
-    /// Notes of the images, by file name. Must be called after all reading.
+    /// Returns the notes of the images, by file name. Must be called after all reading.
     std::vector<std::string> notes() const;
 
   private:
@@ -104,14 +105,14 @@ class TextureCache {
     std::map<std::pair<std::string, Decode>, std::shared_ptr<Entry>> entries_;
 };
 
-/// As a bitmap or an envmap says: `raw`, and in 0.x files `gamma`.
+/// Returns the decoding of a bitmap or an envmap: `raw`, and in 0.x files `gamma`.
 Decode decode_of(const Object& description);
 
-/// The image that an object's `filename` names.
+/// Returns the image of an object's `filename`.
 /// throws: InputError at that parameter
 std::shared_ptr<const TextureImage> image_of(const Object& object, Decode decode, TextureCache& cache);
 
-/// The texture of a description.
+/// Makes the texture of a description.
 Texture make_texture(const Object& description, TextureCache& cache);
 
 }  // namespace loom

@@ -18,7 +18,7 @@ float decoded(float value, Decode decode, bool integers) {
     return integers || decode.gamma < 0 ? linear_from_srgb(value) : value;
 }
 
-/// Pads a colour to four bytes a pixel.
+/// Pads a colour to four bytes per pixel.
 std::vector<std::uint8_t> padded(const std::vector<std::uint8_t>& rgb) {
     std::vector<std::uint8_t> out(rgb.size() / 3 * 4);
     for (std::size_t i = 0; i < rgb.size() / 3; ++i) std::copy_n(&rgb[3 * i], 3, &out[4 * i]);
@@ -26,7 +26,7 @@ std::vector<std::uint8_t> padded(const std::vector<std::uint8_t>& rgb) {
 }
 
 Spectrum mean_of_bytes(const TextureImage& image) {
-    // Counting the values first keeps the sum exact and cheap.
+    // Counting the values first makes the sum exact and cheap.
     std::array<std::array<std::uint64_t, 256>, 3> counts{};
     const std::size_t stride = image.grey ? 1 : 4, n_channels = image.grey ? 1 : 3;
     for (std::size_t i = 0; i < image.bytes.size(); i += stride)

@@ -1,46 +1,46 @@
 #pragma once
-// The edges that the vertices of a cluster can share, each with the density with which the cluster as a whole would
-// have sampled it:                          PG Eqs. (7) to (12)
+// The edges that the vertices of a cluster can share, each with the density with which the whole cluster would have
+// sampled it:                          PG Eqs. (7) to (12)
 //
 //   indirect   rho(w) = sum_k q_k p_k(w)                      over k that attempted a BSDF sample
 //   direct     rho(w) = sum_k [p_k^NEE(w) + q_k p_k(w)]       over k that attempted each
 //
-// so that f_j cos_j / rho, times the light of the edge, summed over all edges, is an estimate at each vertex j of the
-// cluster. Counted are attempts, not successes: a technique that failed (an occluded light, a ray that was ended by
-// roulette) must weigh on the others' densities too, or the sum is 1 / P(success) too bright. Samples of delta lobes
-// belong to their own vertex alone and are not visited.
+// The sum over all edges of f_j cos_j / rho times the light of the edge is then an estimate at each vertex j of the
+// cluster. Attempts count, not successes. A failed technique (an occluded light sample, a ray ended by roulette) must
+// add to the densities too; without it the sum is 1 / P(success) too bright. Samples of delta lobes belong to their own
+// vertex alone and are skipped.
 
 #include "stages/core/clusters/cluster_shading.h"
 #include "stages/core/graph/own_samples.h"
 
 namespace loom {
 
-/// What a neighbour takes over from a continuation.
+/// The part of a continuation that a neighbour reuses.
 enum class Reuse {
-    directions,  // its direction: incoming light is taken as equal along it
-    points,      // its end point: reconnected, without a test of visibility
+    directions,  // its direction; incoming light is taken as equal along it
+    points,      // its end point; reconnected, without a visibility test
 };
 
 struct SharingOptions {
     Reuse reuse = Reuse::directions;
-    /// The equations as they are printed: densities over successes only; next-event estimation and BSDF sampling
-    /// pooled apart, each light weighted by the power heuristic at its source. Too bright; for comparison.
+    /// Uses the equations as printed: densities over successes only; next-event estimation and BSDF sampling pooled
+    /// separately, each light weighted by the power heuristic at its source. Too bright; for comparison only.
     bool as_printed = false;
 };
 
-/// First light edge of each vertex, and one more entry.
+/// Returns the first light edge of each vertex, plus one final entry.
 std::vector<std::uint32_t> light_edge_offsets(const PathGraph& graph);
 
 inline bool continues_shared(const PathGraph& graph, std::size_t j) {
     return (graph.vertices.flags[j] & vertex_flag::continued) && !is_delta(Lobe(graph.vertices.lobe[j]));
 }
 
-/// Normal at vertex j, on the side that light leaves from.
+/// Returns the normal at vertex j, on the side that light leaves from.
 Normal3f facing_normal(const PathGraph& graph, std::size_t j);
 
-/// Density of the cluster for the direction of a continuation, of which shading answers. Where it ends at a vertex
-/// without a cluster, like a mirror, vertices whose own continuation must end there are no technique: they cannot bring
-/// its light.
+/// Returns the cluster's density for the direction of a continuation that `shading` has evaluated. Where the
+/// continuation ends at a vertex without a cluster, like a mirror, vertices whose own continuation must end there are
+/// no technique. They cannot sample its light.
 inline float continuation_density(const ClusterShading& shading, const VertexRow& row) {
     if (!(row.bits & vertex_bit::ends_alone) || !shading.has_last_steps()) return shading.pdf_bsdf_sum();
     if (row.dead_end()) return 0;
@@ -50,8 +50,8 @@ inline float continuation_density(const ClusterShading& shading, const VertexRow
     return rho;
 }
 
-/// Calls sink(lane, vertex, inv_rho) for each continuation, whose end is `vertex`; shading then answers for its light.
-/// An edge that nobody could have sampled, by rounding, or that brings no light (dead_end), has inv_rho 0.
+/// Calls sink(lane, vertex, inv_rho) for each continuation, which ends at `vertex`; `shading` has then evaluated its
+/// light. An edge has inv_rho 0 when its density is 0 by rounding, or when it carries no light (dead_end).
 template <class Sink>
 void for_each_indirect_edge(ClusterShading& shading, const PathGraph& graph, const SharingOptions& options,
                             Sink&& sink) {
@@ -74,7 +74,7 @@ void for_each_indirect_edge(ClusterShading& shading, const PathGraph& graph, con
     }
 }
 
-/// The same of directions, with answers as base and coat.
+/// Calls sink(lane, vertex, inv_rho) as above, for Reuse::directions; results are split into base and coat.
 template <class Sink>
 void for_each_direction(ClusterShading& shading, Sink&& sink) {
     for (int lane = 0; lane < shading.size(); ++lane) {
@@ -85,8 +85,8 @@ void for_each_direction(ClusterShading& shading, Sink&& sink) {
     }
 }
 
-/// Calls sink(lane, edge, light, inv_rho) for each light edge, light being that of the edge in the measure that is
-/// shared; shading then answers for it. inv_rho as above.
+/// Calls sink(lane, edge, light, inv_rho) for each light edge; `shading` has then evaluated its light. `light` is the
+/// radiance of the edge in the measure that the cluster shares. inv_rho as above.
 /// in:      lights(shading, lane)  LightRows of a lane
 template <class Lights, class Sink>
 void for_each_light_edge(ClusterShading& shading, const SharingOptions& options, Lights&& lights, Sink&& sink) {
@@ -108,7 +108,7 @@ void for_each_light_edge(ClusterShading& shading, const SharingOptions& options,
             bool delta = false;
             switch (e.kind) {
                 case EmitterKind::area: {
-                    // To the measure of the light's area, in which all vertices of the cluster agree.
+                    // Convert to the area measure of the emitter, which all vertices of the cluster share.
                     const Vector3f d = e.y - row.p;
                     const auto unit = unit_from_octahedral(std::int16_t(e.n & 0xffffu), std::int16_t(e.n >> 16));
                     Normal3f n{unit[0], unit[1], unit[2]};
@@ -150,7 +150,7 @@ void for_each_light_edge(ClusterShading& shading, const SharingOptions& options,
     }
 }
 
-/// The same with rows made from the graph, vertex by vertex; the edge is given to the sink by its number.
+/// Makes the rows from the graph, vertex by vertex; the sink receives the edge by its index.
 /// in:      offsets  of light edges, by vertex
 template <class Sink>
 void for_each_light_edge(ClusterShading& shading, const PathGraph&, std::span<const std::uint32_t> offsets,

@@ -10,7 +10,7 @@ namespace loom {
 namespace {
 
 constexpr std::uint64_t vertices_per_chunk = 1 << 16;
-constexpr std::uint64_t ahead = 24;  // rows lie anywhere: asked for so many vertices before they are written
+constexpr std::uint64_t ahead = 24;  // prefetch distance in vertices, because rows are scattered
 
 std::uint32_t packed(const Column<std::int16_t>& column, std::size_t j) {
     std::uint32_t uv;
@@ -75,10 +75,10 @@ ClusterRows::ClusterRows(const GraphReader& reader, std::span<const std::uint32_
     const std::size_t n = place.size();
     const PathGraph& graph = reader.graph();
     const Column<std::uint64_t>& first_vertex = graph.paths.first_vertex;
-    const int last_depth = graph.tracing.max_depth - 1;  // of a vertex that a path can go on from
+    const int last_depth = graph.tracing.max_depth - 1;  // of a vertex from which a path can continue
     parallel_chunks(n, vertices_per_chunk, threads, [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
         std::size_t path = std::size_t(std::upper_bound(first_vertex.begin(), first_vertex.end(), begin) -
-                                       first_vertex.begin());  // the next one
+                                       first_vertex.begin());  // the next path
         for (std::uint64_t j = begin; j < end; ++j) {
             while (path < first_vertex.size() && first_vertex[path] <= j) ++path;
             if (const std::uint64_t later = j + ahead; later < end && place[later] < n_places) {
@@ -100,7 +100,7 @@ void ClusterRows::load_lights(const GraphReader& reader, std::span<const std::ui
                               std::size_t end, std::span<const std::uint32_t> offsets, int threads) {
     const RowMaker make(reader);
     first_loaded_ = first_light_[begin];
-    lights_ = {};  // before there are others
+    lights_ = {};  // free the old rows before allocating the new ones
     lights_ = HugeArray<LightRow>(first_light_[end] - first_loaded_);
     const auto wanted = [&](std::uint64_t j) { return place[j] - begin < end - begin && offsets[j] < offsets[j + 1]; };
     parallel_chunks(place.size(), vertices_per_chunk, threads,

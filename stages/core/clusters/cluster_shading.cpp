@@ -10,7 +10,7 @@ bool grey(const Spectrum& s) {
     return s.r == s.g && s.g == s.b;
 }
 
-/// Whether f cos of a material is a coloured base under a grey coat, and which of the two there are.
+/// Whether f cos of a material is a coloured base under a grey coat, and which of the two exist.
 ClusterShading::Lobes lobes_of(const BsdfModel& m, std::uint8_t textured) {
     const bool grey_specular = grey(m.specular) && !(textured & textured_parameter::specular);
     switch (m.kind) {
@@ -38,7 +38,7 @@ ClusterShading::Lobes lobes_of(const BsdfModel& m, std::uint8_t textured) {
     return {.split = true};
 }
 
-/// Both octahedral coordinates of a direction in one word.
+/// Packs both octahedral coordinates of a direction into one word.
 std::uint32_t packed(const Column<std::int16_t>& column, std::size_t j) {
     std::uint32_t uv;
     std::memcpy(&uv, column.data() + 2 * j, sizeof uv);
@@ -61,7 +61,7 @@ void ClusterShading::load(std::span<const std::uint32_t> vertices, std::span<con
     vertices_ = vertices, rows_ = rows;
     std::uint16_t material[max_lanes];
     for (int l = 0; l < n; ++l) {
-        // Few lanes and mostly one material: insertion keeps their order.
+        // Insertion sort is stable, and fast for few lanes of mostly one material.
         const std::uint16_t m = rows[std::size_t(l)].material;
         int k = l;
         for (; k > 0 && m < material[k - 1]; --k) material[k] = material[k - 1], place_[k] = place_[k - 1];
@@ -105,7 +105,7 @@ void ClusterShading::load(std::span<const std::uint32_t> vertices, std::span<con
     lobes_.one_base = lobes_.base && has_one_base(g.materials.textured[material[0]]);
 }
 
-/// One normal, seen from one side, of one material that is opaque.
+/// Whether all lanes have one normal, one side, and one opaque material.
 bool ClusterShading::has_one_base(std::uint8_t textured) const {
     const ClusterColumns& c = columns_;
     const BsdfModel& model = *c.runs[0].model;
@@ -149,7 +149,7 @@ void ClusterShading::load_textures(const ClusterColumns::Run& run, std::uint8_t 
         for (int l = run.begin; l < run.end; ++l) c.exponent[l] = v.exponent[vertex(l)];
 }
 
-/// f is not what the formula says where a bump map shades itself; the density is.
+/// Corrects f where a bump map shadows itself; the density needs no correction.
 void ClusterShading::shadow_bumps() {
     for (std::size_t i = 0; i < perturbed_.size(); ++i) {
         const int l = perturbed_lane_[i];

@@ -20,8 +20,9 @@ float phong_width(float exponent) {
     return std::sqrt(2 / (exponent + 2));
 }
 
-/// Width of the narrowest smooth lobe as a microfacet alpha; 0 when there is no smooth lobe. Plastics share what their
-/// diffuse part takes in, however narrow the coat: in the densities of a cluster its directions are the finder's own.
+/// Returns the width of the narrowest smooth lobe as a microfacet alpha; 0 when there is no smooth lobe. Plastics share
+/// what their diffuse component reflects, even with a narrow coat: in the densities of a cluster the coat's directions
+/// belong to the vertex that sampled them.
 float narrowest_lobe(const PathGraph::Materials& m, std::size_t i) {
     switch (BsdfKind(m.kind[i])) {
         case BsdfKind::diffuse:
@@ -69,7 +70,7 @@ bool SharingRule::shares_by_own_parameters(std::size_t j) const {
     if ((textured & textured_parameter::opacity) != 0 && !(float_from_half(v.opacity[j]) > 0)) return false;
     if ((textured & textured_parameter::exponent) != 0) return phong_width(v.exponent[j]) >= limit_;
     if ((textured & textured_parameter::alpha) == 0 || !has_alpha(BsdfKind(graph_.materials.kind[i]))) return true;
-    // The column is half precision: a texture that says just the limit must not fall below it.
+    // The column has half precision: a texture value equal to the limit must not fall below it.
     const float limit = float_from_half(half_from_float(limit_));
     return float_from_half(v.alpha[2 * j]) >= limit && float_from_half(v.alpha[2 * j + 1]) >= limit;
 }

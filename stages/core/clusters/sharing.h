@@ -7,19 +7,19 @@
 
 namespace loom {
 
-/// Which vertices of a path graph share their samples with their neighbours. The one place for this rule: the
-/// stage that makes clusters and those that use them must agree.
+/// Decides which vertices of a path graph share their samples with their neighbours. This is the only implementation of
+/// the rule: the stage that makes clusters and the stages that use them must agree.
 ///
-/// A vertex shares when a neighbour's sample has a finite, not too peaked density there: when it has a diffuse
-/// lobe beside at most delta ones (diffuse, smooth plastic), or its smooth lobes are all at least
-/// `private_roughness` wide (microfacet alpha, the smaller of both axes; for Phong sqrt(2 / (exponent + 2))).
-/// Solitary are mirrors, smooth glass, null and wholly transparent surfaces, and nearly specular ones, rough
-/// plastic below the limit included: its diffuse lobe would share, its narrow one would not.
-/// How the path went on from the vertex does not matter: one that ended at max_depth shares too.
-/// differs: the paper does not say what becomes of delta lobes
+/// A vertex shares when a neighbour's sample has a finite, not too peaked density there. This holds when it has a
+/// diffuse lobe beside at most delta ones (diffuse, smooth plastic). It also holds when its smooth lobes are all at
+/// least `private_roughness` wide (microfacet alpha, the smaller of both axes; for Phong sqrt(2 / (exponent + 2))).
+/// Solitary are mirrors, smooth glass, null and fully transparent surfaces, and nearly specular ones. Rough plastic
+/// below the limit is solitary too: its diffuse lobe could share, its narrow lobe could not. The continuation of the
+/// path has no influence: a vertex where the path ended at max_depth shares too.
+/// differs: the paper does not specify delta lobes
 class SharingRule {
   public:
-    /// The graph is borrowed. Costs one look at each material.
+    /// Borrows the graph and examines each material once.
     SharingRule(const PathGraph& graph, float private_roughness);
 
     bool operator()(std::size_t vertex) const {

@@ -8,8 +8,8 @@
 
 namespace loom {
 
-/// Uninitialised (zero when fresh) array of plain values for the large tables of a stage, on huge pages where the
-/// system gives them: first touch of small pages costs several times the work that is done on them.
+/// Uninitialised array (zero when newly mapped) of plain values for the large tables of a stage, on huge pages where
+/// the system provides them. The first touch of small pages costs several times the work done on them.
 template <class T>
 class HugeArray {
   public:
@@ -45,8 +45,8 @@ class HugeArray {
     const T& operator[](std::size_t i) const { return data_[i]; }
     operator std::span<const T>() const { return {data_, size_}; }
 
-    /// The same memory for values of another type: fresh pages cost more than what is written to them. Of the old
-    /// values those can still be read in whose place no new one has been put.
+    /// Reuses the memory for values of another type, because first-touched pages cost more than the writes. An old
+    /// value is readable until a new value replaces it.
     template <class U>
     HugeArray<U> reused() && {
         static_assert(sizeof(U) == sizeof(T));

@@ -8,14 +8,14 @@
 
 namespace loom {
 
-/// Numbers too small for their format count as 0, as Embree requires of every thread that traces: they are slow.
+/// Sets denormal numbers to 0, which are slow. Embree requires it of every thread that traces.
 inline void flush_small_numbers() {
     _MM_SET_FLUSH_ZERO_MODE(_MM_FLUSH_ZERO_ON);
     _MM_SET_DENORMALS_ZERO_MODE(_MM_DENORMALS_ZERO_ON);
 }
 
-/// Calls body(chunk, begin, end) for consecutive chunks of [0, n), in parallel on `threads` threads (0: all).
-/// Which thread takes which chunk is open, so a body writes only to places that its chunk owns.
+/// Calls body(chunk, begin, end) for consecutive chunks of [0, n), in parallel on `threads` threads (0: all). The
+/// assignment of chunks to threads is unspecified, so a body must write only to memory that its chunk owns.
 template <class Body>
 void parallel_chunks(std::uint64_t n, std::uint64_t chunk_size, int threads, Body&& body) {
     const std::uint64_t n_chunks = (n + chunk_size - 1) / chunk_size;

@@ -31,7 +31,7 @@ double as_number(const Property& property) {
     return as<double>(property, "a number");
 }
 
-/// A texture that is one value everywhere stands for that value.
+/// Replaces a constant texture by its value.
 const Property& unwrapped(const Property& property) {
     const auto* object = std::get_if<ObjectPtr>(&property.value);
     const Property* value = object && (*object)->plugin == "rawconstant" ? (*object)->read("value") : nullptr;
@@ -44,7 +44,7 @@ Spectrum as_rgb(const Property& property) {
     return Spectrum(float(as_number(property)));
 }
 
-/// Several threads may read one object.
+/// Sets a flag; several threads may read one object.
 void mark(bool& flag) {
     std::atomic_ref(flag).store(true, std::memory_order_relaxed);
 }

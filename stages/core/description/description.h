@@ -1,7 +1,6 @@
 #pragma once
-// A scene file as a tree of objects, checked against the schema and written in one dialect, that of
-// Mitsuba 3, whichever the file used: defaults that differ in the 0.x dialect are spelled out. No mesh or
-// texture is opened here.
+// A scene file as a tree of objects, checked against the schema. The tree uses the Mitsuba 3 dialect for every file:
+// defaults that differ in the 0.x dialect are explicit. No mesh or texture is opened here.
 
 #include <cstddef>
 #include <cstdint>
@@ -36,13 +35,14 @@ enum class Category : std::uint8_t {
     spectrum
 };
 inline constexpr int n_categories = 13;
-/// As the tag is spelled: "bsdf", "rfilter", …
+/// Returns the tag of a category: "bsdf", "rfilter", …
 std::string_view name(Category category);
 
 class Object;
 using ObjectPtr = std::shared_ptr<const Object>;
 
-/// A colour is linear RGB already: the schema says whether it is a reflectance or an emission.
+/// Type of a parameter's value. A colour is linear RGB already; the schema says whether it is a reflectance or an
+/// emission.
 using Value = std::variant<bool, std::int64_t, double, std::string, Spectrum, Point3<double>, Vector3<double>, Matrix4d,
                            ObjectPtr>;
 
@@ -53,9 +53,9 @@ struct Property {
     mutable bool is_read = false;  // a getter has returned it; see unread_parameters()
 };
 
-/// One plugin of a scene file: its parameters by name and its unnamed children. A child that several
-/// objects refer to is one shared object. The getters throw InputError at the right place when a value is
-/// missing (no fallback given) or of another kind; a fallback answers only for a missing one.
+/// One plugin of a scene file: its parameters by name and its unnamed children. A child with several references is one
+/// shared object. The getters throw InputError at the location of the value when it is missing without a fallback, or
+/// of another kind. A fallback applies only to a missing value.
 class Object {
   public:
     Category category = Category::scene;
@@ -67,7 +67,7 @@ class Object {
     std::vector<Property> properties;                    // in the order of the file
     std::vector<std::pair<ObjectPtr, Location>> nested;  // children without a parameter name, in order
 
-    /// Neither counts as reading the parameter.
+    /// Find a parameter without marking it as read.
     const Property* find(std::string_view name) const;
     bool has(std::string_view name) const { return find(name) != nullptr; }
 
@@ -81,54 +81,55 @@ class Object {
     float get_float(std::string_view name, float fallback) const { return float(get_double(name, fallback)); }
     std::string get_string(std::string_view name) const;
     std::string get_string(std::string_view name, std::string_view fallback) const;
-    /// A file name, made absolute or relative to the working directory; the reader checked that it exists.
+    /// Returns a file name, absolute or relative to the working directory; the reader checked that the file exists.
     std::filesystem::path get_path(std::string_view name) const { return get_string(name); }
-    /// A number counts as grey.
+    /// Returns a colour; a number counts as grey.
     Spectrum get_rgb(std::string_view name) const;
     Spectrum get_rgb(std::string_view name, const Spectrum& fallback) const;
     Point3<double> get_point(std::string_view name, const Point3<double>& fallback) const;
     Vector3<double> get_vector(std::string_view name, const Vector3<double>& fallback) const;
-    /// Identity when absent.
+    /// Returns a matrix; identity when absent.
     Matrix4d get_transform(std::string_view name) const;
     ObjectPtr get_object(std::string_view name) const;  // null when absent
-    /// A texture object, or the constant.
+    /// Returns a texture object, or the constant.
     std::variant<Spectrum, ObjectPtr> get_texture_or_rgb(std::string_view name, const Spectrum& fallback) const;
     std::variant<float, ObjectPtr> get_texture_or_float(std::string_view name, float fallback) const;
-    /// Index of refraction by number or by name of the material (ior.h).
+    /// Returns the index of refraction, given as a number or as a material's name (ior.h).
     float get_ior(std::string_view name, std::string_view fallback) const;
 
     std::vector<ObjectPtr> children(Category category) const;
     bool has_child(Category category) const;
-    /// The only child of that kind; null when there is none.
+    /// Returns the only child of that category; null when there is none.
     ObjectPtr child(Category category) const;
 
-    /// InputError at the place of the parameter, or of the object when `parameter` is empty or absent.
+    /// throws:  InputError at the parameter, or at the object when `parameter` is empty or absent
     [[noreturn]] void fail(std::string_view parameter, const std::string& message) const;
 
-    /// The parameter, counted as read; null when absent.
+    /// Returns the parameter and marks it as read; null when absent.
     const Property* read(std::string_view name) const;
-    /// Whether any parameter was asked for, given or not; false for an object that the scene does not use.
+    /// Whether any getter was called; false for an object that the scene does not use.
     mutable bool is_used = false;
 };
 
-/// A warning for each parameter below `root` that a used object was given, that no getter has returned, and that is not
-/// known to be without effect (flag::ignored): what a file says is used, or it is named. Once per plugin and parameter.
+/// Returns a warning for each parameter without effect, once per plugin and parameter: a used object below `root` has
+/// it, no getter has returned it, and flag::ignored does not mark it. Every parameter of a file is thus either used or
+/// named.
 std::vector<std::string> unread_parameters(const Object& root);
 
 struct SceneDescription {
     ObjectPtr root;                                 // category scene; its nested objects are the scene's
-    std::vector<std::string> notes;                 // what was accepted without effect, once each
-    std::vector<std::string> warnings;              // with location: unknown parameters of 0.x files and the like
+    std::vector<std::string> notes;                 // accepted settings without effect, once each
+    std::vector<std::string> warnings;              // with location: unknown parameters of 0.x files and similar
     std::vector<std::string> files;                 // scene file, includes, then all files that parameters name
     std::map<std::string, std::string> parameters;  // $name -> value that was used
-    int sensor = 0;                                 // number of the sensor that was chosen; root has no other
+    int sensor = 0;                                 // index of the chosen sensor; root has no other
 };
 
-/// Values of `-D name=value`, in order; the last of a name counts.
+/// Values of `-D name=value`, in order; the last value of a name counts.
 using Defines = std::vector<std::pair<std::string, std::string>>;
 
 /// Reads a Mitsuba scene file (dialects 0.5, 0.6, 2 and 3) with its includes.
-/// in:     sensor  id of the sensor to keep, or its number in the order of the file, from 0; empty: the first
+/// in:     sensor  id of the sensor to keep, or its index in the order of the file, from 0; empty: the first
 /// throws: InputError with file:line:column, the line, a caret and the allowed names
 SceneDescription read_scene(const std::filesystem::path& file, const Defines& defines = {},
                             const std::string& sensor = {});

@@ -18,7 +18,7 @@ constexpr std::pair<std::string_view, float> dielectrics[] = {
 
 struct Conductor {
     std::string_view name;
-    bool also_palik;  // scene files know the same data as NAME_palik too
+    bool also_palik;  // scene files also name the data NAME_palik
     Spectrum eta, k;
 };
 constexpr std::string_view palik_suffix = "_palik";

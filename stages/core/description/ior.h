@@ -8,7 +8,7 @@
 
 namespace loom {
 
-/// Index of refraction of a named dielectric ("bk7", "air", "water", …); empty for an unknown name.
+/// Returns the index of refraction of a named dielectric ("bk7", "air", "water", …); nothing for an unknown name.
 std::optional<float> dielectric_ior(std::string_view name);
 std::vector<std::string> dielectric_names();
 
@@ -16,7 +16,8 @@ std::vector<std::string> dielectric_names();
 struct ConductorIor {
     Spectrum eta, k;
 };
-/// Of a named conductor ("Al", "Au", "Cr", …; "none" is a perfect mirror: eta 0, k 1); empty for an unknown.
+/// Returns the index of a named conductor ("Al", "Au", "Cr", …; "none" is a perfect mirror: eta 0, k 1); nothing for an
+/// unknown name.
 std::optional<ConductorIor> conductor_ior(std::string_view name);
 std::vector<std::string> conductor_names();
 

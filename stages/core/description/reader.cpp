@@ -1,4 +1,4 @@
-// Reads the XML tree into objects; references are kept aside and filled in when all ids are known.
+// Reads the XML tree into objects. References are kept and resolved when all ids are known.
 
 #include <fmt/format.h>
 
@@ -32,27 +32,27 @@ struct PendingRef {
     std::shared_ptr<Object> parent;
     const PluginSchema* parent_plugin;
     std::string name;       // of the parameter; may be empty or free
-    std::size_t nested_at;  // where its child stands among the parent's nested objects
+    std::size_t nested_at;  // index of its child among the parent's nested objects
     Text id;
     bool legacy;
 };
 
-/// A file name whose file is sought when all <path>s are known.
+/// A file name whose file is searched for when all <path>s are known.
 struct PendingFile {
     std::shared_ptr<Object> object;
     std::size_t property;
     Text name;
-    Folders folders;  // of the scene file that has the name
+    Folders folders;  // of the scene file that contains the name
 };
 
-/// What cannot be rendered: an error when the image depends on it, else a note.
+/// An object that cannot be rendered: an error when the image depends on it, else a note.
 struct Unsupported {
     std::shared_ptr<Object> object;
     Location at;
     std::string message;
 };
 
-/// What is said once of a plugin that is rendered as another.
+/// Returns the note on a plugin that is rendered as another; printed once.
 std::string said_of(Category category, std::string_view type) {
     switch (category) {
         case Category::integrator:
@@ -92,7 +92,7 @@ class Reader {
             substitutions_.check_all_used();
             forget_reads();
         } catch (...) {
-            // References may have closed a ring of shared pointers: open it.
+            // References may have closed a cycle of shared pointers: break it.
             for (const Made& made : objects_) {
                 made.object->nested.clear();
                 made.object->properties.clear();
@@ -142,7 +142,7 @@ class Reader {
         description_.warnings.push_back(locate(at, "warning: " + text));
     }
 
-    /// A scene, or one object that a file includes.
+    /// Reads a scene, or one object that a file includes.
     void read_file(SceneFile& file, const std::shared_ptr<Object>& parent, const PluginSchema& parent_plugin,
                    const Text& given_name, int depth) {
         const Element root{file.document.root(), &file, &substitutions_};
@@ -182,7 +182,7 @@ class Reader {
         open_files_.erase(key);
     }
 
-    /// <path>: from here on, files are sought in that folder first. [Mitsuba 3.8, FileResolver::prepend]
+    /// Reads a <path>: from here on, files are searched for in that folder first. [Mitsuba 3.8, FileResolver::prepend]
     void add_folder(const Element& e) {
         e.allow({"value"});
         Folders& folders = reading_.back()->folders;
@@ -240,7 +240,7 @@ class Reader {
         fail(e.at(), fmt::format("<{}> is not known here; allowed: {}", e.tag(), nearest_first(e.tag(), allowed)));
     }
 
-    /// Nothing is read of it, but its $names count as used.
+    /// Skips an element; its $names count as used.
     void skip(const Element& e) {
         for (const pugi::xml_attribute& attribute : e.node.attributes()) e.text(attribute.name());
         for (const pugi::xml_node& child : e.node.children())
@@ -288,8 +288,8 @@ class Reader {
         parent->nested.emplace_back(nullptr, e.at());
     }
 
-    /// Gives `child` its place in the parent: as the parameter of that name, or among the unnamed children.
-    /// `slot` is where it stands there; a reference has kept that place free.
+    /// Attaches `child` to the parent: as the parameter of that name, or among the unnamed children at index `slot`,
+    /// which a reference has reserved.
     void attach(const std::shared_ptr<Object>& parent, const PluginSchema& plugin, const std::string& written_name,
                 const std::shared_ptr<Object>& child, const Location& at, std::size_t slot, bool legacy) {
         const std::string key = legacy ? snake_case(written_name) : written_name;
@@ -305,7 +305,7 @@ class Reader {
             fail(at, fmt::format("{} '{}': parameter '{}' must be {}, not {}", name(plugin.category), plugin.type,
                                  parameter->name, expected_kinds(*parameter), name(child->category)));
         if (plugin.rule(child->category)) {
-            // Children of a category with a rule may bear any name, as in Mitsuba.
+            // Children of a category with a rule may have any name, as in Mitsuba.
             if (slot < parent->nested.size())
                 parent->nested[slot] = {child, at};
             else
@@ -316,7 +316,7 @@ class Reader {
             if (plugin.flags & flag::open)
                 note_ignored(title(plugin, *parent), key.empty() ? std::string(name(child->category)) : key);
             else
-                parent->nested.emplace_back(child, at);  // says what it would use
+                parent->nested.emplace_back(child, at);  // names what the plugin would use
             return;
         }
         std::string message;
@@ -367,7 +367,7 @@ class Reader {
                 fmt::format("{} '{}' has no parameter '{}'; allowed: {}", name(plugin.category), plugin.type,
                             written.text, nearest_first(written.text, parameter_names(plugin, legacy)));
             if (!legacy) fail(written.at, message);
-            // Its $names count as used all the same.
+            // Its $names still count as used.
             if (e.has("value")) e.text("value");
             warn(written.at, message);
             return;
@@ -381,7 +381,7 @@ class Reader {
         add_property(object, plugin, *parameter, std::move(value), at);
     }
 
-    /// Values that only the 0.x dialect has, as the nearest that Mitsuba 3 knows.
+    /// Replaces values of the 0.x dialect alone by the nearest value in Mitsuba 3.
     Value modern_value(const std::string& key, Value value, const Element& e) {
         const auto* word = std::get_if<std::string>(&value);
         if (!word) return value;
@@ -397,7 +397,7 @@ class Reader {
         return value;
     }
 
-    /// 0.x: uscale, vscale, uoffset, voffset of any texture; true when `key` is one of them.
+    /// Reads uscale, vscale, uoffset, voffset of any 0.x texture; true when `key` is one of them.
     bool read_uv_scale(const Element& e, const Object& texture, const std::string& key) {
         if (key != "uscale" && key != "vscale" && key != "uoffset" && key != "voffset") return false;
         auto [entry, first] = uv_scales_.try_emplace(&texture, std::array<double, 4>{1, 1, 0, 0});
@@ -441,12 +441,12 @@ class Reader {
             const std::shared_ptr<Object> target = target_of(ref.id);
             attach(ref.parent, *ref.parent_plugin, ref.name, target, ref.id.at, ref.nested_at, ref.legacy);
         }
-        // A reference that became a parameter, or nothing, leaves its place free.
+        // Remove the reserved indices of references that became parameters, or nothing.
         for (const Made& made : objects_)
             std::erase_if(made.object->nested, [](const auto& child) { return child.first == nullptr; });
     }
 
-    /// Adds what an object means without saying it, where that is not the default of its plugin in Mitsuba 3.
+    /// Adds implicit properties of an object that differ from the defaults of its plugin in Mitsuba 3.
     void spell_out_defaults() {
         const std::size_t n = objects_.size();
         for (std::size_t i = 0; i < n; ++i) {
@@ -465,7 +465,7 @@ class Reader {
         }
     }
 
-    /// What an emitter without BSDF scatters: nothing, in both dialects.
+    /// Returns the BSDF of an emitter without one: black, in both dialects.
     ObjectPtr black_bsdf(const Location& at) {
         if (!black_bsdf_) {
             black_bsdf_ = make_object(Category::bsdf, "diffuse", at);
@@ -475,8 +475,8 @@ class Reader {
         return black_bsdf_;
     }
 
-    /// Meshes and textures are sought where the whole of the main file says, whichever file names them; then from
-    /// the file that does.
+    /// Finds meshes and textures in the folders of the main file, for every file that names them; then in those of the
+    /// naming file.
     void find_files() {
         for (const PendingFile& pending : pending_files_) {
             Folders folders = reading_.front()->folders;
@@ -488,7 +488,7 @@ class Reader {
         }
     }
 
-    /// An integrator around several others renders the first.
+    /// Replaces an integrator that contains several others by the first of them.
     void keep_first_integrators() {
         for (const Made& made : objects_) {
             if (made.object->category != Category::integrator) continue;
@@ -507,7 +507,8 @@ class Reader {
                (object.category == Category::sensor && object.plugin == "nlos_capture_meter");
     }
 
-    /// Area emitters and captures of a relay wall may be written at the top, for shapes to refer to.
+    /// Removes area emitters and captures of a relay wall from the top level, where they may be written for shapes to
+    /// refer to.
     void drop_what_shapes_hold() {
         std::set<const Object*> held;
         for (const ObjectPtr& shape : scene_->children(Category::shape))
@@ -585,7 +586,7 @@ class Reader {
             if (const auto* child = std::get_if<ObjectPtr>(&property.value)) collect(**child, used);
     }
 
-    /// The checks of the reader have looked at parameters that nobody may use.
+    /// Clears the read flags: the reader's own checks have read parameters that may have no effect.
     void forget_reads() {
         for (const Made& made : objects_) {
             made.object->is_used = false;
@@ -594,7 +595,7 @@ class Reader {
     }
 
     void check_cycles() {
-        std::map<const Object*, int> state;  // 1: on the way down, 2: done
+        std::map<const Object*, int> state;  // 1: on the current path, 2: done
         for (const Made& made : objects_) descend(*made.object, made.object->at, state);
     }
 
@@ -620,9 +621,9 @@ class Reader {
     std::vector<PendingRef> pending_;
     std::vector<PendingFile> pending_files_;
     std::vector<Unsupported> unsupported_;
-    std::vector<SceneFile*> reading_;  // the main file, then what is being included
+    std::vector<SceneFile*> reading_;  // the main file, then the included files in progress
     std::map<const Object*, std::array<double, 4>> uv_scales_;
-    std::map<std::string, std::vector<std::string>> ignored_;  // parameters by plugin, for one note each
+    std::map<std::string, std::vector<std::string>> ignored_;  // [plugin] parameters, for one note each
     std::set<std::string> open_files_, noted_;
     std::vector<std::string> resources_;
 };

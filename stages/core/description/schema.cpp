@@ -65,7 +65,7 @@ void check_scene(const Object& scene) {
 void check_integrator(const Object& object) {
     if (object.get_int("max_depth", -1) < -1)
         object.fail("max_depth", "'max_depth' must be -1 (no limit) or not negative");
-    // It also drops what paths reflect: all light that BSDF sampling finds, but not that of next-event estimation.
+    // It also drops reflected light: all light from BSDF sampling, but not that of next-event estimation.
     if (object.plugin == "transient_path" && object.get_bool("discard_direct_light", false))
         object.fail(
             "discard_direct_light",
@@ -77,7 +77,7 @@ void check_conductor(const Object& object) {
         object.fail("material", "give either 'material' or 'eta' and 'k', not both");
 }
 
-/// A texture that is one value everywhere must lie where the constant must.
+/// Requires a constant texture to lie in the range of the constant.
 void check_rawconstant(const Object& object, const Parameter& parameter) {
     const Property* property = object.find(parameter.name);
     const auto* texture = property ? std::get_if<ObjectPtr>(&property->value) : nullptr;
@@ -116,7 +116,7 @@ const ChildRule* PluginSchema::rule(Category child) const {
 std::string snake_case(std::string_view name) {
     std::string result;
     for (std::size_t i = 0; i < name.size(); ++i) {
-        // A capital starts a word after a small letter, or before one at the end of a run of capitals.
+        // A capital starts a word after a small letter, or as the last capital before a small letter.
         const bool starts_word = i > 0 && upper(name[i]) && name[i - 1] != '_' &&
                                  (!upper(name[i - 1]) || (i + 1 < name.size() && !upper(name[i + 1])));
         if (starts_word) result += '_';

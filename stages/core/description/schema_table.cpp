@@ -10,7 +10,7 @@ using flag::ignored, flag::legacy, flag::modern, flag::non_negative, flag::numbe
 using Parameters = std::vector<Parameter>;
 
 constexpr int any_number = 1 << 30;
-constexpr std::string_view any_type = "*";  // what find_plugin() falls back to
+constexpr std::string_view any_type = "*";  // the fallback of find_plugin()
 
 Parameters operator+(Parameters a, const Parameters& b) {
     a.insert(a.end(), b.begin(), b.end());
@@ -183,7 +183,7 @@ std::vector<PluginSchema> make_table() {
                      "distant", "batch", "perspective_rdist"});
     add(sensor, "nlos_capture_meter",
         {{"sensor_origin", point},
-         {"account_first_and_last_bounces", boolean, ignored},  // the integrator's counts
+         {"account_first_and_last_bounces", boolean, ignored},  // the integrator's parameter counts
          {"original_film_width", integer, unsupported},
          {"original_film_height", integer, unsupported}},
         of_a_sensor);
@@ -224,7 +224,7 @@ std::vector<PluginSchema> make_table() {
                              {"scramble", integer, ignored}};
     add(sampler, any_type, samples, {}, ignored | open);
 
-    // Integrators: which one has no meaning, its depths have.
+    // Integrators: the type has no effect, its depths have.
     const Parameters depths{{"max_depth", integer},
                             {"rr_depth", integer, positive},
                             {"hide_emitters", boolean},

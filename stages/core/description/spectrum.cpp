@@ -82,7 +82,7 @@ double sample_at(const SampledSpectrum& samples, double nm) {
     return std::lerp(below->second, above->second, (nm - below->first) / (above->first - below->first));
 }
 
-/// Linear sRGB (Rec. 709 primaries, white D65) of XYZ.
+/// Converts XYZ to linear sRGB (Rec. 709 primaries, white D65).
 std::array<double, 3> rgb_from_xyz(const std::array<double, 3>& xyz) {
     constexpr double m[3][3] = {
         {3.240479, -1.537150, -0.498535}, {-0.969256, 1.875991, 0.041556}, {0.055648, -0.204043, 1.057311}};

@@ -44,7 +44,7 @@ double number_of(std::string_view word, const Location& at) {
     const auto [end, error] = std::from_chars(digits.data(), digits.data() + digits.size(), value);
     const bool whole = end == digits.data() + digits.size() && !digits.empty();
     if (error == std::errc::result_out_of_range && whole) {
-        // Too small or too large for a double: only the small one has a float.
+        // Out of the range of a double: a value that is too small becomes 0.
         const std::size_t exponent = digits.find_first_of("eE");
         if (exponent != std::string_view::npos && digits.substr(exponent + 1).starts_with('-')) return 0;
     } else if (error != std::errc{} || !whole) {
@@ -55,7 +55,7 @@ double number_of(std::string_view word, const Location& at) {
     return value;
 }
 
-/// All of x, y, z that are there, or `value` with one or three numbers.
+/// Returns the existing ones of x, y, z, or `value` with one or three numbers.
 std::array<double, 3> xyz(const Element& e, double fallback) {
     std::array<double, 3> r{fallback, fallback, fallback};
     if (e.has("value")) {
@@ -150,7 +150,7 @@ Matrix4d read_transform(const Element& e, bool invertible) {
     return result;
 }
 
-/// "#rrggbb", sRGB-encoded.
+/// Parses "#rrggbb", sRGB-encoded.
 Spectrum hex_colour(const Text& text, const std::string& word) {
     unsigned bits = 0;
     const auto [end, error] = std::from_chars(word.data() + 1, word.data() + word.size(), bits, 16);
@@ -185,7 +185,7 @@ SampledSpectrum parse_samples(const Text& text) {
     return samples;
 }
 
-/// "wavelength value" lines; # starts a comment.
+/// Reads lines "wavelength value"; # starts a comment.
 SampledSpectrum samples_of_file(const Element& e) {
     const Text name = e.text("filename");
     const std::filesystem::path file = find_file(name, e.file->folders);
@@ -208,7 +208,7 @@ Spectrum spectrum_colour(const Element& e, SpectrumUse use) {
     const std::vector<double> n = parse_numbers(text);
     if (n.size() == 1) {
         const auto value = float(n[0]);
-        // Mitsuba 0.x rendering in RGB took a single number for grey, whatever its use.
+        // Mitsuba 0.x in RGB mode read a single number as grey for every use.
         return e.file->legacy ? Spectrum(value) : rgb_from_constant_spectrum(value, use);
     }
     if (n.size() == 3 && e.file->legacy) return {float(n[0]), float(n[1]), float(n[2])};
@@ -234,8 +234,7 @@ Value read_colour(const Element& e, const Parameter& parameter, const PluginSche
     if (use == SpectrumUse::emission && low < 0) fail(at, fmt::format("'{}' must not be negative", parameter.name));
     if (use == SpectrumUse::reflectance && (low < 0 || high > 1)) {
         if (!e.file->legacy) fail(at, fmt::format("'{}' must lie between 0 and 1", parameter.name));
-        // Mitsuba 0.6 scales what would reflect more than arrives to 0.99; phong and ward are scaled by the sum of
-        // their two lobes.
+        // Mitsuba 0.6 scales a reflectance above 1 to 0.99; phong and ward are scaled by the sum of their two lobes.
         constexpr float rounding = 1e-5f;
         if (plugin.category == Category::bsdf && low >= 0 && high > 1 + rounding) {
             if (plugin.type == "phong" || plugin.type == "ward") return rgb;
@@ -275,7 +274,7 @@ std::vector<std::string> split_choices(std::string_view choices, bool legacy) {
     return result;
 }
 
-/// As it is spelled in `allowed`, however the file spells it.
+/// Returns the value in the spelling of `allowed`, for any spelling in the file.
 std::string one_of(const Text& text, const std::string& what, const std::vector<std::string>& allowed) {
     const auto found = std::find_if(allowed.begin(), allowed.end(),
                                     [&](const std::string& name) { return same_ignoring_case(name, text.text); });
@@ -285,7 +284,7 @@ std::string one_of(const Text& text, const std::string& what, const std::vector<
     return *found;
 }
 
-/// A choice by its number, from 1.
+/// Returns a choice by its index, from 1.
 std::string numbered_choice(const Text& text, const Parameter& parameter, bool legacy) {
     const std::vector<std::string> choices = split_choices(parameter.choices, legacy);
     const std::int64_t number = parse_integer(text);
@@ -335,7 +334,7 @@ bool tag_fits(std::string_view tag, const Parameter& parameter) {
     return false;
 }
 
-/// The first `folder / name` that passes the test.
+/// Returns the first `folder / name` that passes the test.
 std::filesystem::path find_in(const Folders& folders, const Text& name, std::string_view what,
                               bool (*is_kind)(const std::filesystem::path&, std::error_code&)) {
     std::string tried;

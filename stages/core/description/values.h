@@ -1,5 +1,5 @@
 #pragma once
-// One value element of a scene file (<float .../>, <transform>...</transform>, ...) as a Value.
+// Reads one value element of a scene file (<float .../>, <transform>...</transform>, ...) as a Value.
 
 #include <filesystem>
 #include <functional>
@@ -13,15 +13,15 @@ namespace loom {
 
 using Folders = std::vector<std::filesystem::path>;
 
-/// What the elements of one file share.
+/// State shared by the elements of one file.
 struct SceneFile {
     XmlDocument document;
-    Folders folders;                 // searched for files, first to last: <path>s, this file's own, the includer's
+    Folders folders;                 // search path for files, in order: <path>s, this file's own folder, the includer's
     std::vector<std::string>* used;  // collects the files that values were read from
     bool legacy = false;             // 0.x dialect
 };
 
-/// Text of an attribute after substitution, and where it stands.
+/// Text of an attribute after substitution, with its location.
 struct Text {
     std::string text;
     Location at;
@@ -47,25 +47,25 @@ struct Element {
 using Warn = std::function<void(const Location&, const std::string&)>;
 
 bool is_value_tag(std::string_view tag);
-/// The tags of is_value_tag, for messages.
+/// Returns the tags of is_value_tag, for messages.
 std::vector<std::string> value_tags();
 
-/// Reads the element as a value for the parameter. A file name stays as written.
-/// throws: InputError for a wrong kind, text that is not of the kind, numbers not finite or out of range,
-///         a singular matrix, a spectrum file that is not there
+/// Reads the element as a value of the parameter. A file name stays as written.
+/// throws: InputError for a wrong kind, text that is not of the kind, numbers not finite or out of range, a singular
+///         matrix, a missing spectrum file
 Value read_value(const Element& element, const Parameter& parameter, const PluginSchema& plugin, const Warn& warn);
 
 double parse_number(const Text& text);
 std::int64_t parse_integer(const Text& text);
-/// Numbers apart by blanks, commas, or both.
+/// Parses numbers separated by blanks, commas, or both.
 std::vector<double> parse_numbers(const Text& text);
 
-/// The first of `folders` that has a file of that name.
-/// throws: InputError with the places looked at
+/// Returns the path in the first of `folders` that has a file of that name.
+/// throws: InputError with the folders that were searched
 std::filesystem::path find_file(const Text& name, const Folders& folders);
-/// Likewise a folder.
+/// Returns the path in the first of `folders` that has a folder of that name.
 std::filesystem::path find_folder(const Text& name, const Folders& folders);
-/// Adds `file` to `files` once.
+/// Adds `file` to `files` unless it is there already.
 void add_file(std::vector<std::string>& files, const std::filesystem::path& file);
 
 }  // namespace loom

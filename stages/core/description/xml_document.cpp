@@ -34,7 +34,7 @@ bool is_name_character(char c) {
 
 XmlDocument::XmlDocument(const std::filesystem::path& file, const std::string& name)
     : source_(std::make_shared<const SourceText>(SourceText{name, read_text(file, name)})) {
-    // load_buffer works on a copy, so that offsets count in the text that messages quote.
+    // load_buffer works on a copy, so that offsets refer to the text that messages quote.
     const pugi::xml_parse_result result =
         tree_.load_buffer(source_->text.data(), source_->text.size(), pugi::parse_default, pugi::encoding_utf8);
     if (!result)

@@ -14,19 +14,20 @@
 
 namespace loom {
 
-/// One parsed XML file that knows where its nodes and attributes stand in the text.
+/// One parsed XML file with the locations of its nodes and attributes in the text.
 class XmlDocument {
   public:
-    /// name: as messages call the file.
-    /// throws: InputError: missing, not readable, not XML (with the place)
+    /// in:     name  the file's name in messages
+    /// throws: InputError: missing, not readable, not XML (with the location)
     XmlDocument(const std::filesystem::path& file, const std::string& name);
 
     pugi::xml_node root() const { return tree_.document_element(); }
-    /// Of the `<` of an element, or of a piece of text.
+    /// Returns the location of the `<` of an element, or of a piece of text.
     Location at(const pugi::xml_node& node) const;
-    /// Of the first character of the attribute's value; of the element when it has no such attribute.
+    /// Returns the location of the first character of the attribute's value; of the element when the attribute is
+    /// absent.
     Location at(const pugi::xml_node& node, std::string_view attribute) const;
-    /// Fails at the first attribute of the element that is not allowed.
+    /// throws: InputError at the first attribute of the element that is not allowed
     void allow_attributes(const pugi::xml_node& node, std::initializer_list<std::string_view> allowed) const;
 
   private:
@@ -34,16 +35,16 @@ class XmlDocument {
     pugi::xml_document tree_;
 };
 
-/// Values of $name: given on the command line, or else by the first <default> of that name.
+/// Values of $name: from the command line, else from the first <default> of that name.
 class Substitutions {
   public:
     explicit Substitutions(const std::vector<std::pair<std::string, std::string>>& defines);
 
     void set_default(const std::string& name, const std::string& value);
-    /// text with every $name replaced; names are letters, digits and underscores.
-    /// throws: InputError at `at` for a name without value; lists those known
+    /// Replaces every $name in the text; names are letters, digits and underscores.
+    /// throws: InputError at `at` for a name without value; lists the defined names
     std::string apply(std::string_view text, const Location& at);
-    /// throws: InputError when a define was used nowhere; lists the names that the scene uses
+    /// throws: InputError when a define was never used; lists the names that the scene uses
     void check_all_used() const;
     std::map<std::string, std::string> used() const;
 

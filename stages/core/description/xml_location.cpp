@@ -27,7 +27,7 @@ LineColumn line_column(const Location& at) {
     return r;
 }
 
-/// Edits (insert, delete, replace; case counts half) that turn a into b.
+/// Returns the number of edits (insert, delete, replace; case counts half) that turn a into b.
 std::size_t edit_distance(std::string_view a, std::string_view b) {
     std::vector<std::size_t> row(b.size() + 1);
     for (std::size_t j = 0; j <= b.size(); ++j) row[j] = 2 * j;
@@ -59,7 +59,7 @@ std::string locate(const Location& at, const std::string& message) {
     const std::string& text = at.source->text;
     std::size_t end = text.find_first_of("\r\n", place.line_start);
     if (end == std::string::npos) end = text.size();
-    // A long line is cut to a window around the caret; tabs stay, so that the caret stands below its place.
+    // Cut a long line to a window around the caret. Keep tabs, so that the caret is below its location.
     constexpr std::size_t window = 160;
     std::size_t start = place.line_start;
     const std::size_t caret = start + place.column - 1;

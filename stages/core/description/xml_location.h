@@ -13,22 +13,22 @@ struct SourceText {
     std::string text;  // without byte order mark
 };
 
-/// A place in a source text.
+/// A location in a source text.
 struct Location {
     std::shared_ptr<const SourceText> source;
     std::size_t offset = 0;  // bytes from the start of the text
 
-    /// "scene.xml:12:7"; lines and columns from 1, columns in bytes.
+    /// Formats the location: "scene.xml:12:7"; lines and columns from 1, columns in bytes.
     std::string where() const;
 };
 
-/// "scene.xml:12:7: message", the line, and a caret below the place.
+/// Formats a message: "scene.xml:12:7: message", the line, and a caret below the location.
 std::string locate(const Location& at, const std::string& message);
 
-/// Throws InputError(locate(at, message)).
+/// throws:  InputError(locate(at, message))
 [[noreturn]] void fail(const Location& at, const std::string& message);
 
-/// The allowed names, those nearest to `name` first, as a list for a message: "a, b, c".
+/// Lists the allowed names for a message, those nearest to `name` first: "a, b, c".
 std::string nearest_first(std::string_view name, std::vector<std::string> allowed);
 
 }  // namespace loom

@@ -20,8 +20,8 @@ struct Box3f {
         add(box.lo);
         add(box.hi);
     }
-    /// Whether the points o + t d, t in [t_min, t_max], meet the box, but for rounding; a ray in the plane of a face
-    /// may be taken for one outside.
+    /// Whether the ray segment o + t d, t in [t_min, t_max], hits the box, up to rounding. A ray in the plane of a face
+    /// may count as a miss.
     /// in: inv_d  1 / d by component, infinite where d is 0
     bool met_by(const Point3f& o, const Vector3f& inv_d, float t_min, float t_max) const {
         for (int c = 0; c < 3; ++c) {

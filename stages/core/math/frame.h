@@ -12,9 +12,8 @@ struct Frame {
     Frame() = default;
     Frame(const Vector3<T>& s_, const Vector3<T>& t_, const Normal3<T>& n_) : s(s_), t(t_), n(n_) {}
 
-    /// The frame that every stage derives from a normal alone, so that a stored normal is enough
-    /// for any isotropic BSDF.                                    [Duff2017] "Building an
-    /// Orthonormal Basis, Revisited", listing 3
+    /// Makes a frame from a normal alone, as every stage does: a stored normal then suffices for any isotropic BSDF.
+    ///                                     [Duff2017] "Building an Orthonormal Basis, Revisited", listing 3
     explicit Frame(const Normal3<T>& normal) : n(normal) {
         const T sign = select(n.z >= T(0), T(1), T(-1));
         const T a = T(-1) / (sign + n.z);
@@ -53,7 +52,7 @@ template <class T>
 T sin2_theta(const Vector3<T>& w) {
     return w.x * w.x + w.y * w.y;
 }
-/// Mirror direction about z.
+/// Returns the mirror direction about z.
 template <class T>
 Vector3<T> reflect(const Vector3<T>& w) {
     return {-w.x, -w.y, w.z};

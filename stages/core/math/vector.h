@@ -1,7 +1,7 @@
 #pragma once
-// Points, vectors and normals are three types, because they transform differently and because a
-// density or a cosine that is fed the wrong one should not compile. All are templates over the
-// number: float in every stage that evaluates, Dual in the stage that derives.
+// Points, vectors and normals are three types. They transform differently, and a density or a cosine of the wrong type
+// must not compile. All are templates over the number type: float in stages that evaluate, Dual in the stage that
+// differentiates.
 
 #include <algorithm>
 #include <array>
@@ -17,8 +17,8 @@ inline constexpr T pi = T(pi_double);
 template <class T>
 inline constexpr T inv_pi = T(1.0 / pi_double);
 
-/// The branch-free choice that every formula uses instead of `if`: a value for a float, a value and
-/// its derivatives for a Dual.
+/// Chooses without a branch; every formula uses it instead of `if`. It selects a value for a float, a value and its
+/// derivatives for a Dual.
 template <class T>
 constexpr T select(bool mask, const T& a, const T& b) {
     return mask ? a : b;
@@ -29,7 +29,7 @@ constexpr T sqr(const T& x) {
     return x * x;
 }
 
-/// sqrt(max(x, 0)): rounding may leave a tiny negative number where algebra has none.
+/// Returns sqrt(max(x, 0)): rounding may give a tiny negative number where the exact value is not negative.
 template <class T>
 T safe_sqrt(const T& x) {
     using std::sqrt;
@@ -41,7 +41,7 @@ constexpr T clamp(const T& x, const T& low, const T& high) {
     return select(x < low, low, select(x > high, high, x));
 }
 
-/// (1 - t) a + t b
+/// Returns (1 - t) a + t b.
 template <class T, class U>
 constexpr U lerp(const T& t, const U& a, const U& b) {
     return a * (T(1) - t) + b * t;
@@ -134,7 +134,7 @@ struct Point2 {
 };
 using Point2f = Point2<float>;
 
-/// Linear RGB (sRGB primaries): radiance (W m^-2 sr^-1), reflectance (1), …; the name says which.
+/// Linear RGB (sRGB primaries): radiance (W m^-2 sr^-1), reflectance (1), …; the variable's name says which.
 template <class T>
 struct Rgb {
     T r{}, g{}, b{};
@@ -161,7 +161,7 @@ struct Rgb {
 };
 using Spectrum = Rgb<float>;
 
-// Number by number: chosen as a whole, a structure would be taken through memory, and its loop not vectorised.
+// Selects by component: a whole structure would be selected through memory, and its loop would not vectorise.
 template <class T>
 constexpr Rgb<T> select(bool mask, const Rgb<T>& a, const Rgb<T>& b) {
     return {select(mask, a.r, b.r), select(mask, a.g, b.g), select(mask, a.b, b.b)};
@@ -180,7 +180,7 @@ template <class T>
 constexpr T mean_channel(const Rgb<T>& v) {
     return (v.r + v.g + v.b) * T(1.0 / 3.0);
 }
-/// Rec. 709 luminance of linear sRGB, the row Y of the matrix to XYZ.
+/// Returns Rec. 709 luminance of linear sRGB, the row Y of the matrix to XYZ.
 template <class T>
 constexpr T luminance(const Rgb<T>& v) {
     return T(0.212671) * v.r + T(0.715160) * v.g + T(0.072169) * v.b;

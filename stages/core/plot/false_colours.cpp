@@ -13,7 +13,7 @@ namespace {
 
 using Colour = std::array<float, 3>;  // linear RGB
 
-/// The characters of a legend, 5 x 7 dots, a row per byte, leftmost dot in bit 4.
+/// A character of the legend, 5 x 7 dots, one row per byte, leftmost dot in bit 4.
 struct Glyph {
     char character;
     std::array<std::uint8_t, 7> rows;
@@ -34,12 +34,12 @@ constexpr std::array<Glyph, 14> glyphs{{
     {'+', {0x00, 0x04, 0x04, 0x1f, 0x04, 0x04, 0x00}},
     {'e', {0x00, 0x00, 0x0e, 0x11, 0x1f, 0x10, 0x0e}},
 }};
-constexpr std::size_t glyph_width = 6, glyph_height = 7;  // a dot of space to the right
+constexpr std::size_t glyph_width = 6, glyph_height = 7;  // one dot of space to the right
 
-/// t in [-1, 1] to linear RGB.
+/// Maps t in [-1, 1] to linear RGB.
 Colour colour_of(double t) {
     if (std::isnan(t)) return {0, 0, 0};
-    // Linear values of a dark blue, white and a dark red, through a light blue and an orange.
+    // Linear values of dark blue, light blue, white, orange and dark red.
     constexpr std::array<std::array<double, 3>, 5> stops{
         {{0.005, 0.03, 0.22}, {0.12, 0.38, 0.72}, {1, 1, 1}, {0.90, 0.29, 0.10}, {0.24, 0.005, 0.015}}};
     const double at = 2 * std::clamp(t, -1.0, 1.0) + 2;
@@ -50,7 +50,7 @@ Colour colour_of(double t) {
     return colour;
 }
 
-/// A picture to draw on; white at first.
+/// An image to draw on, initially white.
 class Canvas {
   public:
     Canvas(std::size_t width, std::size_t height) : width_(width), rgb_(3 * width * height, 1.0f) {}
@@ -98,7 +98,7 @@ Image false_colours(const Image& image, std::string_view layer, double reach) {
     for (std::size_t i = 0; i < values.size(); ++i)
         values[i] = double(0.212671f * rgb[3 * i] + 0.715160f * rgb[3 * i + 1] + 0.072169f * rgb[3 * i + 2]);
     if (reach <= 0) reach = std::stod(fmt::format("{:.1e}", percentile_99(values)));
-    if (reach <= 0) reach = 1;  // no difference at all
+    if (reach <= 0) reach = 1;  // all differences are zero
 
     constexpr std::size_t least_width = 240, bar_height = 10, margin = 4;
     const std::size_t zoom = (least_width + image.width - 1) / image.width;

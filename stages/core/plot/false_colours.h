@@ -1,5 +1,5 @@
 #pragma once
-// A signed layer of an image as a picture to look at.
+// Displays a signed layer of an image in false colours.
 
 #include <string_view>
 
@@ -7,10 +7,10 @@
 
 namespace loom {
 
-/// Luminance of a layer of an image in false colours: blue below 0, white at 0, red above; beyond +-reach in the
-/// full colour, NaN black. Small pictures are magnified by a whole number. Below lies the legend, -reach … reach.
-/// in:      reach  0: the 99th percentile of the absolute values, in two digits
-/// out:     a picture for write_png
+/// Maps the luminance of a layer to false colours: blue below 0, white at 0, red above; full colour beyond +-reach,
+/// black for NaN. Small images are magnified by a whole number. The legend -reach … reach is at the bottom.
+/// in:      reach  0: the 99th percentile of the absolute values, rounded to two digits
+/// out:     an image for write_png
 Image false_colours(const Image& image, std::string_view layer, double reach);
 
 }  // namespace loom

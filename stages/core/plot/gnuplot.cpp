@@ -21,7 +21,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// A folder that goes with this object.
+/// A temporary folder, removed by the destructor.
 class Scratch {
   public:
     explicit Scratch(const fs::path& parent) {
@@ -42,7 +42,7 @@ std::string text_of(const fs::path& file) {
     return {std::istreambuf_iterator<char>(in), {}};
 }
 
-/// Whether gnuplot wrote the file to its end; it exits with 0 on a full disk too.
+/// Whether gnuplot wrote the file completely; it exits with 0 even on a full disk.
 bool is_whole(const std::string& name, const std::string& bytes) {
     using namespace std::string_view_literals;
     if (name.ends_with(".png")) return bytes.ends_with("IEND\xae\x42\x60\x82"sv);
@@ -56,7 +56,7 @@ std::optional<int> run_program(const fs::path& folder, std::vector<std::string> 
     posix_spawn_file_actions_init(&actions);
     posix_spawn_file_actions_addchdir_np(&actions, folder.c_str());
     posix_spawn_file_actions_addopen(&actions, STDIN_FILENO, "/dev/null", O_RDONLY, 0);
-    // A relative log is relative to the folder that the process has just gone to.
+    // A relative log path is relative to the folder that the process has entered.
     posix_spawn_file_actions_addopen(&actions, STDOUT_FILENO, log.c_str(), O_WRONLY | O_CREAT | O_TRUNC, 0600);
     posix_spawn_file_actions_adddup2(&actions, STDOUT_FILENO, STDERR_FILENO);
     std::vector<std::string> kept{"LC_ALL=C.UTF-8"};
@@ -92,7 +92,7 @@ void make_pictures(const fs::path& folder, const std::map<std::string, std::stri
     const Scratch scratch(place);
     for (const auto* texts : {&files, &passing})
         for (const auto& [name, text] : *texts) write_text_file(scratch.path / name, text);
-    // -d: without the user's start-up file.
+    // -d ignores the user's start-up file.
     const std::optional<int> status = run_program(scratch.path, {"gnuplot", "-d", commands}, "log");
     if (!status) throw InputError("gnuplot is not installed (Debian: apt install gnuplot-nox)");
     if (*status != 0) throw std::runtime_error(fmt::format("gnuplot failed:\n{}", text_of(scratch.path / "log")));

@@ -1,6 +1,6 @@
 #pragma once
-// Piecewise-constant densities sampled by inversion: monotone in u, so that well-spread random numbers
-// stay well spread.
+// Piecewise-constant densities sampled by inversion. Inversion is monotone in u, so well-distributed samples stay well
+// distributed.
 
 #include <algorithm>
 #include <cmath>
@@ -14,8 +14,8 @@
 
 namespace loom {
 
-/// Sums of n >= 1 non-negative weights up to each cell, 1 in all, in n + 1 numbers; and a guide, as long:
-/// guide[k] is the last cell that starts at or before k / n, so that a look-up is O(1) on average.
+/// Cumulative sums of n >= 1 non-negative weights, normalised to 1, in n + 1 numbers, with a guide table of the same
+/// length. guide[k] is the last cell that starts at or before k / n, so that a look-up is O(1) on average.
 /// throws:  std::logic_error unless the sum is positive and finite
 struct CumulativeCells {
     static double fill(std::span<const double> weights, float* cdf, std::uint32_t* guide) {
@@ -42,10 +42,11 @@ struct CumulativeCells {
         return sum;
     }
 
-    /// Where in the guide a look-up begins.
+    /// Returns the index in the guide where a look-up begins.
     static std::size_t guide_place(float u, std::size_t n) { return std::min(std::size_t(u * float(n)), n - 1); }
 
-    /// The cell that u lies in, from the guide's cell i on; u is replaced by its place inside, again uniform.
+    /// Returns the cell that contains u, searching from the guide's cell i. Replaces u by its relative position in the
+    /// cell, again uniform.
     static std::size_t find(const float* cdf, std::size_t n, std::size_t i, float& u) {
         while (i > 0 && cdf[i] > u) --i;
         while (i + 1 < n && cdf[i + 1] <= u) ++i;
@@ -66,7 +67,7 @@ class Distribution1 {
     double sum() const { return sum_; }
     float pmf(std::size_t i) const { return cdf_[i + 1] - cdf_[i]; }
 
-    /// Index with probability pmf(index); u is replaced by its place inside the cell, again uniform.
+    /// Returns an index with probability pmf(index). Replaces u by its relative position in the cell, again uniform.
     std::size_t sample(float& u) const {
         return CumulativeCells::find(cdf_.data(), size(), guide_[CumulativeCells::guide_place(u, size())], u);
     }
@@ -87,7 +88,7 @@ class Distribution2 {
         for (std::size_t y = 0; y < height; ++y) {
             const auto row = weights.subspan(y * width, width);
             for (double w : row) row_sums[y] += w;
-            // A row that is never chosen is kept valid.
+            // Keep a row of zero weight valid; it is never chosen.
             CumulativeCells::fill(row_sums[y] > 0 ? row : std::span<const double>(ones), row_start(cdf_, y),
                                   row_start(guide_, y));
         }
@@ -96,8 +97,8 @@ class Distribution2 {
 
     double sum() const { return marginal_.sum(); }
 
-    /// A look-up in steps, each of which asks for the memory that the next one reads: many look-ups, step by step,
-    /// wait for it together.
+    /// A look-up in steps; each prefetches the memory that the next one reads. Run each step over a whole batch so that
+    /// cache misses overlap.
     struct Search {
         Point2f u;
         std::size_t x = 0, y = 0;
@@ -118,14 +119,16 @@ class Distribution2 {
         return {(float(s.x) + s.u.x) / float(width_), (float(s.y) + s.u.y) / float(height_)};
     }
 
-    /// in: u in [0,1)^2; out: point in [0,1)^2 and its density per unit of the square.
+    /// Samples a point.
+    /// in:      u in [0,1)^2
+    /// out:     point in [0,1)^2 and its density per unit area of the square
     Point2f sample(Point2f u, float& pdf) const {
         Search s = begin(u);
         guess(s);
         return finish(s, pdf);
     }
 
-    /// The same in steps: the cell of a point, whose memory is asked for, then its density.
+    /// Evaluate the density in two steps: the cell of a point, whose memory is prefetched, then its density.
     Search cell(Point2f p) const {
         Search s{p, std::min(std::size_t(p.x * float(width_)), width_ - 1),
                  std::min(std::size_t(p.y * float(height_)), height_ - 1)};
@@ -151,7 +154,7 @@ class Distribution2 {
 
     std::size_t width_ = 0, height_ = 0;
     Distribution1 marginal_;
-    std::vector<float> cdf_;  // of the rows, one behind another
+    std::vector<float> cdf_;  // rows concatenated
     std::vector<std::uint32_t> guide_;
 };
 

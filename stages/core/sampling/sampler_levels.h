@@ -1,7 +1,7 @@
 #pragma once
 #include "stages/core/sampling/sampler.h"
 
-// One set of the sampler's column loops for each x86-64 level.
+// Declares the sampler's column loops once per x86-64 level.
 #define LOOM_DECLARE_LEVEL(level)                                                                         \
     namespace loom::level {                                                                               \
     void sampler_pairs(SamplerKind kind, const std::uint32_t* __restrict key_lo,                          \

@@ -1,6 +1,6 @@
 #pragma once
-// Warps of the unit square: sample_x(u) maps uniform numbers to x, pdf_x(x) is the density of the result.
-// A density by solid angle is in sr^-1; directions are local, z is the axis of the warp.
+// Warps of the unit square. sample_x(u) maps uniform samples to x; pdf_x(x) is the density of the result. A density by
+// solid angle is in sr^-1. Directions are local; z is the axis of the warp.
 
 #include <bit>
 #include <cmath>
@@ -14,8 +14,8 @@ struct SinCos {
     float sin, cos;
 };
 
-/// sin(x) and cos(x) for |x| <= π/4, by minimax polynomials; error below 1 ulp of 1.
-/// Cheaper than the library's, vectorises, and is the same on every machine.
+/// Returns sin(x) and cos(x) for |x| <= π/4, by minimax polynomials; error below 1 ulp of 1. Cheaper than the library's
+/// functions, vectorises, and gives the same bits on every machine.
 inline SinCos sin_cos_octant(float x) {
     const float x2 = x * x;
     return {x + x * x2 * (-1.6666654611e-1f + x2 * (8.3321608736e-3f - x2 * 1.9515295891e-4f)),
@@ -23,14 +23,14 @@ inline SinCos sin_cos_octant(float x) {
                 x2 * x2 * (4.166664568298827e-2f + x2 * (-1.388731625493765e-3f + x2 * 2.443315711809948e-5f))};
 }
 
-/// select() on bits, for masks as random as the numbers they come from: a branch would be mispredicted
-/// every other time.
+/// Selects on bits, for masks as random as the samples behind them, where a branch would be mispredicted half of the
+/// time.
 inline float blend(bool mask, float a, float b) {
     const std::uint32_t m = -static_cast<std::uint32_t>(mask);
     return std::bit_cast<float>((std::bit_cast<std::uint32_t>(a) & m) | (std::bit_cast<std::uint32_t>(b) & ~m));
 }
 
-/// sin(2πu) and cos(2πu), u in [0, 1].
+/// Returns sin(2πu) and cos(2πu), u in [0, 1].
 inline SinCos sin_cos_turn(float u) {
     const auto quarter = static_cast<std::uint32_t>(static_cast<std::int32_t>(4.0f * u + 0.5f));
     const SinCos r =
@@ -41,7 +41,7 @@ inline SinCos sin_cos_turn(float u) {
             std::bit_cast<float>(std::bit_cast<std::uint32_t>(blend(odd, r.sin, r.cos)) ^ cos_sign)};
 }
 
-/// Uniform on the unit disk, keeping neighbours neighbours.      [ShirleyChiu1997] concentric map
+/// Samples the unit disk uniformly; neighbours stay neighbours.   [ShirleyChiu1997] concentric map
 inline Point2f sample_concentric_disk(Point2f u) {
     const float a = 2.0f * u.x - 1.0f, b = 2.0f * u.y - 1.0f;
     const bool wide = std::fabs(a) > std::fabs(b);
@@ -54,10 +54,10 @@ inline float pdf_concentric_disk() {
     return inv_pi<float>;
 }
 
-/// Cosine-weighted on the upper hemisphere.                       [Malley] disk lifted to the sphere
+/// Samples the upper hemisphere by cosine.                        [Malley] disk lifted to the sphere
 inline Vector3f sample_cosine_hemisphere(Point2f u) {
     const Point2f p = sample_concentric_disk(u);
-    // The rim of the disk has cosine 0 and density 0: keep off it, so that no sample has density 0.
+    // The rim of the disk has cosine 0 and density 0: stay off it, so that no sample has density 0.
     const float z2 = 1.0f - p.x * p.x - p.y * p.y;
     return {p.x, p.y, std::sqrt(select(z2 > 1e-12f, z2, 1e-12f))};
 }
@@ -86,8 +86,7 @@ inline float pdf_uniform_sphere() {
     return 0.25f * inv_pi<float>;
 }
 
-/// Uniform in the cone of directions within `cos_max` of z; precise for narrow cones, which is why it
-/// takes 1 - cos(theta_max).
+/// Samples directions uniformly in a cone around z. The parameter is 1 - cos(theta_max), for precision in narrow cones.
 inline Vector3f sample_uniform_cone(Point2f u, float one_minus_cos_max) {
     const float h = u.y * one_minus_cos_max;  // 1 - cos(theta)
     const float r = safe_sqrt(h * (2.0f - h));
@@ -98,19 +97,19 @@ inline float pdf_uniform_cone(const Vector3f& w, float one_minus_cos_max) {
     return 1.0f - w.z <= one_minus_cos_max ? 0.5f * inv_pi<float> / one_minus_cos_max : 0.0f;
 }
 
-/// Barycentric coordinates (b1, b2) uniform over a triangle; b0 = 1 - b1 - b2.
+/// Samples barycentric coordinates (b1, b2) uniformly over a triangle; b0 = 1 - b1 - b2.
 ///                                          [Heitz2019] "A Low-Distortion Map Between Triangle and Square"
 inline Point2f sample_triangle(Point2f u) {
     const bool upper = u.y > u.x;
     const float half = 0.5f * (upper ? u.x : u.y);
     return upper ? Point2f{half, u.y - half} : Point2f{u.x - half, half};
 }
-/// By area of the barycentric plane; by area of the triangle it is 1 / area.
+/// Density per unit area of the barycentric plane; per unit area of the triangle it is 1 / area.
 inline float pdf_triangle() {
     return 2.0f;
 }
 
-/// The tent 1 - |x| / radius, the reconstruction filter of that shape.
+/// Samples the tent 1 - |x| / radius, the reconstruction filter of that shape.
 inline float sample_tent(float u, float radius) {
     const float v = 2.0f * u - 1.0f;
     const float t = 1.0f - std::sqrt(1.0f - std::fabs(v));

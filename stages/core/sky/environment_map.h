@@ -9,22 +9,22 @@
 
 namespace loom {
 
-/// Latitude-longitude map: row 0 is +y, column 0 looks to -z; bilinear; values at the centres of columns
-/// and on the first and last row at the poles (Mitsuba 3).
+/// Latitude-longitude map, bilinear: row 0 is +y, column 0 is -z. Values lie at the centres of columns; the first and
+/// last row lie on the poles (Mitsuba 3).
 struct EnvironmentMap {
     int width = 0, height = 0;
     std::vector<Spectrum> texels;  // radiance, row by row
     Distribution2 density;         // over the bilinear cells
 
-    /// The four texels around a point, by number, and how much of the further ones counts.
+    /// Indices of the four texels around a point, and the weights of the far ones.
     struct Place {
         std::size_t at[4];
         float fx = 0, fy = 0;
     };
-    Place place(Point2f uv) const;  // asks for their memory
+    Place place(Point2f uv) const;  // prefetches the texels
     Spectrum at(const Place& place) const;
     Spectrum eval(Point2f uv) const { return at(place(uv)); }
-    /// Fills density. Returns false for a map without light, which has none.
+    /// Computes `density`. Returns false for a map of zero radiance, which has no density.
     bool prepare();
 };
 

@@ -402,7 +402,7 @@ static_assert(std::size(table) == n_turbidities * n_albedos * n_control_points *
 }  // namespace
 
 SkyCoefficients sky_coefficients(double turbidity, double albedo, double sun_elevation_rad, int channel) {
-    // Elevations near the horizon, where the sky changes most, get most of the parameter's range.
+    // Elevations near the horizon, where the sky changes most, cover most of the parameter's range.
     const double t = std::cbrt(sun_elevation_rad / (pi_double / 2));
     const double s = 1 - t;
     const double bernstein[n_control_points] = {s * s * s * s * s,      5 * s * s * s * s * t, 10 * s * s * s * t * t,

@@ -13,7 +13,7 @@ struct SkyCoefficients {
     double radiance = 0;                             // level, in the unit of the data set (sky_unit in sunsky.cpp)
 };
 
-/// Interpolates the data set of the model.                                        [HosekWilkie2012]
+/// Interpolates the coefficients of the model.                                    [HosekWilkie2012]
 ///   quintic Bezier curve over t = (elevation / 90 degrees)^(1/3), linear in turbidity and albedo
 /// in:      turbidity          1...10
 ///          albedo             0...1    of the ground, in this channel

@@ -347,7 +347,7 @@ Rgb<double> solar_irradiance(double turbidity, double sun_elevation_rad) {
 }
 
 Rgb<double> limb_darkening(double mu) {
-    // Through air of turbidity 3 at 45 degrees; elsewhere the shares of the wavelengths in a channel differ little.
+    // For turbidity 3 at 45 degrees; elsewhere the shares of the wavelengths in a channel differ little.
     constexpr double coefficients[3][6] = {{0.40067, 1.63728, -2.33777, 3.11890, -2.30151, 0.68696},
                                            {0.31724, 1.66390, -1.83797, 2.12929, -1.40769, 0.38484},
                                            {0.20826, 1.64829, -1.22935, 1.28549, -0.79476, 0.20387}};

@@ -18,8 +18,8 @@ namespace loom {
 namespace {
 
 constexpr double half_pi = pi_double / 2, two_pi = 2 * pi_double, rad_per_deg = pi_double / 180;
-constexpr double sun_radius_rad = 0.5358 / 2 * rad_per_deg;  // mean over the year, as Mitsuba 0.6 has it
-// The data set is an integral over the observer; this is the integral of the observer's y (in 0.6 the sum at 1 nm), so
+constexpr double sun_radius_rad = 0.5358 / 2 * rad_per_deg;  // mean over the year, as in Mitsuba 0.6
+// The data set is an integral over the observer. This is the integral of the observer's y (in 0.6 the sum at 1 nm), so
 // that radiances are per nm like the sun's.
 double sky_unit(SunskyModel model) {
     return model == SunskyModel::mitsuba06 ? 106.856980 : 106.7502593994140625;
@@ -33,7 +33,7 @@ double azimuth(const Vector3<double>& d) {
     return std::atan2(d.x, -d.z);
 }
 
-/// The dome of a Sunsky with its coefficients worked out.
+/// The sky dome of a Sunsky with computed coefficients.
 class Dome {
   public:
     explicit Dome(const Sunsky& s)
@@ -47,10 +47,10 @@ class Dome {
             channels_[c] = sky_coefficients(s.turbidity, s.albedo[c], std::max(half_pi - sun_theta_, 0.0), c);
     }
 
-    /// Zenith angle at which the sky ends.
+    /// Returns the zenith angle at which the sky ends.
     double horizon() const { return stretch_ * half_pi; }
 
-    /// Radiance at a polar angle of the map, that of the horizon beyond it.
+    /// Returns the radiance at a polar angle of the map; beyond the horizon that of the horizon.
     Rgb<double> radiance(double theta, double phi) const {
         const double sky_theta = std::min(theta / stretch_, half_pi);
         const double cos_theta = std::max(std::cos(sky_theta), 0.0), sin_theta = std::sin(sky_theta);
@@ -81,7 +81,7 @@ class Dome {
     SkyCoefficients channels_[3];
 };
 
-/// Value of a curve given by (nm, value) pairs, linear between them; 0 outside.
+/// Evaluates a curve of (nm, value) pairs, linear between them; 0 outside.
 double curve_at(const SampledSpectrum& curve, double nm) {
     if (nm < curve.front().first || nm > curve.back().first) return 0;
     std::size_t i = 1;
@@ -91,7 +91,7 @@ double curve_at(const SampledSpectrum& curve, double nm) {
     return y0 + (y1 - y0) * (nm - x0) / (x1 - x0);
 }
 
-/// Sun's radiance outside the atmosphere, W m^-2 sr^-1 nm^-1.                      [Preetham1999] table 2
+/// Returns the sun's radiance outside the atmosphere, W m^-2 sr^-1 nm^-1.          [Preetham1999] table 2
 const SampledSpectrum& sun_outside() {
     static const SampledSpectrum curve = [] {
         constexpr double first_nm = 380, step_nm = 10;
@@ -107,7 +107,7 @@ const SampledSpectrum& sun_outside() {
     return curve;
 }
 
-/// Absorption by ozone, cm^-1, over the wavelengths of sun_outside().              [Preetham1999]
+/// Returns the absorption by ozone, cm^-1, over the wavelengths of sun_outside().  [Preetham1999]
 const SampledSpectrum& ozone() {
     static const SampledSpectrum curve = {
         {355, 0},     {445, 0.003}, {450, 0.003}, {455, 0.004}, {460, 0.006}, {465, 0.008}, {470, 0.009},
@@ -120,15 +120,15 @@ const SampledSpectrum& ozone() {
     return curve;
 }
 
-/// Absorption by water vapour, cm^-1, over the wavelengths of sun_outside().       [Preetham1999]
+/// Returns the absorption by water vapour, cm^-1, over the wavelengths of sun_outside().   [Preetham1999]
 const SampledSpectrum& water_vapour() {
     static const SampledSpectrum curve = {{689, 0}, {690, 0.016}, {700, 0.024}, {710, 0.0125},
                                           {720, 1}, {730, 0.87},  {740, 0.061}, {750, 0.001}};
     return curve;
 }
 
-/// Radiance of the sun through the air. Absorption by mixed gases is left out: its bands begin at 759 nm,
-/// beyond the end of the sun's table.                                            [Preetham1999]
+/// Returns the radiance of the sun through the atmosphere. Absorption by mixed gases is left out: its bands begin at
+/// 759 nm, beyond the end of the sun's table.   [Preetham1999]
 SampledSpectrum sun_radiance(double turbidity, double sun_theta) {
     constexpr double ozone_cm = 0.35, water_cm = 2, aerosol_exponent = 1.3;
     const double beta = 0.04608365822050 * turbidity - 0.04586025928522;  // amount of aerosol
@@ -146,8 +146,8 @@ SampledSpectrum sun_radiance(double turbidity, double sun_theta) {
     return result;
 }
 
-/// Fraction of the disk's power in each texel, by lines of latitude across the disk, whose ends are known
-/// in closed form: no sample can miss a small sun, no noise in a large one.
+/// Returns the fraction of the disk's power in each texel. The disk is integrated by lines of latitude, whose ends have
+/// a closed form: no sample can miss a small sun, and a large one has no noise.
 std::vector<double> disk_shares(double sun_theta, double sun_phi, double radius, int width, int height) {
     radius = std::max(radius, 1e-6);  // far below a texel, far above rounding
     const double low = std::max(sun_theta - radius, 0.0), high = std::min(sun_theta + radius, pi_double);
@@ -179,8 +179,7 @@ std::vector<double> disk_shares(double sun_theta, double sun_phi, double radius,
     return shares;
 }
 
-/// Solid angle over which a texel of this row counts when the map is interpolated between its rows and
-/// columns.
+/// Returns the solid angle of a texel in this row when the map is interpolated between its rows and columns.
 double texel_solid_angle(int row, int width, int height) {
     const double step = pi_double / (height - 1);
     const bool pole = row == 0 || row == height - 1;
@@ -189,7 +188,7 @@ double texel_solid_angle(int row, int width, int height) {
 }
 
 struct Fault {
-    const char* parameter = nullptr;  // null: all is well
+    const char* parameter = nullptr;  // null: valid
     const char* message = nullptr;
 };
 Fault find_fault(const Sunsky& s) {
@@ -271,7 +270,7 @@ Sunsky read_sunsky(const Object& o) {
             if (o.has(name)) o.fail(name, "the position of the sun is given by sun_direction already");
         const Matrix4d world = o.get_transform("to_world");
         const Vector3<double> d = o.get_vector("sun_direction", {});
-        // The environment turns with the directions of the axes of to_world; their lengths do not matter.
+        // The environment rotates with the directions of the axes of to_world; their lengths have no effect.
         for (int axis = 0; axis < 3; ++axis)
             s.sun_direction[axis] = dot(d, normalize(Vector3<double>(world(0, axis), world(1, axis), world(2, axis))));
         if (!(length2(s.sun_direction) > 0)) o.fail("sun_direction", "the direction has no length");
@@ -322,7 +321,7 @@ void bake_sky(const Sunsky& s, EnvironmentMap& map) {
     const Dome dome(s);
     const double row_rad = pi_double / (s.height - 1);
     tbb::parallel_for(0, s.height, [&](int y) {
-        // A row stands for half a row above and below it; the horizon may cut through.
+        // A row covers half a row above and below it; the horizon may cut through.
         const double above = s.extend ? 1 : clamp(0.5 * s.stretch * (s.height - 1) - y + 0.5, 0.0, 1.0);
         if (above == 0) return;
         for (int x = 0; x < s.width; ++x)
@@ -369,7 +368,7 @@ EnvironmentMap bake_sunsky(const Sunsky& s) {
     map.width = s.width;
     map.height = s.height;
     map.texels.resize(std::size_t(s.width) * s.height);
-    if (s.sun_direction.y < 0) return map;  // there is no night sky
+    if (s.sun_direction.y < 0) return map;  // the model has no night sky
     if (s.sky_scale > 0) bake_sky(s, map);
     if (s.sun_radius_scale > 0 && s.sun_scale > 0) bake_sun(s, map);
     return map;

@@ -36,7 +36,7 @@ ChiSquareResult chi_square_test(std::span<const double> observed, std::span<cons
         }
         pool_observed += observed[i];
         pool_expected += expected[i];
-        // The last pool keeps what would be too little for one of its own.
+        // The last pool includes a rest that is too small for a pool of its own.
         const bool last = i == order.back();
         if ((pool_expected >= min_expected && left_expected >= min_expected) || last) {
             const double difference = pool_observed - pool_expected;

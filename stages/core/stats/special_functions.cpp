@@ -7,7 +7,7 @@ namespace loom {
 namespace {
 
 using namespace boost::math::policies;
-/// Returns the limit or NaN where Boost throws by default. Doubles are precise enough without long doubles.
+/// Policy: returns the limit or NaN where Boost throws by default; doubles are precise enough without long doubles.
 using Limits = policy<domain_error<ignore_error>, pole_error<ignore_error>, overflow_error<ignore_error>,
                       evaluation_error<ignore_error>, promote_double<false>>;
 

@@ -12,15 +12,15 @@ struct Table {
     std::vector<std::vector<std::string>> rows;
 
     bool has(const std::string& name) const;
-    /// throws:  InputError naming the columns that there are
+    /// throws:  InputError naming the existing columns
     std::size_t column(const std::string& name) const;
-    /// A number of a row, NaN included.
+    /// Returns a number of a row, which may be NaN.
     /// throws:  InputError naming file, row and column
     double number(std::size_t row, std::size_t column) const;
 };
 
-/// Reads a table from a file; several with the same columns (in any order) are joined.
-/// throws:  InputError "FILE:LINE: …" when a row has another number of cells than the head, or columns differ
+/// Reads a table from files with the same columns (in any order) and concatenates the rows.
+/// throws:  InputError "FILE:LINE: …" when a row has another number of cells than the header, or columns differ
 Table read_tables(const std::vector<std::string>& files);
 
 }  // namespace loom

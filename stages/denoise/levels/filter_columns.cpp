@@ -1,5 +1,5 @@
-// The hot loops of the built-in filter, compiled once per x86-64 level (LOOM_LEVEL is v2, v3 or v4). No function of a
-// library is called here: one that the compiler did not inline would leak into the program at the wrong level.
+// Hot loops of the built-in filter, compiled once per x86-64 level (LOOM_LEVEL is v2, v3 or v4). They call no library
+// function: one that is not inlined would link into the program at the wrong level.
 #include "stages/denoise/filter_levels.h"
 
 namespace loom::LOOM_LEVEL {
@@ -8,10 +8,10 @@ namespace {
 constexpr int tw = filter_tile_width, lanes = filter_lanes, ns = n_stored_features, nf = n_features, nt = n_terms;
 constexpr int patch_width = filter_patch_width;
 
-/// Sixteen columns at once. Left to itself g++ 12 vectorises the regression along its nine features, and
-/// the distances not at all.
+/// Sixteen columns as one vector. By itself g++ 12 vectorises the regression along its nine features, and the distances
+/// not at all.
 typedef float Lanes __attribute__((vector_size(4 * lanes)));
-typedef float LanesAt __attribute__((vector_size(4 * lanes), aligned(4), may_alias));  // anywhere in a column
+typedef float LanesAt __attribute__((vector_size(4 * lanes), aligned(4), may_alias));  // at any column offset
 
 #define LOOM_AT(pointer) (*reinterpret_cast<const LanesAt*>(pointer))
 #define LOOM_SUM_AT(pointer) (*reinterpret_cast<LanesAt*>(pointer))
@@ -20,7 +20,7 @@ inline float max_of(float a, float b) {
     return a > b ? a : b;
 }
 
-/// (1 - t/8)^8, 0 from t = 8 on: exp(-t) with an end.
+/// Returns (1 - t/8)^8, 0 from t = 8 on: exp(-t) with finite support.
 inline float falloff(float t) {
     float f = max_of(0.0f, 1.0f - t * 0.125f);
     f *= f;
@@ -28,7 +28,8 @@ inline float falloff(float t) {
     return f * f;
 }
 
-/// Squared difference of the pixels p and q in units of its variance, less what noise alone makes of it.
+/// Computes the squared difference of the pixels p and q in units of its variance, minus the expectation of noise
+/// alone.
 void distance_row(const FilterTile& t, std::ptrdiff_t p, std::ptrdiff_t to_q, float* __restrict distance) {
     for (int i = 0; i < patch_width; i += lanes) {
         Lanes sum{};
@@ -44,7 +45,7 @@ void distance_row(const FilterTile& t, std::ptrdiff_t p, std::ptrdiff_t to_q, fl
     }
 }
 
-/// weights[offset][row][x] of the centres of a tile
+/// Computes weights[offset][row][x] of the centres of a tile.
 void tile_weights(const FilterTile& t) {
     const int r = t.window_radius, pr = t.patch_radius, rows = t.height + 2 * pr;
     float distance[(filter_tile_height + 2 * max_patch_radius) * patch_width];
@@ -73,7 +74,7 @@ void tile_weights(const FilterTile& t) {
     }
 }
 
-/// Features of the window's pixel less those of the centre; the position is the same for all lanes.
+/// Computes the features of the window's pixel minus those of the centre; the position is equal for all lanes.
 inline void feature_differences(const FilterTile& t, std::ptrdiff_t q, std::ptrdiff_t to_p, int dx, int dy,
                                 Lanes (&g)[nf]) {
 #pragma GCC unroll 16
@@ -82,19 +83,19 @@ inline void feature_differences(const FilterTile& t, std::ptrdiff_t q, std::ptrd
     g[ns + 1] = Lanes{} + float(dy) * t.pixel_scale;
 }
 
-/// Weights are not negative.
+/// Whether all weights are zero; weights are not negative.
 inline bool all_zero(const float* __restrict w) {
     bool any = false;
     for (int l = 0; l < lanes; ++l) any |= w[l] > 0;
     return !any;
 }
 
-/// Column j, row k <= j of a symmetric matrix.
+/// Returns the index of column j, row k <= j of a symmetric matrix.
 constexpr int at(int j, int k) {
     return j * (j + 1) / 2 + k;
 }
 
-/// A = L D L^T in place (D on the diagonal), then b becomes A^-1 b.
+/// Factorises A = L D L^T in place (D on the diagonal), then replaces b by A^-1 b.
 void solve(Lanes (&a)[nt * (nt + 1) / 2], Lanes (&b)[nt][3]) {
     const Lanes rounding = 1e-6f * a[0];
     for (int j = 0; j < nt; ++j) {
@@ -107,7 +108,7 @@ void solve(Lanes (&a)[nt * (nt + 1) / 2], Lanes (&b)[nt][3]) {
             a[at(j, i)] = scaled[i] / a[at(i, i)];
             a[at(j, j)] -= scaled[i] * a[at(j, i)];
         }
-        // Rounding must not turn a feature that the window has none of into a huge slope.
+        // Rounding must not give a huge slope to a feature that is constant in the window.
         a[at(j, j)] = a[at(j, j)] > rounding ? a[at(j, j)] : rounding;
     }
     for (int c = 0; c < 3; ++c) {
@@ -120,7 +121,7 @@ void solve(Lanes (&a)[nt * (nt + 1) / 2], Lanes (&b)[nt][3]) {
     }
 }
 
-/// Weighted least squares at `lanes` centres, and what they predict for their windows.
+/// Fits weighted least squares at `lanes` centres, and adds their predictions for their windows.
 void regress(const FilterTile& t, int row, int column) {
     const int r = t.window_radius;
     const std::ptrdiff_t q = (t.y + row) * t.stride + t.x + column;
@@ -158,7 +159,8 @@ void regress(const FilterTile& t, int row, int column) {
         }
     }
 
-    // A prior of slopes of the size of the colour; the rest is for features that the window has none of.
+    // Add a prior on slopes of the size of the colour. The remaining terms are for features that are constant in the
+    // window.
     const Lanes lambda = t.ridge * (noise / (power + 1e-30f)) + 1e-6f * a[0] + 1e-30f;
     for (int f = 0; f < nf; ++f) a[at(f + 1, f + 1)] += lambda;
     a[0] += 1e-30f;

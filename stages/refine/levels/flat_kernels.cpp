@@ -1,5 +1,5 @@
-// Light from near lights at the vertices of a flat matte cluster, compiled once per x86-64 level (LOOM_LEVEL is v2, v3
-// or v4). Every entry is flattened: what it calls is inlined, so nothing else of a level leaks into the program.
+// Reflection of near lights at the vertices of a flat diffuse cluster, compiled once per x86-64 level (LOOM_LEVEL is
+// v2, v3 or v4). Every entry is flattened: its calls are inlined, so no other code of a level links into the program.
 #include <cstring>
 
 #include "formats/io/octahedral.h"
@@ -16,7 +16,7 @@ using StoredLanes = float __attribute__((vector_size(lane_block * sizeof(float))
     return *reinterpret_cast<const StoredLanes*>(at);
 }
 
-/// In a fixed order that every level can follow.
+/// Sums in a fixed order that every level can use.
 [[gnu::always_inline]] inline float sum_of(const Lanes& v) {
     const auto a = __builtin_shufflevector(v, v, 0, 1, 2, 3, 4, 5, 6, 7) +
                    __builtin_shufflevector(v, v, 8, 9, 10, 11, 12, 13, 14, 15);
@@ -24,7 +24,7 @@ using StoredLanes = float __attribute__((vector_size(lane_block * sizeof(float))
     return (b[0] + b[2]) + (b[1] + b[3]);
 }
 
-/// Seen from the vertices that found them: normals turned to them, densities in the measure of the light, own samples.
+/// Prepares edges at the vertices that sampled them: facing normals, densities in the measure of the light, own terms.
 template <bool area>
 [[gnu::always_inline]] inline void see_from_finders(const FlatColumns& c, FlatLights& e) {
     const float nx = c.normal.x, ny = c.normal.y, nz = c.normal.z;
@@ -55,7 +55,7 @@ template <bool area>
         const float y_x = e.y_x[i], y_y = e.y_y[i], y_z = e.y_z[i], n_x = e.n_x[i], n_y = e.n_y[i], n_z = e.n_z[i],
                     pdf = e.pdf_shared[i];
         float* __restrict f = e.reflected + i * lanes;
-        // A plain loop: g++ 12 makes scalars of `?:` on vectors that are wider than the processor's.
+        // A plain loop: g++ 12 scalarises `?:` on vectors that are wider than the processor's.
         for (int l = 0; l < lanes; ++l) {
             const float dx = y_x - c.px[l], dy = y_y - c.py[l], dz = y_z - c.pz[l];
             const float d2 = dx * dx + dy * dy + dz * dz, inv_d2 = 1 / (d2 > 1e-30f ? d2 : 1e-30f);

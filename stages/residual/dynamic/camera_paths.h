@@ -1,5 +1,5 @@
 #pragma once
-// Pairs of camera paths, many at a time; the old one of a pair is traced only where it may differ.
+// Pairs of camera paths in batches; the old path of a pair is traced only where it may differ.
 
 #include <memory>
 #include <vector>
@@ -10,20 +10,20 @@
 
 namespace loom::residual {
 
-/// Belongs to one thread.
+/// State of one thread.
 class CameraPaths {
   public:
     CameraPaths(const DynamicScenes& scenes, const PathOptions& path);
 
     /// Traces paths of the new scene, at most PathBatch::capacity, and finds those that the edit may have changed.
     void trace_new(std::span<const PathId> ids);
-    /// Calls trace_new(), then traces the old twins of the touched paths.
+    /// Calls trace_new(), then traces the touched paths again in the old scene.
     void trace(std::span<const PathId> ids);
 
     bool touched(std::size_t k) const { return old_of_[k] != none; }
     const FirstHit& first(std::size_t k) const { return new_[k].first; }
     const Spectrum& L_new(std::size_t k) const { return new_[k].L; }
-    /// After trace(): new minus old, 0 where nothing was touched; number of rays of both.
+    /// After trace(): new minus old, 0 for untouched paths; number of rays of both.
     Spectrum difference(std::size_t k) const { return touched(k) ? new_[k].L - old_[old_of_[k]].L : Spectrum(); }
     std::uint32_t rays(std::size_t k) const { return new_[k].n_rays + (touched(k) ? old_[old_of_[k]].n_rays : 0); }
 
@@ -37,7 +37,7 @@ class CameraPaths {
     bool all_touched_;
     PathBatch new_batch_, old_batch_;
     std::vector<PathResult> new_, old_;
-    std::vector<std::uint32_t> old_of_;  // by path: its twin's index in old_, or `none`
+    std::vector<std::uint32_t> old_of_;  // [path] index of its old path in old_, or `none`
     std::vector<PathId> touched_;
 };
 

@@ -48,7 +48,7 @@ Interaction interact(const DynamicScene& side, const Vertex& vertex, const Vecto
     x.site = vertex.site;
     ShadingPoint here = side.aimed(vertex, to_sensor);
     x.q_light = survival(here);
-    // One measure for both ways: d_omega_light / d_omega_sensor of a perfectly specular lobe.
+    // Convert to one measure for both directions: d_omega_light / d_omega_sensor of a perfectly specular lobe.
     double projected = 1;
     if (is_delta(lobe)) {
         x.specular = true;

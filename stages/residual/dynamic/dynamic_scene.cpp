@@ -6,7 +6,7 @@
 namespace loom::residual {
 namespace {
 
-/// What a ray engine needs to know of a shape.
+/// Returns the part of a shape that a ray engine reads.
 Shape geometry_of(const Shape& shape) {
     Shape copy = shape;
     copy.emitter = -1;
@@ -19,7 +19,8 @@ Normal3f normal_at(const Shape& shape, const Hit& hit, const Point3f& p) {
     return shape.round.disk_normal();
 }
 
-/// Boxes around shapes, one each as long as they are few: as many cost about as much as asking for the shapes.
+/// Returns boxes around shapes, one per shape while they are few. Testing many boxes costs as much as tracing the
+/// shapes.
 std::vector<Box3f> boxes_around(const std::vector<Shape>& shapes, float grown_by) {
     constexpr std::size_t most = 16;
     std::vector<Box3f> boxes;

@@ -1,6 +1,6 @@
 #pragma once
-// The two scenes of an edit as paths see them that must meet the edit: which shapes are dynamic, which are ghosts, and
-// points on both to start from.                                                              [RP] §3.3, §4.1, §4.2
+// The two scenes of an edit, prepared for sampling paths through the edit: which shapes are dynamic, which are ghosts,
+// and sample points on both.                                                                  [RP] §3.3, §4.1, §4.2
 
 #include <array>
 #include <cstdint>
@@ -16,26 +16,26 @@
 
 namespace loom::residual {
 
-/// Where the edit is: surfaces that stand there in the new scene only, in the old one only, or in both with another
-/// BSDF. The first are dynamic in the new scene and ghosts in the old one, the second the other way round, the third
-/// dynamic in both.
+/// Surfaces of the edit: present in the new scene only, in the old scene only, or in both with different BSDFs. The
+/// first are dynamic in the new scene and ghosts in the old one. The second are ghosts in the new scene and dynamic in
+/// the old one. The third are dynamic in both.
 enum class Site : std::uint8_t { new_place, old_place, repainted };
 inline constexpr int n_sites = 3;
 inline constexpr std::uint8_t no_site = 255;
 
 /// A point on a site, uniform by area.
 struct SitePoint {
-    std::uint32_t member = 0;  // which of the shapes
-    Hit hit;                   // its shape is a member; t is unset
+    std::uint32_t member = 0;  // index of the shape in the site
+    Hit hit;                   // hit on that shape; t is unset
     Point3f p;
     Normal3f ng;
 };
 
-/// What a path starts from: where it scatters, or where it only passes through. Nothing scatters at black shapes, such
-/// as most lamps; they are ghosts, for they hide what lies behind them.
+/// Start of a path: a scattering vertex, or a point that the path only passes through. Black shapes, such as most
+/// emitters, do not scatter; they are ghosts, because they occlude.
 enum class Start : std::uint8_t { scattering, passing };
 
-/// The shapes of a site, in the order of the scene that they are in (for repainted ones, the new scene).
+/// The shapes of a site, in the order of their scene (for repainted ones, the new scene).
 class SiteShapes {
   public:
     struct Member {
@@ -45,10 +45,10 @@ class SiteShapes {
     void finish();
 
     bool empty() const { return members_.empty(); }
-    bool scatters() const { return area(Start::scattering) > 0; }    // somewhere
+    bool scatters() const { return area(Start::scattering) > 0; }    // anywhere
     double area(Start start) const { return by_area(start).sum(); }  // m^2
     const std::vector<Member>& members() const { return members_; }
-    /// The same point for both starts where no shape is black.
+    /// Samples a point; equal for both starts where no shape is black.
     /// in: u_choice, u  [0, 1)
     SitePoint sample(Start start, float u_choice, Point2f u) const;
 
@@ -64,29 +64,29 @@ class SiteShapes {
     Distribution1 by_area_, by_scattering_area_;
 };
 
-/// Where a segment passes through a ghost.
+/// Intersection of a segment with a ghost.
 struct Crossing {
     Point3f p;
     Normal3f n;
     std::uint32_t member = 0, primitive = 0;
 };
 
-/// Those of all segments of a sample, one segment's in a row.
+/// Crossings of all segments of a sample; those of one segment are consecutive.
 struct Crossings {
     std::vector<Crossing> all;
     std::vector<Hit> scratch;
 };
 
-/// A point on a surface where a path scatters.
+/// A surface point where a path scatters.
 struct Vertex {
     SurfacePoint at;
-    ShadingPoint here;  // as seen from where it was found
+    ShadingPoint here;  // for the direction of the ray that found it
     Hit hit;
-    std::uint8_t site = no_site;  // of the edit, when its shape is dynamic in this scene
-    bool sided = false;           // is another material, or has another normal, when seen from elsewhere
+    std::uint8_t site = no_site;  // site of the edit when its shape is dynamic in this scene
+    bool sided = false;           // its material or normal depends on the side
 };
 
-/// From a place in one scene to that in the other.
+/// Maps points from one scene to the other.
 struct RigidMotion {
     Matrix4d matrix;
     Point3f operator()(const Point3f& p) const {
@@ -95,35 +95,35 @@ struct RigidMotion {
     }
 };
 
-/// One of the two.
+/// One of the two scenes of an edit.
 struct DynamicScene {
     DynamicScene(const Scene& scene_, bool is_new_) : scene(scene_), is_new(is_new_) {}
 
     const Scene& scene;
     bool is_new;
-    std::vector<std::uint8_t> site_of;      // by shape: the site on which it is dynamic, or no_site
-    std::vector<std::uint32_t> partner_of;  // by shape: its index in the other scene, or ShapeEdit::none
-    std::vector<RigidMotion> to_partner;    // by shape: its points to those of its partner
-    std::vector<bool> changed_emitter;      // by emitter
-    std::vector<Shape> ghosts;              // by member of the ghosts' site
+    std::vector<std::uint8_t> site_of;      // [shape] site on which it is dynamic, or no_site
+    std::vector<std::uint32_t> partner_of;  // [shape] its index in the other scene, or ShapeEdit::none
+    std::vector<RigidMotion> to_partner;    // [shape] maps its points to those of its partner
+    std::vector<bool> changed_emitter;      // [emitter]
+    std::vector<Shape> ghosts;              // [member of the ghosts' site]
     std::unique_ptr<RayEngine> ghost_rays;  // null: none
-    std::vector<Box3f> ghost_boxes;         // around them, a few
+    std::vector<Box3f> ghost_boxes;         // a few boxes around the ghosts
 
     Site own_site() const { return is_new ? Site::new_place : Site::old_place; }
     Site ghost_site() const { return is_new ? Site::old_place : Site::new_place; }
 
     Vertex vertex(const Ray& ray, const Hit& hit) const;
-    /// The vertex as light sees it that leaves along wo.
+    /// Returns the vertex evaluated for light that leaves along wo.
     ShadingPoint aimed(const Vertex& vertex, const Vector3f& wo) const {
         ShadingPoint here = vertex.here;
         aim(vertex, wo, here);
         return here;
     }
-    /// in, out: here  the vertex as light sees it along some direction, then along wo
+    /// in, out: here  the vertex for light along some direction; afterwards for light along wo
     void aim(const Vertex& vertex, const Vector3f& wo, ShadingPoint& here) const;
-    /// A point on a site that is dynamic here, seen from wo.
+    /// Returns the vertex at a point of a site that is dynamic here, viewed from wo.
     Vertex vertex(const SitePoint& point, std::uint32_t shape, const Vector3f& wo) const;
-    /// Appends where the ray passes through ghosts; returns how many.
+    /// Appends the ray's crossings of ghosts; returns their number.
     std::uint32_t cross(const Ray& ray, Crossings& crossings) const;
 };
 
@@ -132,12 +132,12 @@ struct DynamicScenes {
 
     std::array<SiteShapes, n_sites> sites;
     DynamicScene new_scene, old_scene;
-    std::vector<Shape> movers;              // at both places
+    std::vector<Shape> movers;              // shapes at both their old and new positions
     std::unique_ptr<RayEngine> mover_rays;  // null: none
     bool lights_changed = false;
-    bool same_choice_of_lights = true;  // the same random number chooses the same light in both
+    bool same_choice_of_lights = true;  // equal samples choose equal lights in both scenes
 
-    /// What a path of one scene touches where it may differ in the other.
+    /// Returns the parts of one scene by which a path may differ in the other.
     /// needs: same_choice_of_lights
     EditTargets targets(const DynamicScene& side) const;
     const SiteShapes& at(Site site) const { return sites[std::size_t(site)]; }

@@ -1,6 +1,6 @@
 #pragma once
-// Random numbers of samples that start from a site: both scenes of an edit ask for the same ones, and many samples at
-// once are worked out by column.
+// Random streams of samples that start from a site. Both scenes of an edit use the same stream, and the pairs of many
+// samples are computed together as columns (SoA).
 
 #include <vector>
 
@@ -8,10 +8,10 @@
 
 namespace loom::residual {
 
-/// Those of one sample. The first pairs may be known, the others are worked out when asked for.
+/// Random stream of one sample. Its first pairs may be precomputed; the others are computed on demand.
 class Numbers {
   public:
-    Numbers(const Sampler& sampler) : sampler_(sampler) {}  // NOLINT: a sampler is what numbers are without a block
+    Numbers(const Sampler& sampler) : sampler_(sampler) {}  // NOLINT: a sampler is a stream without precomputed pairs
     Numbers(const Sampler& sampler, const Point2f* known, std::uint32_t n_known, std::uint32_t stride)
         : sampler_(sampler), known_(known), n_known_(n_known), stride_(stride) {}
 
@@ -25,12 +25,13 @@ class Numbers {
     std::uint32_t n_known_ = 0, stride_ = 0;
 };
 
-/// Those of consecutive samples of one (seed, pixel 0): the pairs up to the fifth bounce. One thread's.
+/// Random streams of consecutive samples of one (seed, pixel 0), precomputed up to the fifth bounce. State of one
+/// thread.
 class NumbersBlock {
   public:
     static constexpr std::uint32_t size = 64;
 
-    /// Numbers of sample `index`; the samples after it are worked out with it.
+    /// Returns the stream of sample `index`; computes those of the following samples with it.
     Numbers of(SamplerKind kind, std::uint64_t seed, std::uint64_t index);
 
   private:

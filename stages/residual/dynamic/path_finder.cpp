@@ -6,8 +6,8 @@
 namespace loom::residual {
 namespace {
 
-// Pairs of random numbers of a sample that starts from a site. Each bounce has its own, so that the two scenes of an
-// edit ask for the same ones.
+// Pairs of a random stream for a sample that starts from a site. Each bounce has its own pairs, so that both scenes of
+// an edit use the same ones.
 enum : std::uint32_t { choice_pair = 0, point_pair = 1, light_pair = 2, lobe_pair = 3, first_walk_pair = 8 };
 constexpr std::uint32_t walk_pair(int k, bool to_light, std::uint32_t what) {
     return first_walk_pair + std::uint32_t(k) * 8 + (to_light ? 4 : 0) + what;
@@ -69,7 +69,7 @@ LightEnd PathFinder::light_end(const LightSample& s) const {
 }
 
 bool PathFinder::relocate(const Segment& segment, const SitePoint& point, std::uint32_t& place) {
-    // A sphere is passed through twice: the nearer one.
+    // A segment crosses a sphere twice; take the nearer crossing.
     float nearest = INFINITY;
     for (std::uint32_t c = segment.first; c < segment.first + segment.n; ++c) {
         const Crossing& crossing = crossings_.all[c];
@@ -143,14 +143,14 @@ void PathFinder::walk(std::vector<Stop>& stops, Towards towards, const Numbers& 
     }
 }
 
-/// The part of path_ from the sensor to where the walk towards it began, and the segment that goes on from there.
+/// Sets path_ from the sensor to the start of the walk towards it, and the next segment.
 void PathFinder::from_sensor(std::size_t a, const Segment& ahead) {
     path_.start(z_[a].sensor, z_[a].end_segment);
     for (std::size_t k = a + 1; k-- > 0;)
         path_.add(k == a ? z_[k].end : z_[k].onward, z_[k].v, k > 0 ? z_[k - 1].segment : ahead);
 }
 
-/// The part of path_ from where the walk towards the light began.
+/// Adds to path_ the vertices from the start of the walk towards the light.
 void PathFinder::to_light(std::size_t b) {
     for (std::size_t k = 0; k < b; ++k) path_.add(y_[k].onward, y_[k].v, y_[k].segment);
     path_.add(y_[b].end, y_[b].v, y_[b].end_segment);

@@ -1,5 +1,5 @@
 #pragma once
-// Finds whole paths by the seven techniques of [RP] §4, in one of the two scenes of an edit.
+// Samples whole paths by the seven techniques of [RP] §4, in one of the two scenes of an edit.
 
 #include <functional>
 #include <optional>
@@ -10,49 +10,50 @@
 
 namespace loom::residual {
 
-/// What a path was found by: the technique, and the vertex or crossing that it started from (as Term::place).
+/// The technique that sampled a path, and the vertex or crossing where it started (as Term::place).
 struct Found {
     Technique technique;
     std::uint32_t place;
-    bool by_next_event = true;  // path tracing: else by hitting the light
+    bool by_next_event = true;  // path tracing: next-event estimation, else hitting the light
 };
 
-/// One thread's. Paths that one sample finds share its vertices; each is shown once, and is gone afterwards.
+/// Sampler of paths for one thread. The paths of one sample share its vertices. Each path is passed to the visitor once
+/// and is invalid afterwards.
 class PathFinder {
   public:
     using Visitor = std::function<void(const FullPath&, const Found&)>;
 
     PathFinder(const DynamicScenes& scenes, const DynamicScene& side, const PathOptions& options);
 
-    /// Paths from one point of a site. With the same numbers in the two scenes the two points are the same: one of the
-    /// shape itself where the site is its place in either, the same in space where it is dynamic in one and a ghost in
-    /// the other.
+    /// Samples paths from one point of a site. Equal random streams give corresponding points in the two scenes. On a
+    /// shape that is dynamic in both, it is the same point of the shape. Where the shape is dynamic in one scene and a
+    /// ghost in the other, it is the same point in space.
     /// needs: technique is 1 to 3 and the site dynamic here, or 4 to 6 and the site a ghost
     void find(Technique technique, Site site, const Numbers& numbers, const Visitor& visit);
 
-    /// Paths of one camera sample, with the random numbers that loom-trace takes; static ones are not shown.
-    /// out: whether the same sample may be another path in the other scene
+    /// Samples the paths of one camera sample, with the random stream of loom-trace; static paths are skipped.
+    /// out: whether the same sample may give another path in the other scene
     bool find_from_camera(PathId id, const Sampler& numbers, const Visitor& visit);
 
     FirstHit first_hit;  // of the last camera sample
     std::uint64_t n_rays = 0, n_vertices = 0;
-    std::uint64_t n_unrelocated = 0;  // samples of ghosts whose segment, looked at again, does not pass there
+    std::uint64_t n_unrelocated = 0;  // samples of ghosts whose point is not among the crossings of the final segment
 
   private:
-    /// A vertex of a walk: how the walk goes on from it, and how it is joined to the sensor or a light.
+    /// A vertex of a walk, with its continuation and its connection to the sensor or a light.
     struct Stop {
         Vertex v;
-        Vector3f back;   // to the vertex before, or to what the walk starts from
-        Vector3f ahead;  // to the next
+        Vector3f back;   // to the previous vertex, or to the start of the walk
+        Vector3f ahead;  // to the next vertex
         Lobe lobe = Lobe::none;
         Interaction onward;
-        Segment segment;  // to the next
+        Segment segment;  // to the next vertex
         bool joined = false;
         Interaction end;
         Segment end_segment;
         SensorEnd sensor;
         LightEnd light;
-        LightEnd met;  // of a camera path: what shines at the vertex itself
+        LightEnd met;  // of a camera path: emission of the vertex itself
     };
     enum class Towards : std::uint8_t { sensor, light };
 
@@ -111,7 +112,7 @@ class PathFinder {
     std::optional<FilmPoint> on_film(const Point3f& p) const;
     Segment segment_to_sensor(const Vertex& v, const FilmPoint& film);
     LightEnd light_end(const LightSample& light) const;
-    /// Finds the point of a ghost among the crossings of the segment that it has led to.
+    /// Finds the sampled ghost point among the crossings of the resulting segment.
     bool relocate(const Segment& segment, const SitePoint& point, std::uint32_t& place);
 
     void from_sensor(std::size_t a, const Segment& ahead);
@@ -126,7 +127,7 @@ class PathFinder {
         return options_.max_depth < 0 ? most_vertices : std::min(options_.max_depth - 1, most_vertices);
     }
 
-    static constexpr int most_vertices = 512;  // survival is at most 0.95 each
+    static constexpr int most_vertices = 512;  // roulette survival is at most 0.95 per vertex
 
     const DynamicScenes& scenes_;
     const DynamicScene& side_;

@@ -24,7 +24,7 @@ bool PathMapper::smooth_enough(const Vertex& v) const {
         case BsdfKind::phong:
             return std::sqrt(2 / (2 + b.exponent)) >= limits_.alpha_min;
         case BsdfKind::plastic:
-            return b.opacity == 1;  // joined by its diffuse part
+            return b.opacity == 1;  // connected by its diffuse component
         default:
             return false;
     }
@@ -43,7 +43,7 @@ void PathMapper::reconnect(const FullPath& path, std::size_t j) {
     r.why = [&] {
         const std::uint32_t shape = from_.partner_of[base.hit.shape];
         if (shape == ShapeEdit::none) return Rejection::moved;
-        // What is smooth enough in one scene may not be in the other.
+        // A vertex that is smooth enough in one scene may not be in the other.
         if (before.site != no_site || (next && next->site != no_site)) return Rejection::moved;
         SitePoint point;
         point.hit = base.hit;
@@ -104,7 +104,7 @@ const MappedPath* PathMapper::map(const FullPath& path, const Found& found, Reje
     why = Rejection::none;
     const std::size_t m = path.m();
     if (m == 0 || path.light.changed) return reject(why, Rejection::light);
-    // Which vertex moves; from 0, m: none.
+    // Index of the vertex that moves, from 0; m: none.
     std::size_t j = m;
     if (found.technique == Technique::dynamic_from_emitter || found.technique == Technique::dynamic_two_ends)
         j = found.place - 1;
@@ -112,7 +112,7 @@ const MappedPath* PathMapper::map(const FullPath& path, const Found& found, Reje
     for (std::size_t i = 0; i < m; ++i)
         if (i != j && path.vertices[i].site != no_site && path.vertices[i].site != std::uint8_t(Site::repainted))
             return reject(why, Rejection::moved);
-    if (j == 0) return reject(why, Rejection::moved);  // it would be seen in another pixel
+    if (j == 0) return reject(why, Rejection::moved);  // it would project into another pixel
     for (std::size_t i = 0; i <= m; ++i)
         if (path.segments[i].n > 0 && (j == m || (i != j && i != j + 1))) return reject(why, Rejection::crossed);
     if (!scenes_.same_choice_of_lights) return reject(why, Rejection::light);
@@ -156,7 +156,7 @@ const MappedPath* PathMapper::map(const FullPath& path, const Found& found, Reje
             q.vertices[j + 1] =
                 interact(from_, *path.places[j + 1], to_sensor_of(j + 1), to_light_of(j + 1), Lobe::none);
     }
-    // Vertices that look otherwise there.
+    // Replace vertices that differ in the other scene.
     for (std::size_t i = 0; i < m; ++i) {
         if (path.vertices[i].site != std::uint8_t(Site::repainted)) continue;
         const Vertex& base = *path.places[i];

@@ -1,20 +1,20 @@
 #pragma once
-// Path mappings: from a path found in one scene of an edit to its partner in the other.            [RP] §5
+// Path mappings: map a path sampled in one scene of an edit to its partner in the other.           [RP] §5
 
 #include "stages/residual/dynamic/path_finder.h"
 
 namespace loom::residual {
 
-/// Why a path has no partner other than what the same random numbers give.
+/// Reason why a path has no mapped partner and is left to the pair with the same random stream.
 enum class Rejection : std::uint8_t {
     none,
-    moved,     // a vertex on another shape that moves, or a start without a counterpart
-    crossed,   // a segment that the mapping keeps goes through where a shape stands in the other scene
-    blocked,   // a new segment meets something
-    specular,  // a perfectly specular or too smooth vertex at a new segment
+    moved,     // a vertex lies on another moving shape, or the start has no counterpart
+    crossed,   // a kept segment crosses a shape of the other scene
+    blocked,   // a new segment is occluded
+    specular,  // a new segment ends at a perfectly specular or too smooth vertex
     near,      // a new segment, or the one that it replaces, is too short
-    light,     // the light is another one there, or shines the other way
-    black,     // the partner carries nothing
+    light,     // the light differs there, or emits to the other side
+    black,     // the partner contributes zero
 };
 inline constexpr int n_rejections = 8;
 
@@ -25,23 +25,24 @@ struct MappingLimits {
 
 struct MappedPath {
     FullPath path;
-    double density_ratio = 1;  // of area products: what its measure grows by, over what the base's does
+    double density_ratio = 1;  // Jacobian |T'|: geometry terms of this path over those of the base path
 };
 
-/// Keeps every vertex where it is, apart from the one that the path starts from: that goes with its shape.
+/// Keeps every vertex in place except the start of the path, which moves with its shape.
 ///   x_D -> its place in the other scene, |t'| = 1         [RP] Eq. (18)
 ///   all others -> themselves: both neighbours of x_D are reconnected to it, at once     [RP] Eq. (19) to (21)
-/// One rule for both directions: accepted from p to q exactly if from q to p.
-/// differs: no walk by the same random numbers before reconnection; a path that cannot be reconnected at once is left
-///          to the pair that the same random numbers make. No limit on the Jacobian: the weights of pairs bound it.
+/// The rule is symmetric: p to q is accepted exactly if q to p is.
+/// differs: no walk with the same random stream before reconnection; a path that cannot be reconnected at once is left
+///          to the pair with the same random stream. No limit on the Jacobian: the weights of pairs bound it.
 class PathMapper {
   public:
     PathMapper(const DynamicScenes& scenes, bool from_new, const MappingLimits& limits);
 
-    /// Before the paths of another sample: what those of one have in common is worked out once.
+    /// Must be called before the paths of another sample: paths of one sample share computed results.
     void start_sample() { reconnected_.base = nullptr; }
-    /// in:  the path, and how it was found in the scene that paths come from
-    /// out: its partner, valid until the next call; nothing: rejected, `why` says so
+    /// Maps a path.
+    /// in:  path, found  the path, and the technique that sampled it in the source scene
+    /// out: its partner, valid until the next call; null: rejected for the reason `why`
     const MappedPath* map(const FullPath& path, const Found& found, Rejection& why);
 
     std::uint64_t n_rays = 0;
@@ -53,14 +54,14 @@ class PathMapper {
     }
     bool smooth_enough(const Vertex& v) const;
 
-    /// The start of a path in its new place and the segments that join it to its neighbours. All paths of a sample that
-    /// go through the three have it in common.
+    /// The start of a path at its new place and its segments to its neighbours. All paths of a sample through these
+    /// three vertices share it.
     struct Reconnected {
         const Vertex *base = nullptr, *before = nullptr, *next = nullptr;  // of the path; next null: the light
         Rejection why = Rejection::none;
         Vertex moved;
         Segment towards_sensor, towards_light;
-        LightEnd light;            // where there is no next
+        LightEnd light;            // when there is no next vertex
         double density_ratio = 1;  // of area products
         Interaction at_start;
     };
@@ -72,7 +73,7 @@ class PathMapper {
     MappedPath mapped_;
     Crossings crossings_;
     Reconnected reconnected_;
-    std::vector<Vertex> places_;  // of the vertices that look otherwise there
+    std::vector<Vertex> places_;  // vertices that differ in the other scene
 };
 
 }  // namespace loom::residual

@@ -103,8 +103,7 @@ void PathPairs::add(bool is_new, const FullPath& p, const Found& found, std::int
     }
     if (!(max_channel(e.F) > 0)) return;
     const double own = own_density(terms_, e, found, found.place);
-    if (!(own > 0))
-        return;  // a start that the path, worked out from its vertices, does not have; or left to camera paths
+    if (!(own > 0)) return;  // the path evaluated from its vertices has no such start; or it is left to camera paths
     const bool camera = found.technique == Technique::path_tracing;
     const double sign = is_new ? 1 : -1;
     if (options_.mapping) {

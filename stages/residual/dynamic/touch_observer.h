@@ -16,13 +16,13 @@ namespace loom::residual {
 struct EditTargets {
     // Shapes that a segment touches by passing through them; they need not be in the scene. Null: none.
     const RayEngine* passed = nullptr;
-    std::vector<Box3f> boxes;            // around them; a segment outside of all boxes needs no ray query
-    std::vector<std::uint8_t> shapes;    // by shape of the scene: a vertex on it touches
-    std::vector<std::uint8_t> emitters;  // by emitter of the scene: touched where it is hit or chosen to be sampled
+    std::vector<Box3f> boxes;            // around `passed`; a segment outside of all boxes needs no ray query
+    std::vector<std::uint8_t> shapes;    // [shape of the scene] a vertex on it touches
+    std::vector<std::uint8_t> emitters;  // [emitter of the scene] touched where it is hit or chosen by light sampling
     bool environment = false;            // touched by rays that leave the scene
 };
 
-/// Finds the paths of a batch that touch an edit; all others are the same paths without it. Shadow rays count, occluded
+/// Finds the paths of a batch that touch an edit; all others are equal with and without it. Shadow rays count, occluded
 /// or not.
 class TouchObserver : public PathObserver {
   public:
@@ -39,15 +39,15 @@ class TouchObserver : public PathObserver {
   private:
     bool is_target(const Hit& hit, const LightQuery& light) const;
     void add_segment(std::uint32_t path, const Ray& segment);
-    /// Marks the paths of the segments that pass through a target, and forgets the segments.
+    /// Marks the paths whose segments pass through a target, and clears the segments.
     void test_segments();
 
     const Scene& scene_;
     EditTargets targets_;
-    std::vector<std::uint8_t> touched_;   // by path
+    std::vector<std::uint8_t> touched_;   // [path]
     std::vector<std::uint32_t> waiting_;  // paths of the segments
     std::vector<Ray> segments_;
-    SegmentColumns columns_;  // of the segments
+    SegmentColumns columns_;  // the segments as SoA
     std::vector<const Ray*> rays_;
     std::unique_ptr<bool[]> blocked_;
 };

@@ -16,7 +16,7 @@ std::vector<double> blurred(const Sensor& sensor, const std::vector<double>& val
     const auto width = std::size_t(sensor.width), height = std::size_t(sensor.height);
     double weights[2 * reach + 1];
     for (int d = -reach; d <= reach; ++d) weights[d + reach] = std::exp(-0.5 * (d / deviation) * (d / deviation));
-    // Sums of weights over the pixels that there are along a line of n.
+    // Sums of the kernel over the existing pixels along a line of n.
     const auto norms = [&](std::size_t n) {
         std::vector<double> all(n);
         for (std::size_t i = 0; i < n; ++i)

@@ -5,9 +5,10 @@
 
 namespace loom::residual {
 
-/// Mean over the pixels around, by a Gaussian of 2 pixels' deviation; at the edges of the picture over those that there
-/// are.
-/// in: without_own  the pixel itself left out, so that it is independent of the mean when pixels are; alone it is 0
+/// Returns the mean over surrounding pixels, weighted by a Gaussian with a standard deviation of 2 pixels; at the image
+/// border over existing pixels only.
+/// in: without_own  leave out the pixel itself, so that it is independent of the mean when pixels are; a single pixel
+///     gives 0
 std::vector<double> blurred(const Sensor& sensor, const std::vector<double>& values, bool without_own = false);
 
 }  // namespace loom::residual

@@ -15,18 +15,19 @@
 namespace loom::residual {
 namespace {
 
-/// A ray of dynamic paths, found one by one with all that is worked out for it, over one of a batch of camera paths.
+/// Cost of a ray of dynamic paths, sampled one by one, over that of a ray in a batch of camera paths, with all
+/// computations.
 constexpr double cost_of_site_ray = 3.2;
-/// Half of the paths go everywhere alike: a pixel whose pilot saw nothing has at most twice the variance. With a
-/// quarter, as in [001], what few samples say is trusted too much (equal or more variance in ten of twelve edits).
+/// Half of the paths are spread evenly: a pixel whose pilot found nothing has at most twice the variance. A quarter, as
+/// in [001], trusts few samples too much (equal or more variance in ten of twelve edits).
 constexpr double share_of_map_floor = 0.5;
 constexpr std::uint64_t most_recorded_pixels = 4096, recorded_one_in = 8, most_pilot_samples = 1 << 15;
-/// Recorded camera paths that an edit has touched: with fewer they do not say how noisy they are.
+/// Smallest number of recorded, touched camera paths from which their noise can be estimated.
 constexpr std::uint64_t few_recorded = 64;
-/// What camera paths keep of the effort: they find what no other sample of the pilot has found.
+/// Smallest share of the effort for camera paths: they find contributions that no other sample of the pilot finds.
 constexpr double least_share_of_cameras = 0.5;
 
-/// Of pairs of camera paths: a difference and the old path.
+/// Moments of pairs of camera paths: of the difference and of the old path.
 struct PairMoments {
     Moments difference, old;
     double product = 0;  // sum of products of deviations from the means
@@ -39,13 +40,13 @@ struct PairMoments {
     double covariance() const { return old.n > 1 ? product / double(old.n - 1) : 0; }
 };
 
-/// Where camera paths go.
+/// Distribution of camera paths over pixels.
 struct Map {
-    std::vector<double> density;  // by pixel, over that of the same cost in every pixel
-    double gain = 1;              // variance of the picture that is not spread, over that of the one that is
+    std::vector<double> density;  // [pixel] relative to an even distribution of equal cost
+    double gain = 1;              // variance with the even distribution over that with this one
 };
 
-/// in: variances, costs  of one path, by pixel
+/// in: variances, costs  of one path, [pixel]
 Map map_of(const Sensor& sensor, const std::vector<double>& variances, const std::vector<double>& costs) {
     std::vector<double> deviations(variances.size());
     std::transform(variances.begin(), variances.end(), deviations.begin(), [](double v) { return std::sqrt(v); });
@@ -67,10 +68,10 @@ Map map_of(const Sensor& sensor, const std::vector<double>& variances, const std
     return map;
 }
 
-/// Camera paths of each pixel, n over all of them. Two at least, which VarMean takes.
+/// Returns the camera paths of each pixel, n in the mean. At least two, which VarMean requires.
 std::vector<std::uint32_t> rounded(const Map& map, double n) {
     std::vector<std::uint32_t> out;
-    double carried = 0.5;  // what rounding left over
+    double carried = 0.5;  // remainder of the rounding
     for (const double density : map.density) {
         carried += n * density;
         const double taken = std::max(std::floor(carried), 2.0);
@@ -80,15 +81,15 @@ std::vector<std::uint32_t> rounded(const Map& map, double n) {
     return out;
 }
 
-/// What one thread works with.
+/// State of one thread.
 struct PilotWorker {
     PathPairs pairs;
     CameraPaths cameras;
     NumbersBlock numbers;
-    std::vector<PilotPart> parts;  // of the sample under way, and the pixels that they go to
+    std::vector<PilotPart> parts;  // of the current sample, and their pixels
     std::vector<std::uint32_t> pixels;
 
-    /// in: K  families
+    /// in: K  number of families
     ///     n0  camera paths of a recorded pixel
     void keep(const Part& part, std::size_t K, double n0) {
         PilotPart kept{};
@@ -103,16 +104,16 @@ struct PilotWorker {
     }
 };
 
-/// Takes the samples of a pilot.
+/// Traces the samples of a pilot.
 class PilotRun {
   public:
     Pilot pilot;
     const std::uint64_t per_family, per_pixel;  // samples of each family; camera paths of each pixel, for the map
-    std::vector<double> variances, costs;       // by pixel, of one pair: of its difference, and rays
-    std::vector<double> covariance[3], old_variance[3];  // as Effort
-    double new_rays = 0, pair_rays = 0,
-           touched = 0;    // of one camera path in every pixel: rays of the new one and of both, how many are touched
-    double recording = 0;  // cost of finding the densities of camera paths
+    std::vector<double> variances, costs;       // [pixel] of one pair: variance of its difference, and rays
+    std::vector<double> covariance[3], old_variance[3];  // as in Effort
+    // Over one camera path in every pixel: rays of the new path, rays of both paths, and number of touched paths.
+    double new_rays = 0, pair_rays = 0, touched = 0;
+    double recording = 0;          // cost of evaluating the densities of camera paths
     std::uint64_t n_recorded = 0;  // pixels whose camera paths are recorded
 
     PilotRun(const DynamicScenes& scenes, const std::vector<Family>& families, const PathPairs::Options& pairs,
@@ -173,7 +174,7 @@ class PilotRun {
         pilot.cost[f] = cost_of_site_ray * (rays_of_pairs() - before);
     }
 
-    /// Pairs of all pixels for the map; with which densities families find them, of a few.
+    /// Traces pairs in all pixels for the map; in some pixels also evaluates the densities of all families.
     void sample_pixels() {
         const std::uint64_t one_in = std::max(recorded_one_in, n_pixels_ / most_recorded_pixels);
         const auto is_recorded = [&](std::uint64_t pixel) { return K_ > 1 && mix64(pixel) % one_in == 0; };
@@ -259,7 +260,7 @@ Effort effort_by_pilot(const DynamicScenes& scenes, const std::vector<Family>& f
     run.count(counts);
     const Pilot& pilot = run.pilot;
     const double n0 = double(pilot.per_pixel);
-    // What spp plain pairs cost, less what the pilot has taken.
+    // Cost of spp plain pairs without the cost of the pilot.
     const double whole = 2 * run.new_rays * double(work.spp);
     const double taken = double(run.per_pixel) * run.pair_rays + run.recording +
                          std::accumulate(pilot.cost.begin(), pilot.cost.end() - 1, 0.0);
@@ -280,8 +281,8 @@ Effort effort_by_pilot(const DynamicScenes& scenes, const std::vector<Family>& f
         if (Spending first = best_spending(pilot, true, budget, map.gain, least_cameras);
             !hardly_met && first.M < with.M)
             with = std::move(first);
-        // What pairs of all pixels have beyond those of the recorded ones is taken for what camera paths alone can
-        // find.
+        // Variance of pairs in all pixels beyond that of the recorded pixels is attributed to contributions that only
+        // camera paths find.
         const double of_all =
             std::accumulate(run.variances.begin(), run.variances.end(), 0.0) / (n0 * best.x[K - 1] * map.gain);
         const double unseen = hardly_met ? 0 : std::max(of_all - M_alone, 0.0);

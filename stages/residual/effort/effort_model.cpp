@@ -8,7 +8,7 @@ namespace {
 
 constexpr double least_share = 0.005;
 
-/// A sample's value in a pixel, and its derivatives by the factors.
+/// A sample's value in a pixel, and its derivatives with respect to the factors.
 struct GroupValue {
     double r[3]{}, dr[3][max_families]{};
 };
@@ -75,7 +75,7 @@ Objective variance_of(const Pilot& pilot, bool first_to_camera, const Factors& x
     }
     const double per_pixel = double(pilot.per_pixel), scale = pilot.camera_scale * per_pixel / (per_pixel - 1) / 3;
     const std::vector<PilotSamples::Group>& groups = pilot.families[K - 1].groups();
-    std::vector<GroupValue> values;  // of a pixel's samples; those that are missing are 0
+    std::vector<GroupValue> values;  // of a pixel's samples; missing ones are 0
     for (std::size_t begin = 0; begin < groups.size();) {
         values.clear();
         double mean[3]{};
@@ -99,7 +99,7 @@ Objective variance_of(const Pilot& pilot, bool first_to_camera, const Factors& x
 }
 
 double camera_variance_by_all(const Pilot& pilot, double x_camera) {
-    constexpr float least_share_of_camera = 1e-6f;  // of a part's density: what is rounding must not decide
+    constexpr float least_share_of_camera = 1e-6f;  // of a part's density: rounding errors must not dominate
     double sum = 0;
     for (const PilotSamples& family : pilot.families)
         for (const PilotSamples::Group& group : family.groups())
@@ -122,7 +122,7 @@ Spending best_spending(const Pilot& pilot, bool first_to_camera, double budget, 
         double cost = 0;
         for (std::size_t k = 0; k < K; ++k) cost += x[k] * pilot.cost[k];
         for (double& v : x) v *= budget / cost;
-        // VarMean takes two camera paths in every pixel.
+        // VarMean requires two camera paths in every pixel.
         const double least = std::max(2.0 / double(pilot.per_pixel), least_cameras * budget / pilot.cost[K - 1]);
         if (x[K - 1] >= least) return;
         const double others = std::max(budget - x[K - 1] * pilot.cost[K - 1], 1e-30),

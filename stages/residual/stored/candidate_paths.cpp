@@ -102,7 +102,7 @@ void CandidatePaths::misses(std::size_t last_vertex) {
     if (reach_.any_emitter)
         for (std::size_t i = 0; i < n; ++i)
             if (technique[i] != by_bsdf) met_[m.vertex[begin + i] - first_] |= reach_.emitters[m.emitter[begin + i]];
-    // What was blocked may have been by something old; what went through may meet something new.
+    // An old shape may have occluded the occluded rays; a new shape may occlude the others.
     const auto ask = [&](const Obstacles& obstacles, bool through) {
         if (obstacles.empty()) return;
         fill(n, m.vertex.data() + begin, m.y.data() + 4 * begin);
@@ -117,7 +117,7 @@ void CandidatePaths::misses(std::size_t last_vertex) {
 
 void CandidatePaths::find(std::size_t begin, std::size_t end, std::uint8_t* may) {
     const auto& first = graph_.paths.first_vertex;
-    // A camera ray that escaped is in no row.
+    // An escaped camera ray has no row.
     const bool escaped = reach_.sky || !reach_.new_places.empty();
     for (std::size_t path = begin; path < end; ++path)
         may[path - begin] = std::uint8_t(!tells_ || (escaped && first[path] == first[path + 1]));

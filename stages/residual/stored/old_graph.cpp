@@ -81,7 +81,7 @@ std::uint64_t end_of(const PathGraph& graph) {
     return graph.tracing.first_sample + graph.tracing.samples_per_pixel;
 }
 
-/// A command of loom-trace apart from which samples it traces.
+/// A command of loom-trace without the options that choose its samples.
 struct TraceCommand {
     std::string rest;
     std::uint64_t first = 0, spp = 0;
@@ -105,12 +105,12 @@ std::optional<TraceCommand> parse(std::string command) {
     return parsed;
 }
 
-/// What one thread works with, kept from chunk to chunk.
+/// State of one thread, reused between chunks.
 class Worker {
   public:
     Counts counts;
-    std::uint64_t touched = 0, probed = 0, others = 0;  // probed paths that are not those of the graph
-    std::string other;                                  // one of them
+    std::uint64_t touched = 0, probed = 0, others = 0;  // probed paths that differ from the graph's
+    std::string other;                                  // name of one of them
 
     /// in:  passes  of the graph
     Worker(const ScenePair& scenes, const OldGraph& graph, const EditReach& reach,
@@ -142,13 +142,13 @@ class Worker {
     }
 
   private:
-    /// Fills flags_, [sample of all passes][pixel of the chunk], and pairs_ in this order. Adds the first surfaces of
-    /// paths that are not touched.
+    /// Fills flags_, [sample of all passes][pixel of the chunk], and pairs_ in this order. Adds the first hits of
+    /// untouched paths.
     void trace(std::uint64_t begin) {
         flags_.resize(width_ * graph_.spp);
         touched_.clear();
         pairs_.clear();
-        pairs_.reserve(flags_.size());  // they stay where they are
+        pairs_.reserve(flags_.size());  // their addresses must stay valid
         std::uint8_t* flags = flags_.data();
         for (std::size_t i = 0; i < passes_.size(); ++i)
             for (std::uint64_t s = 0; s < graph_.passes[i].tracing.samples_per_pixel; ++s, flags += width_) {
@@ -172,7 +172,7 @@ class Worker {
         touched += touched_.size();
     }
 
-    /// Traces some of the touched paths in the old scene as well: they must be those of the graph.
+    /// Traces some of the touched paths in the old scene as well; they must equal those of the graph.
     void probe() {
         constexpr std::size_t one_in = 64;
         const std::size_t step = std::max(one_in, touched_.size() / PathBatch::capacity + 1);
@@ -204,7 +204,7 @@ class Worker {
         }
     }
 
-    /// Adds what the samples bring, in their order; zeros before the first that brings something only count.
+    /// Adds the samples' contributions in their order; zeros before the first nonzero one are only counted.
     void add(std::uint64_t begin) {
         squares_.assign(old_mean_[0].empty() ? 0 : 3 * width_, 0.0);
         const std::uint8_t* flags = flags_.data();
@@ -240,8 +240,8 @@ class Worker {
     const std::vector<StoredPaths>& passes_;
     PathBatch old_batch_;
     ResumedPaths resumed_;
-    std::vector<TouchedPaths> finders_;  // by pass
-    std::vector<FirstHits> first_hits_;  // by pass
+    std::vector<TouchedPaths> finders_;  // [pass]
+    std::vector<FirstHits> first_hits_;  // [pass]
     NonfiniteLog &old_nonfinite_, &new_nonfinite_;
     Film& film_;
     GraphResidual& out_;
@@ -249,11 +249,11 @@ class Worker {
     std::span<const float> old_mean_[3];
     std::size_t width_ = 0;  // pixels of the chunk
     std::vector<PixelSums> sums_;
-    std::vector<double> squares_;  // of pixels and channels
+    std::vector<double> squares_;  // [pixel and channel]
     std::vector<std::uint8_t> flags_;
-    PathChanges changes_;  // of one sample number
+    PathChanges changes_;  // of one sample index
     std::vector<Touched> touched_;
-    std::vector<PathPair> pairs_;  // of those
+    std::vector<PathPair> pairs_;  // of the touched paths
     std::vector<PathId> probes_;
     std::vector<PathResult> probed_;
 };
@@ -292,7 +292,7 @@ OldGraph read_old_graph(const std::vector<std::string>& files, const Scene& old_
 
 bool same_samples(const Image& old_picture, const std::string& file, const OldGraph& graph) {
     const Provenance& made = old_picture.provenance;
-    // Programs other than these say nothing of their random numbers.
+    // Other programs do not store their random streams.
     if (!made.stage.starts_with("loom-") || made.seed != graph.path.seed) return false;
     const auto picture = parse(made.command), traced = parse(graph.provenance().command);
     const std::uint64_t first = graph.passes.front().tracing.first_sample, last = end_of(graph.passes.back());
@@ -331,7 +331,7 @@ GraphResidual render_residual(const ScenePair& scenes, const Edit& edit, const O
     app::Progress progress(report, "tracing", n_pixels * graph.spp);
     tbb::enumerable_thread_specific<Worker> workers(
         [&] { return Worker(scenes, graph, reach, passes, old_picture, old_log, new_log, film, out); });
-    // Large enough for batches of touched paths where few are.
+    // Large enough for full batches of touched paths where they are rare.
     constexpr std::uint64_t paths_per_chunk = 1 << 15;
     parallel_chunks(n_pixels, std::clamp<std::uint64_t>(paths_per_chunk / graph.spp, 16, paths_per_chunk), threads,
                     [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
@@ -349,7 +349,7 @@ GraphResidual render_residual(const ScenePair& scenes, const Edit& edit, const O
         others += worker.others;
         if (other.empty()) other = worker.other;
     }
-    // A few may meet two surfaces in one place, and another of them than when the graph was made.
+    // A few probes may hit two coincident surfaces, and another of them than when the graph was made.
     if (100 * others > probed) throw InputError(other + ": graph and scene do not belong together");
     out.image = std::move(film).finish({});
     LedgerLink& link = out.image.ledger.emplace_back();

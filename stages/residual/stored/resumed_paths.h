@@ -1,6 +1,6 @@
 #pragma once
-// Touched paths of a graph: what they have brought in the old scene, and what they bring in the new one, traced from
-// where the edit first changes them.
+// Touched paths of a graph: their contribution in the old scene, and that in the new scene, traced from the first
+// vertex that the edit changes.
 
 #include <cstdint>
 #include <span>
@@ -12,36 +12,36 @@
 
 namespace loom::residual {
 
-/// One path in both scenes, to the last bit.
+/// Contribution of one path in both scenes, exact to the last bit.
 struct PathPair {
-    FirstHit first;  // in the new scene; depth but for rounding
+    FirstHit first;  // in the new scene; depth up to rounding
     Spectrum before, after;
 };
 
-/// Up to its first changed ray a path is the old one: its state follows from the graph, without a ray. Where a light
-/// sample before that may be another, or be answered otherwise, that one is drawn and asked again. A repainted surface
-/// is asked what it makes of the same random numbers: if it sends the path on as before, only what the path is worth
-/// changes. Light that was seen of a lamp that is only relit is seen again.
-/// Sums go in the tracer's order: at each depth light that the ray has hit, then the light sample. [METHODS 2.3]
-/// One belongs to one thread.
+/// Up to its first changed ray a path equals the old one: its state follows from the graph, without a ray. Where an
+/// earlier light sample or its visibility may change, the sample is drawn again and its shadow ray traced. At a
+/// repainted surface the BSDF sample is drawn again with the same random stream. If the path continues as before, only
+/// its throughput changes. A visible light sample of an emitter that only changed its radiance stays visible. Sums are
+/// in the tracer's order: at each depth light that the ray has hit, then the light sample. [METHODS 2.3]
+/// State of one thread.
 class ResumedPaths {
   public:
     ResumedPaths(const Scene& new_scene, const EditReach& reach, const PathOptions& options);
 
+    /// Adds a touched path.
     /// in:      again  rows of the change's vertices
-    /// in, out: pair   first: of the old scene, then of the new one; the rest is filled by this call or by finish(),
-    /// and stays
-    ///                 where it is until then
+    /// in, out: pair   first: of the old scene, then of the new one; this call or finish() fills the rest, so its
+    /// address must stay valid until then
     void add(const StoredPaths& paths, const PathChange& change, std::span<const std::uint32_t> again, PathPair& pair);
-    /// Has the shadow rays answered that add() has asked for, and takes up the paths that it has left.
+    /// Traces the shadow rays that add() has queued, and continues the paths that it has deferred.
     void finish();
 
-    Counts counts;  // of what was traced, shadow rays that were asked again included
+    Counts counts;  // of the traced rays, repeated shadow rays included
 
   private:
     class Walk;
     static constexpr std::uint32_t is_seen = ~0u;
-    /// Light that is added to a path if its shadow ray gets through.
+    /// Light that is added to a path if its shadow ray is unoccluded.
     struct Term {
         PathPair* pair;
         Spectrum light;
@@ -58,8 +58,8 @@ class ResumedPaths {
     PathOptions options_;
     PathBatch batch_;
     std::vector<PathState> states_;  // of paths to be resumed
-    std::vector<PathPair*> pairs_;   // theirs
-    std::vector<Term> terms_;        // path by path; of a path all from the first that waits for its ray
+    std::vector<PathPair*> pairs_;   // pairs of these paths
+    std::vector<Term> terms_;        // ordered by path; for a path, all terms from the first that waits for its ray
     std::size_t first_term_ = 0;     // of the path that is being added
     std::vector<Ray> shadow_rays_;
     std::vector<const Ray*> pointers_;

@@ -1,5 +1,5 @@
 #pragma once
-// The paths of a graph as the tracer had them.
+// The paths of a graph as the tracer computed them.
 
 #include <algorithm>
 #include <optional>
@@ -10,7 +10,7 @@
 
 namespace loom::residual {
 
-/// What the columns do not hold follows from a path's own random numbers. Scene and graph are borrowed. Vertices are
+/// Reconstructs from a path's own random stream what the columns do not store. Borrows scene and graph. Vertices are
 /// rows of the graph.
 class StoredPaths {
   public:
@@ -37,33 +37,33 @@ class StoredPaths {
                                         std::uint32_t(pixel / graph().sensor.width), sampler(path).pair(film_pair));
     }
     Point3f camera(std::size_t path) const { return camera_origin(graph(), path); }
-    /// Emitter that the camera has seen; -1: none.
+    /// Returns the emitter that is directly visible to the camera; -1: none.
     int seen_emitter(std::size_t path) const {
         const PathGraph& g = graph();
         if (is_black(rgb(g.paths.Le, path))) return -1;
         const std::size_t j = g.paths.first_vertex[path];
         return j == g.paths.first_vertex[path + 1] ? scene_.environment : scene_.shapes[g.vertices.shape[j]].emitter;
     }
-    /// Number of a vertex within its path, from 1: that of the edge which leads to it.
+    /// Returns the index of a vertex in its path, from 1; also the index of the edge that leads to it.
     int depth(std::size_t path, std::size_t vertex) const { return int(vertex - graph().paths.first_vertex[path]) + 1; }
     Point3f position(std::size_t vertex) const { return loom::position(graph(), vertex); }
     Normal3f ng(std::size_t vertex) const { return geometric_normal(graph(), vertex); }
     RayEnd end(std::size_t vertex) const {
         return {position(vertex), ng(vertex), scene_.shapes[graph().vertices.shape[vertex]].hit_error};
     }
-    /// All of a vertex, the very one that the tracer had.
+    /// Returns the whole vertex, identical to the tracer's.
     ShadingPoint shading_point(std::size_t vertex) const {
         ShadingPoint here = reader_.vertex(vertex);
         here.hit_error = end(vertex).hit_error;
         return here;
     }
-    /// Direction of the ray that found a vertex.
+    /// Returns the direction of the ray that found a vertex.
     Vector3f arrival(std::size_t vertex) const { return -outgoing(graph(), vertex); }
     float survival(std::size_t vertex) const { return graph().vertices.q.empty() ? 1.0f : graph().vertices.q[vertex]; }
     BsdfSample<float> redraw(const ShadingPoint& here, const Sampler& sampler, int depth) const {
         return draw(here, sampler, depth, sampler.pair(dimension(depth, Dimension::direction)));
     }
-    /// From a vertex along its BSDF sample.
+    /// Returns the ray from a vertex along its BSDF sample.
     Ray sampled_ray(std::size_t path, std::size_t vertex) const {
         const ShadingPoint here = shading_point(vertex);
         return spawn_ray(here.end(), here.frame.to_world(redraw(here, sampler(path), depth(path, vertex)).wi));
@@ -75,8 +75,7 @@ class StoredPaths {
     PathOptions options_;
 };
 
-/// A vertex that is asked for a few things only: what a plain matte surface does follows from cosines alone, without a
-/// frame.
+/// A vertex of which only a few values are read: a plain diffuse surface needs cosines alone, without a frame.
 class StoredVertex {
   public:
     StoredVertex(const StoredPaths& paths, std::size_t vertex) : paths_(paths), vertex_(vertex) {
@@ -93,7 +92,7 @@ class StoredVertex {
         if (model.two_sided && wo_.z < 0) n_ = -n_, wo_.z = -wo_.z;
     }
 
-    /// All of it.
+    /// Returns the whole vertex.
     const ShadingPoint& whole() {
         if (!whole_) whole_ = paths_.shading_point(vertex_);
         return *whole_;
@@ -101,7 +100,8 @@ class StoredVertex {
     Spectrum f_cos(const Vector3f& wi) {
         return matte_ ? DiffuseFamily::f_cos_pdf(bsdf_, wo_, {0, 0, dot(wi, n_)}).f_cos : f_cos_pdf(whole(), wi).f_cos;
     }
-    /// What the tracer has drawn. in:  depth  number of the vertex within its path
+    /// Draws the tracer's sample again.
+    /// in:  depth  index of the vertex in its path
     /// out: of a diffuse vertex only weight and lobe
     BsdfSample<float> redraw(const Sampler& sampler, int depth) {
         const Point2f u = sampler.pair(dimension(depth, Dimension::direction));
@@ -111,7 +111,7 @@ class StoredVertex {
         if (value.pdf_w > 0) s.weight = value.f_cos / value.pdf_w, s.lobe = Lobe::diffuse;
         return s;
     }
-    /// Its direction.
+    /// Returns the direction of that sample.
     Vector3f direction(const Sampler& sampler, int depth) {
         return whole().frame.to_world(paths_.redraw(whole(), sampler, depth).wi);
     }
@@ -120,13 +120,13 @@ class StoredVertex {
     const StoredPaths& paths_;
     std::size_t vertex_;
     bool matte_ = false;
-    Bsdf<float> bsdf_;  // matte: the colour alone
-    Normal3f n_;        // matte: of the side that it is seen from
-    Vector3f wo_;       // matte: z alone
+    Bsdf<float> bsdf_;  // diffuse: albedo only
+    Normal3f n_;        // diffuse: on the side of wo
+    Vector3f wo_;       // diffuse: z only
     std::optional<ShadingPoint> whole_;
 };
 
-/// What the tracer has said of the first surfaces of paths, depth but for rounding. One belongs to one thread.
+/// The tracer's records of first hits of paths, depth up to rounding. State of one thread.
 class FirstHits {
   public:
     explicit FirstHits(const StoredPaths& paths) : paths_(paths) {
@@ -148,7 +148,7 @@ class FirstHits {
         const std::size_t material = g.vertices.material[j];
         const bool matte =
             paths_.reader().model(material).kind == BsdfKind::diffuse && g.materials.textured[material] == 0;
-        // An albedo depends on the angle to the normal alone, a matte one on the side.
+        // An albedo depends on the angle to the normal only, a diffuse one on the side only.
         return {matte ? matte_[2 * material + (dot(v, last_normal_) > 0)]
                       : albedo(paths_.reader().bsdf(j), {0, 0, dot(-paths_.arrival(j), last_normal_)}),
                 last_normal_, length(v)};
@@ -156,8 +156,9 @@ class FirstHits {
 
   private:
     const StoredPaths& paths_;
-    std::vector<Spectrum> matte_;         // by material and side, of matte ones without texture
-    std::int16_t last_code_[2] = {0, 0};  // of a normal, and that normal: neighbours lie on one surface
+    std::vector<Spectrum> matte_;  // [material and side] albedo of diffuse materials without texture
+    // Code of the last normal, and that normal; consecutive first hits often lie on one surface.
+    std::int16_t last_code_[2] = {0, 0};
     Normal3f last_normal_{0, 0, 1};
 };
 

@@ -6,8 +6,7 @@
 namespace loom::residual {
 namespace {
 
-/// A segment ends this much behind the point that it leads to: a surface of the edit may lie in the very place of
-/// another.
+/// Extends a segment a little beyond its end point, because a surface of the edit may coincide with another.
 float beyond(float t, const Point3f& p) {
     constexpr float slack = 1e-5f;
     return t * (1 + slack) + slack * std::max({std::abs(p.x), std::abs(p.y), std::abs(p.z)});
@@ -22,7 +21,7 @@ TouchedPaths::TouchedPaths(const StoredPaths& paths, const EditReach& reach)
     for (Queue* queue : {&through_, &blocked_}) queue->rays.reserve(2 * queue_size);
 }
 
-/// What the vertex asked for and did not get: light that was not seen.
+/// Handles a failed light sample of a vertex: light that was not visible.
 void TouchedPaths::look_at_failed_light(std::size_t path, std::size_t j) {
     if (!(paths_.graph().vertices.flags[j] & vertex_flag::attempted_nee)) return;
     const Point3f p = paths_.position(j);

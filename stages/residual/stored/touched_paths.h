@@ -1,5 +1,5 @@
 #pragma once
-// Which paths of a graph the edit of its scene touches, and where first.
+// Paths of a graph that the edit of its scene touches, and the first change of each.
 
 #include <cstdint>
 #include <span>
@@ -11,18 +11,18 @@
 
 namespace loom::residual {
 
-/// What an edit may change of a path, a little on the safe side.
+/// Changes of a path that an edit may cause, on the safe side.
 struct PathChange {
     static constexpr std::uint32_t never = ~0u;
-    std::size_t path = 0, edge = 0;  // of the graph; first light edge of it, or of a later one
-    // number within the path, from 0, of the first vertex whose ray may be another; n: the ray that left the last of n
-    // and found no vertex
+    std::size_t path = 0, edge = 0;  // path of the graph; its first light edge, or that of a later path
+    // Index in the path, from 0, of the first vertex whose ray may differ. n: the ray that left the last of n vertices
+    // and found none
     std::uint32_t cut = never;
-    bool repainted = false;     // a vertex before that lies on EditReach::repainted
-    std::uint32_t n_again = 0;  // vertices before that whose light sample may be another, or be answered otherwise
+    bool repainted = false;     // an earlier vertex lies on EditReach::repainted
+    std::uint32_t n_again = 0;  // earlier vertices whose light sample or its visibility may differ
 };
 
-/// Those of many paths, in order.
+/// Changes of many paths, in order.
 struct PathChanges {
     std::vector<PathChange> paths;
     std::vector<std::uint32_t> again;  // rows of vertices, n_again for each path
@@ -32,31 +32,31 @@ struct PathChanges {
     }
 };
 
-/// Looks for paths that may be others, or worth something else, in the new scene with the same random numbers. [METHODS
-/// 2.3]
+/// Finds paths that may differ, or contribute differently, in the new scene with the same random stream. [METHODS 2.3]
 ///
-/// A path is the same to the last bit if no vertex lies on what the edit changed, no light that it sampled is changed,
-/// and every ray answers as before: those that went through (to the next vertex, to a light, out of the scene) if
-/// nothing stands in their way at its new place; those that did not (shadow rays) if nothing stood in their way at its
-/// old place, for then what blocked them is still there. Most rays can be read off the graph. What it does not keep is
-/// drawn once more by the path's own random numbers: light samples that failed, directions of rays that found nothing,
-/// camera rays that escaped. A ray that leads to what the edit changed counts as one that may be another.
-/// One belongs to one thread.
+/// A path is equal to the last bit if three conditions hold. No vertex lies on a changed surface. No light that it
+/// sampled is changed. Every ray has the same result.
+///   unoccluded rays (to the next vertex, a light, out of the scene) if no changed shape blocks them at its new place
+///   occluded shadow rays if no changed shape blocked them at its old place: their occluder is then still there
+/// Most rays follow from the graph. The rest is drawn again with the path's own random stream: failed light samples,
+/// directions of rays that escaped, escaped camera rays. A ray that leads to a changed surface counts as one that may
+/// differ.
+/// State of one thread.
 class TouchedPaths {
   public:
     TouchedPaths(const StoredPaths& paths, const EditReach& reach);
 
-    /// in:      begin, end   paths of the graph, one sample number of pixels in a row
-    /// out:     touched      by path, 1: the edit may change it, 0: it does not
-    ///          changes      of those that it may change; others are added to
+    /// in:      begin, end   paths of the graph; consecutive pixels of one sample index
+    /// out:     touched      [path] 1: the edit may change it, 0: it does not
+    ///          changes      of the paths that it may change; appended
     void find(std::size_t begin, std::size_t end, std::uint8_t* touched, PathChanges& changes);
 
   private:
-    /// Rays of a block that wait for an answer, and what becomes another if they meet something.
+    /// Rays of a block that wait for their test, and what may differ if they hit something.
     struct Asked {
         std::uint32_t path,
             vertex;    // from the begin of the block; for an arriving ray the vertex's number within the path
-        bool arrives;  // else it is a shadow ray
+        bool arrives;  // else a shadow ray
     };
     struct Queue {
         std::vector<Ray> rays;
@@ -66,13 +66,13 @@ class TouchedPaths {
             asked.push_back(what);
         }
     };
-    /// A light sample that was not seen: off the graph, or drawn once more.
+    /// A light sample that was not visible: from the graph, or drawn again.
     struct FailedLight {
         std::uint16_t emitter;
         Point3f y;                // or the direction towards it
-        bool at_infinity, asked;  // asked: a shadow ray may have been
+        bool at_infinity, asked;  // asked: a shadow ray may have been traced
     };
-    /// Of a vertex at p.
+    /// Returns the failed light sample of a vertex at p.
     FailedLight failed_light(std::size_t path, std::size_t vertex, const Point3f& p) const;
     /// A path and its rows: vertices [first, last), light edges [edges, next_edge_).
     struct Rows {
@@ -90,12 +90,12 @@ class TouchedPaths {
     void look_at_failed_light(std::size_t path, std::size_t vertex);
     void look_at_last_ray(const Rows& of, const Point3f& p, bool hit_found);
     void answer(Queue& queue, const Obstacles& obstacles);
-    /// The ray to a vertex may be another.
+    /// Marks that the ray to a vertex may differ.
     void cut(std::uint32_t path, std::uint32_t number) {
         cuts_[path] = std::min(cuts_[path], number);
         touched_[path] = 1;
     }
-    /// So may the light sample of a vertex.
+    /// Marks that the light sample of a vertex may differ.
     void sample_again(std::uint32_t path, std::uint32_t vertex) {
         again_[vertex] = 1;
         touched_[path] = 1;
@@ -104,15 +104,15 @@ class TouchedPaths {
     const StoredPaths& paths_;
     const EditReach& reach_;
     CandidatePaths candidates_;
-    Queue through_, blocked_;  // rays that went through, and those that did not
+    Queue through_, blocked_;  // unoccluded rays, and occluded ones
     std::vector<const Ray*> pointers_;
-    // Of a block of paths: its begin; by path
+    // Of a block of paths: its begin; then by path.
     std::size_t begin_ = 0, first_vertex_ = 0, next_edge_ = 0;
     std::uint8_t* touched_ = nullptr;
     std::vector<std::uint32_t> cuts_;
     std::vector<std::size_t> edges_;
     std::vector<std::uint8_t> repainted_;
-    std::vector<std::uint8_t> again_;  // by vertex
+    std::vector<std::uint8_t> again_;  // [vertex]
 };
 
 }  // namespace loom::residual

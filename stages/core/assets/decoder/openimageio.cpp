@@ -1,4 +1,4 @@
-// The only file that knows OpenImageIO; a module of its own, which decode_image() loads.
+// The only file that includes OpenImageIO; a separate module, which decode_image() loads.
 #include <OpenImageIO/imageio.h>
 #include <fmt/format.h>
 
@@ -12,7 +12,7 @@
 
 namespace {
 
-/// ImageInput::open, which takes what follows a ? in a name for options.
+/// Replaces ImageInput::open for names with a ?, whose rest it would read as options.
 std::unique_ptr<OIIO::ImageInput> open(const std::string& file, const OIIO::ImageSpec& wanted) {
     if (file.find('?') == std::string::npos) return OIIO::ImageInput::open(file, &wanted);
     const std::string extension = std::filesystem::path(file).extension();
@@ -24,7 +24,7 @@ std::unique_ptr<OIIO::ImageInput> open(const std::string& file, const OIIO::Imag
 
 using loom::ColourChannels;
 
-/// Formats without names hold grey, or grey and alpha, or red, green, blue and whatever follows.
+/// Chooses colours in formats without channel names: grey, grey and alpha, or red, green, blue and further channels.
 ColourChannels by_position(const OIIO::ImageSpec& spec) {
     ColourChannels colour;
     colour.kind = spec.nchannels < 3 ? ColourChannels::Kind::grey : ColourChannels::Kind::rgb;
@@ -42,8 +42,8 @@ ColourChannels by_name(OIIO::ImageInput& input) {
     return loom::choose_colour(parts);
 }
 
-/// R = (RY + 1) Y, B = (BY + 1) Y, and Y is the luminance of all three, with the weights of Rec. 709.
-/// differs: other chromaticities than those are not read
+/// Converts by R = (RY + 1) Y, B = (BY + 1) Y; Y is the luminance of all three, with the weights of Rec. 709.
+/// differs: other chromaticities are not read
 void rgb_from_luminance_chroma(std::vector<float>& values) {
     for (std::size_t i = 0; i < values.size(); i += 3) {
         const float y = values[i + 1], r = (values[i] + 1) * y, b = (values[i + 2] + 1) * y;
@@ -53,7 +53,7 @@ void rgb_from_luminance_chroma(std::vector<float>& values) {
     }
 }
 
-/// Reads the channels of the colour, interleaved in their order.
+/// Reads the colour channels, interleaved in their order.
 template <class T>
 std::string read_colour(OIIO::ImageInput& input, const OIIO::ImageSpec& spec, const ColourChannels& colour,
                         std::vector<T>& values) {
@@ -62,7 +62,7 @@ std::string read_colour(OIIO::ImageInput& input, const OIIO::ImageSpec& spec, co
     const int begin = *first, end = *last + 1;
     const std::size_t width = std::size_t(end - begin);
     std::vector<T> read(n_pixels * width);
-    // OpenImageIO maps unsigned integers to [0, 1]; in an EXR file they are numbers.
+    // OpenImageIO maps unsigned integers to [0, 1]; in an EXR file they are plain numbers.
     const bool numbers = std::string_view(input.format_name()) == "openexr";
     if (!input.read_image(int(colour.part), 0, begin, end, OIIO::TypeDesc(OIIO::BaseTypeFromC<T>::value), read.data()))
         return fmt::format("truncated or damaged image: {}", input.geterror());

@@ -1,5 +1,5 @@
-// The column loops of a cluster, compiled once per x86-64 level (LOOM_LEVEL is v2, v3 or v4). Every entry is
-// flattened: what it calls is inlined, so nothing else of a level leaks into the program.
+// Column loops of a cluster, compiled once per x86-64 level (LOOM_LEVEL is v2, v3 or v4). Every entry is flattened: its
+// calls are inlined, so no other code of a level links into the program.
 #include <cstring>
 #include <limits>
 #include <type_traits>
@@ -11,7 +11,7 @@
 namespace loom::LOOM_LEVEL {
 namespace {
 
-/// Local directions from world directions that `world(l)` gives.
+/// Computes local directions from the world directions world(l).
 template <class World>
 [[gnu::always_inline]] inline void to_local(ClusterColumns& c, World world) {
     const int lanes = padded_lanes(c.n);
@@ -23,7 +23,7 @@ template <class World>
     }
 }
 
-/// In a fixed order that every level can follow.
+/// Sums in a fixed order that every level can use.
 [[gnu::always_inline]] inline float sum_of(const float* column, int lanes) {
     float partial[lane_block] = {};
     for (int block = 0; block < lanes; block += lane_block)
@@ -55,7 +55,7 @@ template <class World>
     c.wo_x[l] = wo.x, c.wo_y[l] = wo.y, c.wo_z[l] = wo.z;
 }
 
-/// What a model chooses between and a loop cannot: choices inside it keep it scalar.
+/// Choices of a model that must be made outside of the loop, where they would keep it scalar.
 template <class Family>
 constexpr bool has_facets = std::is_same_v<Family, RoughConductorFamily> ||
                             std::is_same_v<Family, RoughDielectricFamily> || std::is_same_v<Family, RoughPlasticFamily>;
@@ -66,7 +66,7 @@ template <class Family>
 constexpr bool has_own = std::is_same_v<Family, PhongFamily> || std::is_same_v<Family, RoughConductorFamily> ||
                          std::is_same_v<Family, RoughPlasticFamily>;
 
-/// The parameters in a lane; of a run whose lanes have none of their `own`, the model's exponent and index.
+/// Returns the parameters in a lane; in a run without `own` parameters the exponent and index are the model's.
 template <bool own>
 [[gnu::always_inline]] inline Bsdf<float> bsdf_of(const ClusterColumns& c, const BsdfModel& model, int l) {
     Bsdf<float> b;
@@ -88,7 +88,8 @@ template <bool own>
     b.eta = c.eta[l];
     return b;
 }
-/// seen_from_behind() is wo.z < this: one comparison of floats, where a bool beside one would keep a loop scalar.
+/// seen_from_behind() is wo.z < this. One comparison of floats vectorises; combined with a bool the loop would stay
+/// scalar.
 [[gnu::always_inline]] inline float behind_below(const BsdfModel& model) {
     return model.two_sided ? 0.0f : -std::numeric_limits<float>::infinity();
 }
@@ -97,7 +98,7 @@ enum class Answer { channels, lobes };
 
 template <class Family, Answer answer, bool beckmann, bool sample_visible, bool nonlinear, bool own>
 [[gnu::noinline, gnu::flatten]] void evaluate_run(ClusterColumns& c, const ClusterColumns::Run& run) {
-    // A copy whose choices are known here, and which no store to a column can change.
+    // A copy whose choices are constants here, and which no store to a column can alias.
     BsdfModel model = *run.model;
     if (has_facets<Family>) {
         model.distribution = beckmann ? Microfacet::beckmann : Microfacet::ggx;
@@ -162,7 +163,7 @@ template <Answer answer, class... Columns>
     for (const ClusterColumns::Run& run : c.runs)
         with_family(
             run.model->kind, [&]<class Family>(Family) __attribute__((always_inline)) {
-                // Nothing but delta lobes: black.
+                // Only delta lobes: zero.
                 if constexpr (Family::smooth) {
                     evaluate_run<Family, answer>(c, run);
                 } else {
@@ -266,7 +267,7 @@ template <Answer answer, class... Columns>
 }
 
 namespace {
-/// In 16 bits of `largest`.
+/// Converts to 16-bit fractions of `largest`.
 [[gnu::always_inline]] inline void fix(const float* __restrict f, int lanes, float largest,
                                        std::uint16_t* __restrict row) {
     const float to_fixed = largest > 0 ? 65535.0f / largest : 0.0f;
@@ -309,7 +310,7 @@ namespace {
     }
 }
 
-// Vectors of the compiler, not a plain loop: g++ 12 converts unsigned 16-bit numbers one by one there.
+// Compiler vectors instead of a plain loop, in which g++ 12 converts unsigned 16-bit numbers one by one.
 using FloatLanes = float __attribute__((vector_size(lane_block * sizeof(float))));
 using IntLanes = std::int32_t __attribute__((vector_size(lane_block * sizeof(std::int32_t))));
 using FixedLanes = std::uint16_t __attribute__((vector_size(lane_block * sizeof(std::uint16_t))));
