@@ -13,12 +13,12 @@ struct Quadrature {
     std::vector<double> node, weight;  // on [0, 1]; weights sum to 1
 };
 
-/// Nodes over the two numbers that choose a microfacet, the second an azimuth.
+/// Nodes over the two variables that choose a microfacet; the second one is an azimuth.
 struct FacetQuadrature {
     Quadrature first, azimuth;
 };
 
-/// Gauss-Legendre nodes: the roots of the Legendre polynomial, by Newton's method.
+/// Computes Gauss-Legendre nodes: the roots of the Legendre polynomial, by Newton's method.
 Quadrature gauss_legendre(int n) {
     Quadrature q;
     for (int i = 0; i < n; ++i) {
@@ -43,8 +43,8 @@ FacetQuadrature facet_quadrature(int first, int azimuth) {
     return {gauss_legendre(first), gauss_legendre(azimuth)};
 }
 
-/// A visible normal of an isotropic GGX surface seen from (sin, 0, cos), by the projected hemisphere:
-/// slower than MicrofacetDistribution::sample, but even in the first number and so better for a quadrature.
+/// Samples a normal of an isotropic GGX surface visible from (sin, 0, cos), by the projected hemisphere. Slower than
+/// MicrofacetDistribution::sample, but even in the first variable and thus better for a quadrature.
 ///                                                                     [Heitz2018] listing 1
 template <class T>
 Vector3<T> visible_normal_even(const T& alpha, const Vector3<T>& w, Point2f u) {
@@ -55,8 +55,8 @@ Vector3<T> visible_normal_even(const T& alpha, const Vector3<T>& w, Point2f u) {
     return normalize(Vector3<T>{-alpha * (o.z * y - o.x * z), -alpha * x, o.x * y + o.z * z});
 }
 
-/// Mean of `what` over the microfacets that are visible from the direction of cosine `mu`. The surface is
-/// isotropic, so half of the azimuths suffice. Values are summed in double.
+/// Returns the mean of `what` over the microfacets visible from the direction of cosine `mu`. The surface is isotropic,
+/// so half of the azimuths suffice. Values are summed in double precision.
 /// differs: nodes and parametrisation are those of Mitsuba 3, so that the tables agree to rounding
 template <class T, class What>
 auto mean_over_facets(const MicrofacetDistribution<T>& facets, float mu, const FacetQuadrature& q, What&& what) {
@@ -94,8 +94,8 @@ auto rough_transmittance(const MicrofacetDistribution<T>& facets, float mu, cons
     });
 }
 
-/// Mean reflectance of diffuse light from inside.
-/// differs: a sum over the entries of the table, which Mitsuba 3 takes for the integral, so that values agree with its own
+/// Returns the mean reflectance of diffuse light from inside.
+/// differs: a sum over the entries of the table, which Mitsuba 3 uses for the integral, so that values agree
 double internal_reflectance(Microfacet distribution, float alpha, float eta, const FacetQuadrature& q) {
     const MicrofacetDistribution<float> facets(distribution, alpha, alpha);
     double sum = 0;
@@ -104,7 +104,7 @@ double internal_reflectance(Microfacet distribution, float alpha, float eta, con
     return sum;
 }
 
-/// The interface seen from outside: the table, and 1 - ∫ 2 μ T(μ) dμ of its linear interpolant, exact for each piece.
+/// The interface from outside: the table, and 1 - ∫ 2 μ T(μ) dμ of its linear interpolant, exact for each piece.
 template <class T>
 struct CoatFromOutside {
     std::array<T, n_transmittance> transmittance;
@@ -133,8 +133,9 @@ RoughCoat rough_coat(Microfacet distribution, float alpha, float eta) {
             outside.transmittance};
 }
 
-/// From outside by Dual. From inside the derivative is singular at total reflection and no quadrature of it converges
-/// (4 % off with 128 x 128 nodes, 0.5 % with 512 x 512), while differences of the value do (0.3 % with 128 x 512).
+/// From outside the derivatives come from Dual. From inside the derivative is singular at total reflection, and its
+/// quadrature does not converge (4 % error with 128 x 128 nodes, 0.5 % with 512 x 512). Differences of the value
+/// converge (0.3 % with 128 x 512).
 RoughCoatSlopes rough_coat_slopes(Microfacet distribution, float alpha, float eta) {
     using D = Dual<2, double>;
     const CoatFromOutside<D> outside(distribution, D::variable(double(alpha), 0), D::variable(double(eta), 1));
@@ -151,8 +152,8 @@ RoughCoatSlopes rough_coat_slopes(Microfacet distribution, float alpha, float et
             slope(1, (inside(alpha, eta + h) - inside(alpha, eta - h)) / (2 * double(h)))};
 }
 
-/// Result of compute(distribution, alpha, eta), kept for the life of the process: integrals take a tenth of a second and
-/// more, and scenes have many plastics of one roughness.
+/// Result of compute(distribution, alpha, eta), cached for the life of the process: integrals take 0.1 s or more, and
+/// scenes have many plastics of one roughness.
 template <class Result, Result compute(Microfacet, float, float)>
 const Result& known(Microfacet distribution, float alpha, float eta) {
     static std::mutex mutex;
@@ -170,7 +171,7 @@ const RoughCoatSlopes& known_rough_coat_slopes(Microfacet distribution, float al
     return known<RoughCoatSlopes, rough_coat_slopes>(distribution, alpha, eta);
 }
 
-/// Rows of a table over roughness: enough that values between them are off by at most 5e-4 (5e-3 at grazing angles).
+/// Table rows per unit of roughness: interpolated values are off by at most 5e-4 (5e-3 at grazing angles).
 constexpr float coat_rows_per_alpha = 24;
 
 }  // namespace

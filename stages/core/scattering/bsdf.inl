@@ -1,5 +1,5 @@
 #pragma once
-// The dispatch over the kinds of BSDF; second side and mask are added here, once for all.
+// Dispatch over the kinds of BSDF; adds the second side and the mask for all kinds.
 
 #include "stages/core/scattering/conductor.h"
 #include "stages/core/scattering/dielectric.h"
@@ -10,7 +10,7 @@
 
 namespace loom {
 
-/// Light goes straight on, as if nothing were there.
+/// Passes straight through, as without a surface.
 struct NullFamily : DeltaFamily {
     template <class T>
     static ChosenDirection<T> choose(const Bsdf<T>&, const Vector3<T>& wo, float, Point2f) {
@@ -26,8 +26,8 @@ struct NullFamily : DeltaFamily {
     }
 };
 
-/// Calls f with the family of a kind: the one place that lists them all.
-/// Inlined with what it calls: passed through memory, the directions cost more than most formulas.
+/// Calls f with the family of a kind; the only list of all families. Inlined together with f: passing directions
+/// through memory would cost more than most formulas.
 template <class F>
 [[gnu::always_inline]] inline decltype(auto) with_family(BsdfKind kind, F&& f) {
     switch (kind) {
@@ -59,7 +59,8 @@ template <class F>
     return f(NullFamily{});
 }
 
-/// A two-sided surface seen from behind is its own mirror image: both directions change side.
+/// Whether wo is behind a two-sided surface. The surface then scatters as its own mirror image: both directions change
+/// side.
 template <class T>
 bool seen_from_behind(const Bsdf<T>& b, const Vector3<T>& wo) {
     return b.model->two_sided && wo.z < T(0);
@@ -69,7 +70,7 @@ Vector3<T> mirrored(bool mirror, const Vector3<T>& w) {
     return {w.x, w.y, select(mirror, -w.z, w.z)};
 }
 
-/// A delta lobe of a family, given its direction on the front: what mask and second side make of it.
+/// Applies mask and second side to a delta lobe of a family, given its direction on the front.
 template <class T>
 void mask_and_mirror(const Bsdf<T>& b, const Vector3<T>& wo, Lobe lobe, DeltaLobe<T>& d) {
     d.wi = mirrored(seen_from_behind(b, wo), d.wi);
@@ -83,7 +84,7 @@ void mask_and_mirror(const Bsdf<T>& b, const Vector3<T>& wo, Lobe lobe, DeltaLob
     }
 }
 
-/// A delta lobe of the whole BSDF, mask and second side included.
+/// Returns a delta lobe of the whole BSDF, with mask and second side.
 template <class T>
 DeltaLobe<T> delta_lobe(const Bsdf<T>& b, const Vector3<T>& wo, Lobe lobe) {
     DeltaLobe<T> d;
@@ -108,7 +109,7 @@ BsdfValue<T> f_cos_pdf(const Bsdf<T>& b, const Vector3<T>& wo, const Vector3<T>&
     return v;
 }
 
-/// The sample that a delta lobe makes; a lobe that cannot be chosen makes none.
+/// Fills the sample of a delta lobe; leaves it empty for a lobe of probability 0.
 template <class T>
 void set_delta_sample(BsdfSample<T>& s, const DeltaLobe<T>& d, Lobe lobe) {
     if (!(d.pmf > T(0))) return;
@@ -121,14 +122,14 @@ void set_delta_sample(BsdfSample<T>& s, const DeltaLobe<T>& d, Lobe lobe) {
 
 template <class T>
 BsdfSample<T> sample(const Bsdf<T>& b, const Vector3<T>& wo, float u_lobe, Point2f u) {
-    // One object, filled field by field and returned in place: copies of it stall on their own padding.
+    // One object, filled field by field and returned in place: copying it stalls on its padding.
     BsdfSample<T> s;
     const float opacity = value_of(b.opacity);
     if (!(u_lobe < opacity)) {
         set_delta_sample(s, delta_lobe(b, wo, Lobe::null), Lobe::null);
         return s;
     }
-    // What is left of u_lobe is uniform again, and must stay below 1.
+    // The rest of u_lobe is uniform again, and must stay below 1.
     const float u_rest = opacity < 1.0f ? std::min(u_lobe / opacity, 0x1.fffffep-1f) : u_lobe;
     const bool behind = seen_from_behind(b, wo);
     const Vector3<T> wo_front = mirrored(behind, wo);

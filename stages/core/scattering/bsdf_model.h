@@ -1,6 +1,6 @@
 #pragma once
-// What a BSDF is made of: the kinds, the parameters of a material, the parameters at one vertex, and what
-// an evaluation or a sample gives back. The formulas over them are in bsdf.h.
+// Parts of a BSDF: the kinds, the parameters of a material, the parameters at one vertex, and the results of an
+// evaluation and of a sample. The formulas over them are in bsdf.h.
 
 #include <array>
 #include <cstdint>
@@ -11,7 +11,7 @@
 
 namespace loom {
 
-/// Closed set; the value is what `materials/kind` holds on disk. Append only.
+/// Closed set; the value is stored in `materials/kind`. Append only.
 enum class BsdfKind : std::uint8_t {
     diffuse = 0,
     rough_diffuse = 1,
@@ -30,10 +30,10 @@ inline constexpr int n_bsdf_kinds = 12;
 
 enum class Microfacet : std::uint8_t { ggx = 0, beckmann = 1 };
 
-/// Normalisation of Ward's lobe; the value is what `materials/variant` holds on disk. Append only.
+/// Normalisation of Ward's lobe; the value is stored in `materials/variant`. Append only.
 enum class WardVariant : std::uint8_t { ward = 0, duer = 1, balanced = 2 };
 
-/// Which lobe a sample came from; the value is what `vertices/lobe` holds on disk. Append only.
+/// Lobe of a sample; the value is stored in `vertices/lobe`. Append only.
 enum class Lobe : std::uint8_t {
     none = 0,
     diffuse = 1,
@@ -41,7 +41,7 @@ enum class Lobe : std::uint8_t {
     glossy_transmission = 3,
     delta_reflection = 4,
     delta_transmission = 5,
-    null = 6,  // straight on, as if the surface were not there (mask, null)
+    null = 6,  // passes straight through, as without a surface (mask, null)
 };
 constexpr bool is_delta(Lobe lobe) {
     return lobe >= Lobe::delta_reflection;
@@ -53,23 +53,23 @@ constexpr bool is_transmission(Lobe lobe) {
 /// Number of entries of BsdfModel::external_transmittance.
 inline constexpr int n_transmittance = 64;
 
-/// Interface of a rough plastic at one roughness and index: what it reflects of diffuse light from inside and from
-/// outside, and what it transmits by cos(theta), evenly spaced over [0, 1].
+/// Interface of a rough plastic at one roughness and index: its diffuse reflectance from inside and from outside, and
+/// its transmittance by cos(theta), evenly spaced over [0, 1].
 struct RoughCoat {
     float fdr_int = 0.0f, fdr_ext = 0.0f;
     std::array<float, n_transmittance> external_transmittance{};
 };
 
-/// Derivatives of the entries of a RoughCoat by roughness and by relative index.
+/// Derivatives of the entries of a RoughCoat with respect to roughness and relative index.
 struct RoughCoatSlopes {
     RoughCoat by_alpha, by_eta;
 };
 
-/// Interface over a range of roughness: rows evenly spaced from alpha_min to alpha_max, linear between.
+/// Interface over a range of roughness: rows evenly spaced from alpha_min to alpha_max, interpolated linearly.
 struct RoughCoats {
     float alpha_min = 0, alpha_max = 0;
     std::vector<RoughCoat> rows;
-    std::vector<RoughCoatSlopes> slopes;  // by row; empty: see prepare_coat_slopes()
+    std::vector<RoughCoatSlopes> slopes;  // [row]; empty until prepare_coat_slopes()
 
     float alpha(std::size_t row) const {
         return row + 1 == rows.size() ? alpha_max
@@ -78,7 +78,7 @@ struct RoughCoats {
     template <class T>
     struct Between {
         std::size_t row, next;
-        T t;  // of the way from row to next
+        T t;  // position between row and next, in [0, 1]
     };
     template <class T>
     Between<T> between(const T& alpha) const {
@@ -91,15 +91,15 @@ struct RoughCoats {
     }
 };
 
-/// What a material says apart from its textures. Plain data; all lengths of arrays fixed.
+/// Parameters of a material without its textures. Plain data; all arrays have fixed lengths.
 struct BsdfModel {
     BsdfKind kind = BsdfKind::diffuse;
     Microfacet distribution = Microfacet::beckmann;
     WardVariant variant = WardVariant::balanced;
     bool bump_shadowing = true;            // bump or normal map: darkens the terminator of the bumps
-    bool two_sided = false;                // reflects alike from behind (never with transmission)
-    bool nonlinear = false;                // plastic: colour shifts by internal scattering
-    bool sample_visible = true;            // microfacets: sample the normals that wo sees, else all of them
+    bool two_sided = false;                // reflects from behind as from the front (never with transmission)
+    bool nonlinear = false;                // plastic: internal scattering shifts the colour
+    bool sample_visible = true;            // microfacets: sample the normals visible from wo, else all of them
     float int_ior = 1.0f, ext_ior = 1.0f;  // absolute indices inside (behind the normal) and outside
     float opacity = 1.0f;                  // mask: 1 - probability of passing straight on
     float alpha_u = 0.1f, alpha_v = 0.1f;  // microfacet roughness
@@ -110,8 +110,8 @@ struct BsdfModel {
     Spectrum eta_c{0.0f}, k_c{1.0f};       // conductor: complex index relative to the outside
     // Derived by prepare() for rough_plastic.
     RoughCoat coat;                           // at alpha_u
-    const RoughCoats* coats = nullptr;        // where a texture gives alpha; borrowed
-    const RoughCoatSlopes* slopes = nullptr;  // of coat; null: see prepare_coat_slopes(); borrowed
+    const RoughCoats* coats = nullptr;        // with a textured alpha, else null; borrowed
+    const RoughCoatSlopes* slopes = nullptr;  // of coat; null until prepare_coat_slopes(); borrowed
 
     float eta() const { return int_ior / ext_ior; }
 };
@@ -128,7 +128,7 @@ struct Bsdf {
     Rgb<T> eta_c, k_c;
 
     Bsdf() = default;
-    /// Parameters that are constants.
+    /// Converts parameters that are constants.
     template <class U>
     requires(!std::is_same_v<U, T>) explicit Bsdf(const Bsdf<U>& o)
         : model(o.model),
@@ -142,7 +142,7 @@ struct Bsdf {
           exponent(o.exponent),
           eta_c(o.eta_c),
           k_c(o.k_c) {}
-    /// The model's own parameters; textures then overwrite what they give.
+    /// Takes the model's own parameters; textures then overwrite theirs.
     explicit Bsdf(const BsdfModel& m)
         : model(&m),
           diffuse(m.diffuse),
@@ -157,7 +157,7 @@ struct Bsdf {
           k_c(m.k_c) {}
 };
 
-/// BSDF times |cos(theta_i)| (sr^-1) and the density of sample() for wi (sr^-1); delta lobes excluded.
+/// BSDF times |cos(theta_i)| (sr^-1) and the density with which sample() chooses wi (sr^-1); both exclude delta lobes.
 template <class T>
 struct BsdfValue {
     Rgb<T> f_cos;
@@ -169,8 +169,8 @@ struct BsdfSample {
     Vector3<T> wi;           // local
     Rgb<T> weight;           // f cos / pdf_w, or the delta lobe's value / pmf
     T pdf_w{};               // sr^-1; for a delta lobe the pmf of choosing it
-    Lobe lobe = Lobe::none;  // none: the sample failed (mass on the empty set)
-    T eta{1};                // index of wi's side over that of wo's side; 1 unless transmitted
+    Lobe lobe = Lobe::none;  // none: the sample failed (a null event)
+    T eta{1};                // index on wi's side over that on wo's side; 1 unless transmitted
 };
 
 }  // namespace loom

@@ -1,5 +1,5 @@
 #pragma once
-// Metals, polished and rough.
+// Smooth and rough metals.
 
 #include "stages/core/scattering/family.h"
 #include "stages/core/scattering/fresnel.h"

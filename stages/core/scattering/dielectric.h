@@ -1,5 +1,5 @@
 #pragma once
-// Glass: a smooth interface, a thin sheet, a rough interface. All work from both sides.
+// Glass: a smooth interface, a thin sheet, a rough interface. All scatter from both sides.
 
 #include "stages/core/scattering/family.h"
 #include "stages/core/scattering/fresnel.h"
@@ -7,7 +7,8 @@
 
 namespace loom {
 
-/// Probability of reflecting: by what is reflected and transmitted, so F itself for clear glass.
+/// Returns the probability of choosing reflection, in proportion to reflected and transmitted energy; F itself for
+/// clear glass.
 template <class T>
 T reflection_pmf(const Bsdf<T>& b, const T& reflectance) {
     return share(reflectance * max_channel(b.specular), (T(1) - reflectance) * max_channel(b.transmittance));
@@ -37,7 +38,7 @@ struct DielectricFamily : DeltaFamily {
     }
 };
 
-/// Two parallel interfaces, their mutual reflections summed: R' = 2R / (1 + R); light goes straight on.
+/// Two parallel interfaces with the sum of their mutual reflections: R' = 2R / (1 + R). Light passes straight through.
 struct ThinDielectricFamily : DeltaFamily {
     template <class T>
     static T reflectance(const Bsdf<T>& b, const Vector3<T>& wo) {
@@ -67,10 +68,10 @@ struct ThinDielectricFamily : DeltaFamily {
 
 /// f_r = F D G / (4 |cos_o cos_i|)                                       [Walter2007] Eq. (20)
 /// f_t = |h·wo h·wi / (cos_o cos_i)| (1 - F) D G / (h·wo + η h·wi)²      [Walter2007] Eq. (21)
-/// differs: η² of Eq. (21) is cancelled by the 1/η² of radiance; η is the index of wi's side over wo's
+/// differs: η² of Eq. (21) cancels with the 1/η² of radiance; η is the index on wi's side over that on wo's
 struct RoughDielectricFamily : SmoothFamily {
-    /// Without visible normals the facets are sampled a little rougher than they are, which keeps the
-    /// weights down at grazing angles.                                    [Walter2007] §5.3
+    /// Without visible-normal sampling the facets are sampled with a slightly larger roughness, which reduces the
+    /// weights at grazing angles.                                         [Walter2007] §5.3
     template <class T>
     static MicrofacetDistribution<T> sampled_facets(const Bsdf<T>& b, const Vector3<T>& wo) {
         using std::fabs;
@@ -92,7 +93,7 @@ struct RoughDielectricFamily : SmoothFamily {
         const T cos_o = dot(wo, m), cos_i = dot(wi, m);
         const T F = fresnel_dielectric(cos_o, b.eta).reflectance;
         const T p = reflection_pmf(b, F);
-        // |dm / dwi|, and the same times |cos_o|: in reflection cos_o = cos_i, which rounding would spoil.
+        // |dm / dwi|, and |dm / dwi| |cos_o|. In reflection cos_o = cos_i; rounding would break that equality.
         const T refraction = sqr(eta) * fabs(cos_i) / sqr(cos_o + eta * cos_i);
         const T jacobian = select(reflects, T(0.25) / fabs(cos_i), refraction);
         const T cos_jacobian = select(reflects, T(0.25), fabs(cos_o) * refraction);
@@ -104,7 +105,7 @@ struct RoughDielectricFamily : SmoothFamily {
         const T pdf_m = b.model->sample_visible ? sampled.D(m) * sampled.G1_exact(wo) * cos_jacobian / fabs(wo.z)
                                                 : sampled.D(m) * m.z * jacobian;
         const T pdf = pdf_m * select(reflects, p, T(1) - p);
-        // Each direction must see the facet from the side on which it sees the surface.
+        // Each direction must see the facet from the side from which it sees the surface.
         const bool faces = cos_o * wo.z > T(0) && cos_i * wi.z > T(0);
         return {select(faces, f_cos, Rgb<T>()), select(faces, pdf, T(0))};
     }
@@ -113,7 +114,7 @@ struct RoughDielectricFamily : SmoothFamily {
         const Vector3<T> wo_up = wo * select(wo.z > T(0), T(1), T(-1));
         const Vector3<T> m = sampled_facets(b, wo).sample(wo_up, u, b.model->sample_visible);
         const T cos_o = dot(wo, m);
-        if (!(cos_o * wo.z > T(0))) return {};  // a facet that wo sees from its wrong side
+        if (!(cos_o * wo.z > T(0))) return {};  // wo sees the facet from its wrong side
         const FresnelDielectric<T> f = fresnel_dielectric(cos_o, b.eta);
         const bool reflects = T(u_lobe) < reflection_pmf(b, f.reflectance);
         const Vector3<T> wi = reflects ? reflect(wo, m) : refract(wo, m, f);

@@ -1,5 +1,5 @@
 #pragma once
-// Matte surfaces: Lambert's, and that of Oren and Nayar whose facets are Lambertian.
+// Diffuse surfaces: Lambert's, and that of Oren and Nayar with Lambertian facets.
 
 #include "stages/core/math/frame.h"
 #include "stages/core/sampling/warp.h"
@@ -40,7 +40,7 @@ struct DiffuseFamily : SmoothFamily {
     }
 };
 
-/// The full qualitative fit with interreflection, σ = alpha_u / √2 as in Mitsuba 0.6's `roughdiffuse`.
+/// The full qualitative fit with interreflection; σ = alpha_u / √2 as in Mitsuba 0.6's `roughdiffuse`.
 ///                                                                    [OrenNayar1994] Eqs. (30)-(35)
 struct RoughDiffuseFamily : DiffuseFamily {
     static constexpr bool coloured_base = false;

@@ -1,14 +1,13 @@
 #pragma once
-// What a family of BSDFs gives to the dispatch of bsdf.inl. Each family is a struct of static templates
-// over the number T, so that a loop over vertices of one kind inlines the formula and nothing else:
-//   f_cos_pdf(bsdf, wo, wi)       as bsdf.h, without mask and second side; black where it is one-sided
+// Interface between a family of BSDFs and the dispatch of bsdf.inl. Each family is a struct of static templates over
+// the number T, so that a loop over vertices of one kind inlines only its formula:
+//   f_cos_pdf(bsdf, wo, wi)       as in bsdf.h, without mask and second side; zero on the back
 //   choose(bsdf, wo, u_lobe, u)   lobe and direction
 //   delta_lobe(bsdf, wo, lobe)    a lobe without width
-//   albedo(bsdf, wo)              as bsdf.h
-//   tint(bsdf, wo), p_coat(bsdf, wo), lobes(bsdf, wo, wi, p_coat)   where colour and direction come apart: see
-//   LobeValues
-// f_cos_pdf and what it calls are inlined by force: a call keeps loops over columns from being vectorised.
-// The bases below stand in for the parts that a family does not have.
+//   albedo(bsdf, wo)              as in bsdf.h
+//   tint(bsdf, wo), p_coat(bsdf, wo), lobes(bsdf, wo, wi, p_coat)   where colour and direction separate: see LobeValues
+// f_cos_pdf and its callees are inlined by force: a call prevents vectorisation of loops over columns. The bases below
+// provide defaults for the functions that a family lacks.
 
 #include "stages/core/scattering/bsdf_model.h"
 
@@ -28,8 +27,9 @@ struct DeltaLobe {
     T eta{1};
 };
 
-/// A coloured base under a coat: f_cos = tint(wo) base + specular coat. Families with coloured_base give tint(),
-/// p_coat(), the probability of sampling the coat, and lobes(), from which two_lobes() makes their f_cos_pdf().
+/// A coloured base under a coat: f_cos = tint(wo) base + specular coat. Families with coloured_base provide three
+/// functions, from which two_lobes() makes their f_cos_pdf(): tint(), lobes(), and p_coat(), the probability of
+/// sampling the coat.
 template <class T>
 struct LobeValues {
     T base{}, coat{}, pdf_w{};
@@ -56,7 +56,7 @@ struct DeltaFamily {
     }
 };
 
-/// Black unless both directions are above the surface.
+/// Returns the value if both directions are above the surface, else zero.
 template <class T>
 BsdfValue<T> one_sided(const Vector3<T>& wo, const Vector3<T>& wi, const Rgb<T>& f_cos, const T& pdf_w) {
     const bool above = wo.z > T(0) && wi.z > T(0);
@@ -70,8 +70,9 @@ template <class T>
     return {select(above, v.base, T(0)), select(above, v.coat, T(0)), select(above, v.pdf_w, T(0))};
 }
 
-/// Probability of the first of two lobes that reflect `a` and `b`: by what they reflect, so that no sample
-/// of either weighs much more than both together; a lobe that reflects nothing is never chosen.
+/// Returns the probability of choosing the first of two lobes that reflect `a` and `b`. It is proportional to their
+/// reflectances, so that no sample of either weighs much more than both together. A lobe of reflectance 0 is never
+/// chosen.
 template <class T>
 T share(const T& a, const T& b) {
     const T sum = a + b;

@@ -1,5 +1,5 @@
 #pragma once
-// How much of the light an interface reflects.
+// Reflectance of an interface.
 
 #include "stages/core/math/vector.h"
 
@@ -8,9 +8,9 @@ namespace loom {
 template <class T>
 struct FresnelDielectric {
     T reflectance;
-    T cos_t;   // of the refracted direction; 0 at total internal reflection; sign opposite to cos_i
-    T eta_it;  // index of the far side over that of the near side
-    T eta_ti;  // its inverse: scale of the tangential part of the refracted direction
+    T cos_t;   // cosine of the refracted direction; 0 at total internal reflection; sign opposite to cos_i
+    T eta_it;  // index on the far side over that on the near side
+    T eta_ti;  // 1 / eta_it: scale of the tangential part of the refracted direction
 };
 
 /// Unpolarised reflectance of an interface between two dielectrics, and the refracted direction.
@@ -30,7 +30,7 @@ template <class T>
     const T n_s = c_i - eta_it * c_t, d_s = c_i + eta_it * c_t;
     const T n_p = c_t - eta_it * c_i, d_p = c_t + eta_it * c_i;
     const T mean = T(0.5) * (sqr(n_s * d_p) + sqr(n_p * d_s)) / sqr(d_s * d_p);
-    // Equal indices at a grazing angle leave 0/0 above.
+    // Equal indices at a grazing angle give 0/0 above.
     const bool matched = eta == T(1);
     const T r = select(matched, T(0), select(c_i == T(0), T(1), mean));
     return {r, select(outside, -c_t, c_t), eta_it, eta_ti};
@@ -38,8 +38,7 @@ template <class T>
 
 /// Unpolarised reflectance of a conductor with the complex index eta + i k, relative to the outside.
 ///                                                                    [Moeller1988]
-/// differs: only squares of eta and k enter, so a negative one (found in published scenes) acts as its
-///          absolute value
+/// differs: only squares of eta and k enter, so a negative value (found in published scenes) acts as its absolute value
 template <class T>
 [[gnu::always_inline]] inline T fresnel_conductor(const T& cos_i, const T& eta, const T& k) {
     const T c2 = cos_i * cos_i;
@@ -60,7 +59,7 @@ template <class T>
             fresnel_conductor(cos_i, eta.b, k.b)};
 }
 
-/// Reflectance of a dielectric interface under diffuse illumination, by fits.
+/// Reflectance of a dielectric interface under diffuse illumination, from fits.
 ///   eta < 1: [EganHilgeman1973], eta >= 1: [dEonIrving2011]; within 0.6 % for 1/2 < eta < 10
 template <class T>
 [[gnu::always_inline]] inline T fresnel_diffuse_reflectance(const T& eta) {
@@ -77,7 +76,7 @@ Vector3<T> reflect(const Vector3<T>& w, const Vector3<T>& m) {
     return m * (T(2) * dot(w, m)) - w;
 }
 
-/// Refracted direction of w about the unit normal m; f as fresnel_dielectric(dot(w, m), eta) gave it.
+/// Refracted direction of w about the unit normal m; f is the result of fresnel_dielectric(dot(w, m), eta).
 template <class T>
 Vector3<T> refract(const Vector3<T>& w, const Vector3<T>& m, const FresnelDielectric<T>& f) {
     return m * (dot(w, m) * f.eta_ti + f.cos_t) - w * f.eta_ti;

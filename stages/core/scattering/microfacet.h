@@ -1,5 +1,5 @@
 #pragma once
-// A rough surface as a distribution of microscopic normals: its value, what it hides, and its sampling.
+// Distribution of microfacet normals of a rough surface: its value, its shadowing, and its sampling.
 
 #include "stages/core/math/dual.h"
 #include "stages/core/math/exponential.h"
@@ -28,7 +28,7 @@ T erf_inv(const T& x) {
     return select(w < T(5), centre, tail) * x;
 }
 
-/// Distribution of microfacet normals of one point of a rough surface.
+/// Distribution of microfacet normals at one point of a rough surface.
 /// needs:   directions and normals unit, local; normals in the upper hemisphere
 template <class T>
 struct MicrofacetDistribution {
@@ -55,21 +55,21 @@ struct MicrofacetDistribution {
         return select(d * m.z > T(1e-20), d, T(0));
     }
 
-    /// Smith's fraction of the facets with normal m that v sees; Beckmann by the rational fit that
-    /// Mitsuba evaluates (within 0.35 %).                                   [Walter2007] Eqs. (27), (34)
+    /// Smith's fraction of the facets with normal m that are visible from v. Beckmann uses the rational fit of Mitsuba
+    /// (within 0.35 %).                                     [Walter2007] Eqs. (27), (34)
     [[gnu::always_inline]] T G1(const Vector3<T>& v, const Vector3<T>& m) const {
         const T g = type == Microfacet::ggx ? smith_ggx(v) : smith_beckmann_fit(v);
         return select(dot(v, m) * v.z > T(0), g, T(0));
     }
 
-    /// Smith's fraction without approximation: what makes the visible normals a density.
+    /// Smith's fraction without approximation, which normalises the density of visible normals.
     [[gnu::always_inline]] T G1_exact(const Vector3<T>& v) const {
         return type == Microfacet::ggx ? smith_ggx(v) : smith_beckmann(v);
     }
 
-    /// A normal of this surface: as seen from w when `visible`, with the density
+    /// Samples a normal of this surface. With `visible`, among those visible from w, with the density
     ///   D G1_exact(w) max(w·m, 0) / w.z (sr^-1)                            [HeitzDEon2014] Eq. (2)
-    /// else of all that are there, with D m.z.
+    /// else among all normals, with D m.z.
     /// needs:   w in the upper hemisphere
     Vector3<T> sample(const Vector3<T>& w, Point2f u, bool visible) const {
         if (!visible) return sample_all(u);
@@ -86,7 +86,7 @@ struct MicrofacetDistribution {
         return T(2) * z / (z + sqrt(z * z + projected2(v)));
     }
 
-    /// 1 / (alpha tan(theta)); large where the facets are all seen.
+    /// Returns 1 / (alpha tan(theta)); large where all facets are visible.
     [[gnu::always_inline]] T cot_over_alpha(const Vector3<T>& v) const {
         using std::fabs;
         using std::sqrt;
@@ -106,7 +106,7 @@ struct MicrofacetDistribution {
         const T p = t * (T(0.254829592) +
                          t * (T(-0.284496736) + t * (T(1.421413741) + t * (T(-1.453152027) + t * T(1.061405429)))));
         const T lambda = exponential(-a * a) * (T(1 / (2 * 1.77245385090551602730)) / a - T(0.5) * p);
-        // To rounding, as are the derivatives to 0.
+        // Exact to rounding; the derivatives are then 0.
         return select(a > T(4), T(1), T(1) / (T(1) + lambda));
     }
 
@@ -121,7 +121,7 @@ struct MicrofacetDistribution {
         return from_unit_slope(T(-r * phi.cos), T(-r * phi.sin));
     }
 
-    /// The visible facets of an ellipsoid: reflect uniformly into a spherical cap, halve.
+    /// Samples the visible facets of an ellipsoid: reflects uniformly into a spherical cap and halves.
     ///                                                        [DupuyBenyoub2023] listing 3
     Vector3<T> sample_visible_ggx(const Vector3<T>& w, Point2f u) const {
         const Vector3<T> o = normalize(Vector3<T>{alpha_u * w.x, alpha_v * w.y, w.z});
@@ -132,8 +132,8 @@ struct MicrofacetDistribution {
         return normalize(Vector3<T>{alpha_u * m.x, alpha_v * m.y, m.z});
     }
 
-    /// The visible slopes of a Gaussian surface, inverted numerically: the slope along w by Halley's
-    /// method in the domain of erf, the slope across it directly.      [Jakob2014] §2, [HeitzDEon2014]
+    /// Samples the visible slopes of a Gaussian surface by numerical inversion: the slope along w by Halley's method in
+    /// the domain of erf, the slope across it directly.                [Jakob2014] §2, [HeitzDEon2014]
     Vector3<T> sample_visible_beckmann(const Vector3<T>& w, Point2f u) const {
         using std::erf;
         using std::exp;

@@ -12,8 +12,8 @@ namespace loom {
 struct PhongFamily : SmoothFamily {
     static constexpr bool coloured_base = true;
 
-    /// The lobes are weighed by the largest weight that each can reach from wo: its reflectance, for the
-    /// lobe times the largest cosine within about its width.
+    /// Chooses lobes in proportion to the largest weight that each can reach from wo. For the diffuse lobe this is its
+    /// reflectance; for the glossy one its reflectance times the largest cosine within about its width.
     template <class T>
     [[gnu::always_inline]] static T p_coat(const Bsdf<T>& b, const Vector3<T>& wo) {
         using std::sqrt;

@@ -1,6 +1,6 @@
 #pragma once
-// A diffuse base under a dielectric coat, smooth or rough. Light that the coat reflects back inside is
-// scattered again; the series of those reflections is summed in closed form.
+// A diffuse base under a dielectric coat, smooth or rough. Light that the coat reflects inside is scattered again; the
+// series of these reflections is summed in closed form.
 
 #include <algorithm>
 #include <stdexcept>
@@ -11,8 +11,8 @@
 
 namespace loom {
 
-/// Diffuse reflectance of the base seen through the coat, apart from the two passages of its interface.
-///   ρ / (η² (1 - ρ R_in)), or ρ / (η² (1 - R_in)) when colours are to be kept (nonlinear = false)
+/// Diffuse reflectance of the base under the coat, without the two transmissions through the interface.
+///   ρ / (η² (1 - ρ R_in)), or ρ / (η² (1 - R_in)) without colour shifts (nonlinear = false)
 template <class T>
 [[gnu::always_inline]] inline Rgb<T> coated_diffuse(const Bsdf<T>& b, const T& inside_reflectance) {
     const T inv_eta2 = T(1) / (b.eta * b.eta);
@@ -25,7 +25,7 @@ struct PlasticFamily : SmoothFamily {
 
     template <class T>
     struct Energy {
-        Rgb<T> specular, diffuse;  // what each lobe reflects of the light that leaves to wo
+        Rgb<T> specular, diffuse;  // reflectance of each lobe towards wo
         T transmitted;
         T p_specular() const { return share(max_channel(specular), max_channel(diffuse)); }
     };
@@ -77,13 +77,14 @@ struct PlasticFamily : SmoothFamily {
     }
 };
 
-/// The passages through the rough coat come from the tables that prepare() made.
+/// The transmittances of the rough coat come from the tables of prepare().
 struct RoughPlasticFamily : SmoothFamily {
     static constexpr bool coloured_base = true;
 
-    /// An entry of the coat. With slopes it follows alpha and eta to first order about the model's own.
-    /// in:     pick  RoughCoat -> T
-    /// throws: std::logic_error where alpha or eta moves with a parameter and prepare_coat_slopes() was not called
+    /// Returns an entry of the coat. With slopes it depends on alpha and eta to first order around the model's own
+    /// values.
+    /// in:      pick  RoughCoat -> T
+    /// throws:  std::logic_error where alpha or eta moves with a parameter and prepare_coat_slopes() was not called
     template <class T, class Pick>
     [[gnu::always_inline]] static T entry(const Bsdf<T>& b, const Pick& pick) {
         const BsdfModel& m = *b.model;
@@ -101,7 +102,7 @@ struct RoughPlasticFamily : SmoothFamily {
         if (!has_slopes(b, !slopes.empty())) return value;
         return value + (pick(slopes[row].by_eta) * (T(1) - t) + pick(slopes[next].by_eta) * t) * (b.eta - T(m.eta()));
     }
-    /// What the coat lets through, by linear interpolation of the table.
+    /// Transmittance of the coat, by linear interpolation of the table.
     template <class T>
     [[gnu::always_inline]] static T transmittance(const Bsdf<T>& b, const T& cos) {
         const T x = cos * T(n_transmittance - 1);

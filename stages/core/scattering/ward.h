@@ -15,8 +15,8 @@ namespace loom {
 struct WardFamily : SmoothFamily {
     static constexpr bool coloured_base = true;
 
-    /// A sample of the lobe weighs ρ_s 2 cos_i / (cos_o + cos_i): the lobes are weighed by their largest
-    /// weights.
+    /// Chooses lobes in proportion to their largest weights. A sample of the glossy lobe weighs ρ_s 2 cos_i / (cos_o +
+    /// cos_i).
     template <class T>
     [[gnu::always_inline]] static T p_coat(const Bsdf<T>& b, const Vector3<T>& wo) {
         return share(max_channel(b.specular) * (T(2) / (T(1) + wo.z)), max_channel(b.diffuse));
