@@ -45,7 +45,7 @@ std::string motion_of(const Object& from, const Object& to) {
                   : "elsewhere";
 }
 
-/// Differences of two objects of one kind in words: "reflectance (1, 0, 0) -> (0, 0, 1)".
+/// Lists the differences of two objects of one kind as text: "reflectance (1, 0, 0) -> (0, 0, 1)".
 void tell(const Object& a, const Object& b, CanonicalTexts& texts, std::vector<std::string>& words,
           const std::string& what = "") {
     if (texts.text(a) == texts.text(b)) return;
@@ -86,14 +86,14 @@ std::string differences(const ObjectPtr& a, const ObjectPtr& b, CanonicalTexts& 
     return words.empty() ? "its parts are in another order" : fmt::format("{}", fmt::join(words, "; "));
 }
 
-/// Without folders: it reaches the plan of an output.
+/// Names an object without folders, because the text becomes part of an output's plan.
 std::string title(const Object& o) {
     return o.has_own_id
                ? o.id
                : fmt::format("the {} at {}", o.plugin, std::filesystem::path(o.at.where()).filename().string());
 }
 
-/// Place of a parameter, or of the object that would have it.
+/// Returns the location of a parameter, or of the object that could have it.
 Location place(const Object& root, std::initializer_list<Category> way, std::initializer_list<std::string_view> names) {
     const Object* o = &root;
     ObjectPtr child;
@@ -154,7 +154,7 @@ void check_views(const Object& old_root, const Object& new_root, Edit& edit) {
                         a.rr_depth, b.rr_depth));
 }
 
-/// Lines that say the same of several shapes become one.
+/// Merges lines with equal text about several shapes into one.
 class Lines {
   public:
     void add(const std::string& verb, const std::string& who, const std::string& what) {
@@ -194,7 +194,7 @@ std::string motion_words(const Matrix4d& motion, const Point3<double>& centre, b
         const auto clean = [&](double v) { return std::abs(v) < 1e-9 * largest ? 0.0 : v; };
         return fmt::format("({:.4g}, {:.4g}, {:.4g})", clean(x), clean(y), clean(z));
     };
-    // Twice the sine of the angle times the axis; near half a turn the axis is in R + 1 instead.
+    // Twice the sine of the angle times the axis; near 180 degrees the axis is in R + 1 instead.
     Vector3<double> axis{motion(2, 1) - motion(1, 2), motion(0, 2) - motion(2, 0), motion(1, 0) - motion(0, 1)};
     const double cosine = std::clamp((motion(0, 0) + motion(1, 1) + motion(2, 2) - 1) / 2, -1.0, 1.0),
                  sine = length(axis) / 2;
@@ -216,7 +216,7 @@ std::string motion_words(const Matrix4d& motion, const Point3<double>& centre, b
     if (has_centre)
         return turn + " through its centre" +
                (length(moved) > 1e-6 * (1 + length(Vector3<double>(centre))) ? ", and by " + shift : "");
-    // A screw: the points of its axis move along it.
+    // A screw motion: the points of its axis move along it.
     const Vector3<double> t{motion(0, 3), motion(1, 3), motion(2, 3)};
     const double along = dot(t, axis);
     const Vector3<double> across = t - axis * along;
@@ -253,7 +253,8 @@ namespace {
 
 constexpr std::uint32_t no_light = EmitterEdit::none;
 
-/// Numbers of the area lights of shapes, as build_scene() counts: area lights by shape, then the emitters of the scene.
+/// Indices of the area lights of shapes, in the order of build_scene(): area lights by shape, then the emitters of the
+/// scene.
 struct AreaLights {
     std::vector<std::uint32_t> of_shape;
     std::uint32_t n = 0;
@@ -327,7 +328,7 @@ class EditFinder {
         }
     }
 
-    /// The shape is gone, or its partner j of the same id has another form or size.
+    /// Records a removed shape, or one whose partner j of the same id has another form or size.
     void remove(std::size_t i, std::uint32_t j) {
         const Object& a = *old_shapes_[i];
         edit_.old_shapes[i].changes = shape_change::removed;
@@ -345,9 +346,9 @@ class EditFinder {
         edit_.new_shapes[j].changes = shape_change::added;
     }
 
-    /// Area lights of a pair of shapes.
-    /// in:  changes  of the shapes so far
-    /// out: shape_change::relit or 0
+    /// Compares the area lights of a pair of shapes.
+    /// in:      changes  of the shapes so far
+    /// out:     shape_change::relit or 0
     unsigned compare_light(std::size_t i, std::uint32_t j, unsigned changes) {
         const Object& b = *new_shapes_[j];
         const ObjectPtr light_a = old_shapes_[i]->child(Category::emitter), light_b = b.child(Category::emitter);

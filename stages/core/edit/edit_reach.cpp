@@ -9,9 +9,9 @@
 namespace loom {
 namespace {
 
-/// Part of their size by which obstacles are larger than their shapes; rounding of a ray is a hundredth of it.
+/// Relative enlargement of obstacles; a ray's rounding is 1 % of it.
 constexpr float margin = 1e-5f;
-/// How far (m) from its vertex a ray may start in a scene.
+/// Maximum distance (m) from its vertex at which a ray may start in a scene.
 float largest_offset(const Scene& scene) {
     float error = 0;
     for (const Shape& shape : scene.shapes) error = std::max(error, shape.hit_error);
@@ -62,7 +62,7 @@ bool same_map(const EnvironmentMap& a, const EnvironmentMap& b) {
     return a.width == b.width && a.height == b.height && same_bits(a.texels, b.texels);
 }
 
-/// Compares what the two scenes are made of, each pair once.
+/// Compares the parts of two scenes, each pair once.
 class Comparison {
   public:
     Comparison(const Scene& old_scene, const Scene& new_scene) : old_(old_scene), new_(new_scene) {}
@@ -81,7 +81,7 @@ class Comparison {
             same = same && same_texture(m.*texture, n.*texture);
         return materials_[{a, b}] = same;
     }
-    /// But for the shape of an area light.
+    /// Ignores the shape of an area light.
     bool same_emitter(const Emitter& a, const Emitter& b) {
         const auto numbers = [](const Emitter& e) {
             return std::tie(e.kind, e.radiance, e.area, e.parallelogram, e.frame.s, e.frame.t, e.frame.n, e.position,
@@ -111,14 +111,14 @@ bool same_sensor(const Sensor& a, const Sensor& b) {
     return numbers(a) == numbers(b);
 }
 
-/// Calls holds(material) for a material and what is seen of it from behind.
+/// Whether holds(material) is true for a material and for that of its back.
 template <class Holds>
 bool of_both_sides(const Scene& scene, std::uint32_t material, Holds&& holds) {
     const Material& front = scene.materials[material];
     return holds(front) && (front.back < 0 || holds(scene.materials[std::size_t(front.back)]));
 }
 
-/// Only what a ray engine looks at.
+/// Returns an enlarged copy with only the members that a ray engine reads.
 Shape enlarged(const Shape& shape) {
     Shape large;
     large.kind = shape.kind;
@@ -161,7 +161,7 @@ void Obstacles::finish(float around) {
     rays_ = std::make_unique<RayEngine>(shapes_);
     box_.grow(around);
     for (Box3f& box : boxes_) box.grow(around);
-    constexpr std::size_t most = 32;  // asking for more costs more than it spares
+    constexpr std::size_t most = 32;  // testing more boxes costs more than it saves
     if (boxes_.size() > most) boxes_ = {box_};
 }
 

@@ -1,6 +1,6 @@
 #pragma once
-// What an edit can change of paths that were traced in the old scene: where it stands, what it does to lights, and
-// whether there is anything that it leaves alone.
+// Parts of the old scene's paths that an edit can change: changed geometry, changed lights, and whether any path can be
+// unchanged at all.
 
 #include <algorithm>
 #include <cstdint>
@@ -14,28 +14,28 @@
 
 namespace loom {
 
-/// Shapes that a segment may meet, a little larger than they are, so that a ray that is known to its last bits but a
-/// few meets all that it met.
+/// Shapes that a segment may hit, slightly enlarged, so that a ray known up to its last few bits hits all that the
+/// exact ray hits.
 class Obstacles {
   public:
     void add(const Shape& shape);
-    /// in:      around  how far from its surface a ray may start, m
+    /// in:      around  maximum distance of a ray's start from its surface, m
     void finish(float around);
 
     bool empty() const { return shapes_.empty(); }
-    /// Around all of them, each with what a ray may start off its surface: a ray that meets no box meets no obstacle.
+    /// Bounds of all shapes, each enlarged by the start offset of a ray: a ray that hits no box hits no obstacle.
     const std::vector<Box3f>& boxes() const { return boxes_; }
-    /// False: no ray that starts at a, or `around` from it, and ends at b meets one.
+    /// Returns false only if no ray hits an obstacle that starts at a, or within `around` of it, and ends at b.
     bool may_meet(const Point3f& a, const Point3f& b) const { return !apart(a, {b, b}) && crosses(a, b); }
-    /// The same of all rays from a along the unit vector d.
+    /// Tests all rays from a along the unit vector d.
     bool may_meet(const Point3f& a, const Vector3f& d) const;
-    /// The same of all rays from a to anywhere in a box.
+    /// Tests all rays from a to any point in a box.
     bool may_meet(const Point3f& a, const Box3f& to) const { return !apart(a, to); }
-    /// out:     met  by ray: it does meet one
+    /// out:     met  [ray] whether it hits an obstacle
     void meet(const Ray* const* rays, std::size_t n, bool* met) const { rays_->occluded(rays, n, met); }
 
   private:
-    /// A point and a box lie on one side of all obstacles.
+    /// Whether all obstacles lie on one side of a point and a box.
     bool apart(const Point3f& a, const Box3f& to) const {
         bool is = false;
         for (int k = 0; k < 3; ++k)
@@ -53,29 +53,28 @@ class Obstacles {
     std::vector<Box3f> boxes_;
 };
 
-/// Which places, shapes and lights of the old scene are not to the last bit what they are in the new one. What
-/// find_edit() takes for the same may differ in bits (numbers of more than nine digits, places that are the same to
-/// 1e-7): it is changed.
+/// Geometry, shapes and lights of the old scene that differ in any bit from the new one. What find_edit() treats as
+/// equal may differ in bits (numbers of more than nine digits, placements equal to 1e-7); it counts as changed here.
 struct EditReach {
     EditReach(const Scene& old_scene, const Scene& new_scene, const Edit& edit);
 
-    std::string everything;  // why no path is known to be the same; empty: some may be
-    // of the old scene, by shape: stands or scatters otherwise now, shines otherwise and not just relit, or is gone
+    std::string everything;  // reason why every path may have changed; empty: some may be unchanged
+    // [shape of the old scene] moved, scatters or emits differently (other than relit only), or is removed
     std::vector<std::uint8_t> shapes;
-    // of those, by shape: its material in the new scene, if that is all that has changed and a vertex without texture
-    // coordinates is enough to know either BSDF; -1: else
+    // [shape of the old scene] its material in the new scene, if only that has changed and a vertex without texture
+    // coordinates suffices to evaluate both BSDFs; -1: else
     std::vector<int> repainted;
-    // of the old scene, by emitter: where it shines, or its density, is not the same, or what arrives from it depends
-    // on where
+    // [emitter of the old scene] its position or density has changed, or its emission depends on position or direction
+    // and has changed
     std::vector<std::uint8_t> emitters;
-    // of the others, by emitter: it sends one radiance everywhere, not black, and now another one
+    // [emitter of the old scene] of the others: emits one non-zero radiance everywhere, and now another one
     std::vector<std::uint8_t> relit;
-    bool sky = false;  // the emitter at infinity all around is changed so
+    bool sky = false;  // the environment emitter is changed in this sense
     bool any_emitter = false, any_relit = false;
-    bool dark_light = false;  // a shape that shines, reflects nothing and is changed: a path may end there untold
-    Obstacles old_places, new_places;  // of what moved, came or went
+    bool dark_light = false;  // a changed shape that emits but reflects nothing: a path may end there without a record
+    Obstacles old_places, new_places;  // shapes that moved, were removed or added
 
-    /// Bounds of all points that light is sampled on; unbounded where a light is at infinity.
+    /// Bounds of all points that light sampling can choose; unbounded with a light at infinity.
     bool bounded_lights = true;
     Box3f lights;
 };

@@ -18,13 +18,13 @@ const Parameter* parameter_of(const Object& object, std::string_view name) {
     return schema ? schema->find(name) : nullptr;
 }
 
-/// With the dialect where it decides the meaning: which number a checkerboard gives.
+/// Includes the dialect where it affects the meaning: the values of a checkerboard.
 std::string plugin_text(const Object& object) {
     return fmt::format("{} {}{}", name(object.category), object.plugin,
                        object.legacy && object.plugin == "checkerboard" ? " 0.x" : "");
 }
 
-/// Nine digits: the same place spelled as a matrix or as rotations counts as the same.
+/// Nine digits: a placement given as a matrix equals the same one given as rotations.
 std::string number(double x) {
     return fmt::format("{:.9g}", x + 0.0);
 }
@@ -136,7 +136,7 @@ std::optional<Matrix4d> rigid_motion(const Matrix4d& from, const Matrix4d& to) {
 }
 
 bool same_placement(const Matrix4d& a, const Matrix4d& b) {
-    constexpr double cancelled = 1e-14;  // of a sum that is 0 but for rounding
+    constexpr double cancelled = 1e-14;  // a sum that is 0 except for rounding
     double size = 0, distance = 0;
     for (int i = 0; i < 3; ++i) {
         for (int k = 0; k < 3; ++k) size = std::max(size, std::abs(a(i, k)));
@@ -178,8 +178,8 @@ bool is_sky(const Object& emitter) {
 
 namespace {
 
-/// Pairs objects of equal keys, in order, among those that have no partner yet. `eligible` may forbid a pair.
-using Key = std::function<std::string(std::size_t)>;  // empty: takes no part
+/// Pairs objects of equal keys, in order, among those without a partner. `eligible` may reject a pair.
+using Key = std::function<std::string(std::size_t)>;  // empty: not paired
 void pair_up(SceneMatch& match, const Key& old_key, const Key& new_key,
              const std::function<bool(std::size_t, std::size_t)>& eligible) {
     constexpr std::uint32_t none = SceneMatch::none;

@@ -4,7 +4,7 @@ namespace loom {
 
 struct Scene;
 
-/// The two scenes of an edit; film and camera are the same.
+/// The two scenes of an edit; film and camera are equal.
 struct ScenePair {
     const Scene &old_scene, &new_scene;
 };
