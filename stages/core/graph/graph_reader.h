@@ -11,30 +11,31 @@ namespace loom {
 
 struct Scene;
 
-/// throws: InputError when the graph was traced in another scene, or with other values of its parameters
+/// Refuses a graph of another scene.
+/// throws:  InputError when the graph was traced in another scene, or with other values of its parameters
 void require_scene_of(const PathGraph& graph, const std::string& graph_file, const Scene& scene,
                       const std::string& scene_file);
 
-/// Row i of a column of colours.
+/// Returns row i of a column of colours.
 inline Spectrum rgb(const Column<float>& column, std::size_t i) {
     return {column[3 * i], column[3 * i + 1], column[3 * i + 2]};
 }
 
-/// Row i of a column of octahedral unit vectors.
+/// Returns row i of a column of octahedral unit vectors.
 template <class V>
 V unit_vector(const Column<std::int16_t>& column, std::size_t i) {
     const auto unit = unit_from_octahedral(column[2 * i], column[2 * i + 1]);
     return {unit[0], unit[1], unit[2]};
 }
 
-/// Position of vertex j as it is stored.
+/// Returns the stored position of vertex j.
 template <class T = float>
 Point3<T> position(const PathGraph& graph, std::size_t j) {
     const float* p = graph.vertices.p.data() + 3 * j;
     return {p[0], p[1], p[2]};
 }
 
-/// Direction in which light leaves vertex j towards the camera.
+/// Returns the direction in which light leaves vertex j towards the camera.
 inline Vector3f outgoing(const PathGraph& graph, std::size_t j) {
     const float* wo = graph.vertices.wo.data() + 3 * j;
     return {wo[0], wo[1], wo[2]};
@@ -48,12 +49,13 @@ inline Normal3f geometric_normal(const PathGraph& graph, std::size_t j) {
     return unit_vector<Normal3f>(graph.vertices.ng.empty() ? graph.vertices.ns : graph.vertices.ng, j);
 }
 
-/// The normal or its opposite, whichever is on the side of wo.
+/// Returns the normal or its opposite, whichever is on the side of wo.
 inline Normal3f facing(const Normal3f& n, const Vector3f& wo) {
     return dot(n, wo) < 0 ? -n : n;
 }
 
-/// Origin of the camera ray of a path: the pinhole, or a point on an orthographic sensor; never on the near plane.
+/// Returns the origin of the camera ray of a path: the pinhole, or a point on an orthographic sensor; never on the near
+/// plane.
 template <class T = float>
 Point3<T> camera_origin(const PathGraph& graph, std::size_t path) {
     if (graph.paths.origin.empty())
@@ -62,7 +64,7 @@ Point3<T> camera_origin(const PathGraph& graph, std::size_t path) {
     return {o[0], o[1], o[2]};
 }
 
-/// Reads vertices of a path graph as shading points, exactly those that the tracer had. The graph is borrowed.
+/// Reads vertices of a path graph as shading points, equal to those of the tracer. The graph is borrowed.
 class GraphReader {
   public:
     explicit GraphReader(const PathGraph& graph);
@@ -71,16 +73,16 @@ class GraphReader {
 
     const PathGraph& graph() const { return graph_; }
     ShadingPoint vertex(std::size_t j) const;
-    /// BSDF of a vertex.
+    /// Returns the BSDF of a vertex.
     Bsdf<float> bsdf(std::size_t j) const;
-    /// Unit direction from vertex position p to light point k.
+    /// Returns the unit direction from vertex position p to light point k.
     Vector3f light_direction(const Point3f& p, std::size_t k) const;
     const BsdfModel& model(std::size_t material) const { return models_[material]; }
 
   private:
     const PathGraph& graph_;
     std::vector<BsdfModel> models_;
-    std::map<std::size_t, RoughCoats> coats_;  // by material; models borrow
+    std::map<std::size_t, RoughCoats> coats_;  // [material]; models borrow
 };
 
 }  // namespace loom

@@ -15,7 +15,7 @@ Spectrum own_continuation(const GraphReader& reader, const ShadingPoint& at, std
 
 namespace {
 
-/// Of the technique that found a light against the other one.
+/// MIS weight of the technique that found a light against the other one.
 float mis_weight(bool next_event, float pdf_nee_w, float pdf_bsdf_w, Heuristic heuristic) {
     const float pdf = next_event ? pdf_nee_w : pdf_bsdf_w, other = next_event ? pdf_bsdf_w : pdf_nee_w;
     return heuristic == Heuristic::power ? power_heuristic(pdf, other) : pdf / (pdf + other);

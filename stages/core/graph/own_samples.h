@@ -1,5 +1,5 @@
 #pragma once
-// What a stored path contributes by its own samples alone, as in path tracing. Stages start from this estimate, compare
+// Contribution of a stored path by its own samples alone, as in path tracing. Stages start from this estimate, compare
 // with it, or fall back on it.
 
 #include <concepts>
@@ -8,33 +8,33 @@
 
 namespace loom {
 
-/// Weights of next-event estimation and BSDF sampling against each other.       [Veach1995]
+/// MIS heuristic between next-event estimation and BSDF sampling.       [Veach1995]
 enum class Heuristic { power, balance };
 
-/// f cos / pdf of the BSDF sample that leads from vertex j (`at`) along wi, roulette folded in.
+/// Returns f cos / pdf of the BSDF sample that leads from vertex j (`at`) along wi, including roulette.
 Spectrum own_continuation(const GraphReader& reader, const ShadingPoint& at, std::size_t j, const Vector3f& wi);
 
-/// f cos Li w / pdf of light edge k of vertex j (`at`).
+/// Returns f cos Li w / pdf of light edge k of vertex j (`at`).
 Spectrum own_light(const GraphReader& reader, const ShadingPoint& at, std::size_t j, std::size_t k,
                    Heuristic heuristic = Heuristic::power);
 
-/// f cos Li w / pdf of a light edge, given its numbers.
+/// Returns f cos Li w / pdf of a light edge, given its values.
 /// in:      pdf_w  density of the vertex's BSDF sample; used unless next-event estimation found the light
 /// needs:   the edge was not found by a delta lobe
 Spectrum own_light(const Spectrum& f_cos, const Spectrum& Li, bool next_event, float pdf_nee_w, float pdf_bsdf_w,
                    float pdf_w, Heuristic heuristic);
 
-/// First light edge at or after vertex j.
+/// Returns the first light edge at or after vertex j.
 std::size_t first_light_edge(const PathGraph& graph, std::size_t j);
 
-/// Unit direction in which vertex j continues.
+/// Returns the unit direction in which vertex j continues.
 /// needs:   the vertex is continued
 inline Vector3f continuation_direction(const PathGraph& graph, std::size_t j) {
     return -outgoing(graph, j + 1);
 }
 
-/// What walk_vertices() reads of stored paths. Vertices and light edges are rows of graph(); a weight is an Rgb<T>.
-///   vertex(j)           what the two weights of a vertex share, evaluated once
+/// Source of stored paths for walk_vertices(). Vertices and light edges are rows of graph(); a weight is an Rgb<T>.
+///   vertex(j)           what both weights of a vertex share, evaluated once
 ///   continuation(j, v)  f cos / pdf of the BSDF sample that leads to vertex j + 1
 ///   light(j, v, k)      f cos Li w / pdf of light edge k
 template <class Source, class T>
@@ -44,7 +44,7 @@ concept PathSource = requires(const Source& source, std::size_t row) {
     Rgb<T>(source.light(row, source.vertex(row), row));
 };
 
-/// Paths as they were traced, each by its own samples.
+/// Paths as traced, each with its own samples.
 class OwnSamples {
   public:
     explicit OwnSamples(const GraphReader& reader, Heuristic heuristic = Heuristic::power)
@@ -63,7 +63,7 @@ class OwnSamples {
     Heuristic heuristic_;
 };
 
-/// Rows of one path, or a piece of it.
+/// Rows of one path, or of a part of it.
 struct VertexRange {
     std::size_t begin, end;
 };
@@ -74,9 +74,9 @@ inline VertexRange vertices_of(const PathGraph& graph, std::size_t path) {
 /// Walks along vertices of one path: calls on_vertex(j, vertex) at each, then on_light(j, k, beta * light) for each of
 /// its light edges k. T is the number of weights: float, double or Dual.
 ///   beta_(j+1) = beta_j continuation_j
-/// in:      beta  throughput from the camera, or from where else the walk counts, to the first vertex
+/// in:      beta  throughput to the first vertex, from the camera or from another start of the walk
 ///          edge  first light edge of the first vertex
-/// out:     throughput to the vertex behind the last, if the path has one; edge: first one behind those of the walk
+/// out:     throughput to the vertex after the last, if the path has one; edge: the first one after those of the walk
 template <class T, PathSource<T> Source, class OnVertex, class OnLight>
 Rgb<T> walk_vertices(const Source& source, VertexRange rows, std::size_t path_end, Rgb<T> beta, std::size_t& edge,
                      OnVertex&& on_vertex, OnLight&& on_light) {
@@ -91,8 +91,8 @@ Rgb<T> walk_vertices(const Source& source, VertexRange rows, std::size_t path_en
     return beta;
 }
 
-/// Walks along a whole path; on_light gets the radiance that reaches the camera. The directly visible emitter
-/// (paths/Le) is not among it.
+/// Walks along a whole path; on_light gets the radiance that reaches the camera. Excludes the directly visible emitter
+/// (paths/Le).
 /// in:      edge  first light edge of the path; out: that of the next path
 template <class T = float, PathSource<T> Source, class OnVertex, class OnLight>
 void walk_path(const Source& source, std::size_t path, std::size_t& edge, OnVertex&& on_vertex, OnLight&& on_light) {

@@ -1,17 +1,17 @@
 #pragma once
-// When the light of stored paths arrives.                                                      [TR section 4.1]
+// Times of flight of stored paths, as optical path lengths.                                     [TR section 4.1]
 
 #include "stages/core/graph/own_samples.h"
 
 namespace loom {
 
-/// Which lengths count, and the speed of light.
+/// Segments whose length counts, and the speed of light.
 struct Timing {
-    // counts; of captures around a corner the segment from the laser to where it lights, too
+    // whether the first segment counts; in NLOS captures also that from the laser to the laser spot
     bool camera_segment = true;
-    std::vector<std::pair<float, float>> group_index{};  // of light whose phase index is the first
+    std::vector<std::pair<float, float>> group_index{};  // (phase index, group index)
 
-    /// Index of refraction by which light of a phase index is slowed down.
+    /// Returns the group index for a phase index; light travels with the former.
     double index(float phase) const {
         for (const auto& [from, to] : group_index)
             if (std::abs(phase - from) < 1e-4f * from) return to;
@@ -28,17 +28,17 @@ class OpticalLengths {
           timing_(std::move(timing)),
           laser_segment_(timing_.camera_segment || graph.nlos.capture.empty()) {}
 
-    /// From the camera to the first vertex of a path; 0 where that does not count.
+    /// Returns the length from the camera to the first vertex of a path; 0 where that segment does not count.
     double from_camera(std::size_t path) const {
         return timing_.camera_segment ? to_vertex(graph_.paths.first_vertex[path], camera_origin<double>(graph_, path))
                                       : 0.0;
     }
-    /// From a point to vertex j, in the medium of the segment that arrives there.
+    /// Returns the length from a point to vertex j, in the medium of the segment that arrives there.
     double to_vertex(std::size_t j, const Point3<double>& from) const {
         return index_of(graph_.vertices.eta, j) * length(position<double>(graph_, j) - from);
     }
-    /// Along light edge k from a point, and on to where the light starts if that is elsewhere (a lit spot, which
-    /// reflects: the laser is in the medium of the edge).
+    /// Returns the length along light edge k from a point, and on to the light's origin if that is elsewhere (a laser
+    /// spot, which reflects: the laser is in the medium of the edge).
     double to_light(std::size_t k, const Point3<double>& from) const {
         const auto& e = graph_.light_edges;
         const float* y = e.y.data() + 4 * k;
@@ -64,9 +64,9 @@ class OpticalLengths {
     bool laser_segment_;
 };
 
-/// Walks along a path and calls on_light(L, opl) for each light that reaches the camera, the directly visible emitter
-/// included.
-/// in: edge  first light edge of the path; out: that of the next path
+/// Walks along a path and calls on_light(L, opl) for each light that reaches the camera, including the directly visible
+/// emitter.
+/// in:      edge  first light edge of the path; out: that of the next path
 template <class OnLight>
 void walk_in_time(const GraphReader& reader, const OpticalLengths& lengths, std::size_t path, std::size_t& edge,
                   OnLight&& on_light) {

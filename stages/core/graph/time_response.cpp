@@ -7,9 +7,9 @@
 namespace loom {
 namespace {
 
-/// Standard deviations beyond which a normal distribution holds less than a double's rounding.
+/// Number of standard deviations beyond which a normal distribution's mass is below double precision.
 constexpr double far_sigmas = 8.3;
-/// Means beyond which an exponential distribution does.
+/// Number of means beyond which an exponential distribution's mass is.
 constexpr double far_tails = 37;
 
 double normal_density(double x) {
@@ -26,8 +26,7 @@ double mills_ratio(double a) {
     return 1 / f;
 }
 
-/// exp(v^2 / 2 - u v) normal_cdf(u - v), the exponential's part of an exponential Gaussian at u sigmas, v = sigma /
-/// tail.
+/// exp(v^2 / 2 - u v) normal_cdf(u - v): the exponential term of an exponential Gaussian at u sigmas, v = sigma / tail.
 double late_part(double u, double v) {
     const double x = u - v;
     if (x > -6) return std::exp(0.5 * v * v - u * v) * normal_cdf(x);

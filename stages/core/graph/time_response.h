@@ -1,11 +1,11 @@
 #pragma once
-// The correlated importance S_e of a time-resolved sensor: which part of the light that arrives after a time of flight
-// each bin records, given the pulse of the light and the gate of the bin.   [TR sections 4.1 and 4.2, figure 3]
+// The correlated importance S_e of a time-resolved sensor: the share of light that each bin records after a time of
+// flight, given the pulse of the light and the gate of the bin.   [TR sections 4.1 and 4.2, figure 3]
 //
-// All times are optical path lengths (m). A bin k is open over [start + k width, start + k width + gate). With
-// P(s) = energy of a unit pulse that has arrived by s after its time of flight,
+// All times are optical path lengths (m). A bin k is open over [start + k width, start + k width + gate). With P(s) =
+// the share of a pulse's energy that has arrived by s after its time of flight,
 //   S_e[k](tof) = P(start + k width + gate - tof) - P(start + k width - tof)
-// so that bins whose gates tile the time add up to 1, up to what arrives outside of the window.
+// so that bins whose gates tile the time sum to 1, except for light that arrives outside of the window.
 
 #include <cmath>
 #include <cstdint>
@@ -17,29 +17,29 @@
 
 namespace loom {
 
-/// The light's shape in time. Energy 1.
+/// Temporal profile of the light, with energy 1.
 class Pulse {
   public:
     enum class Kind : std::uint8_t { delta, box, gaussian, exponential_gaussian, table };
 
-    /// Everything at once.
+    /// All energy at emission.
     static Pulse delta() { return {}; }
-    /// Evenly over [0, length] after emission.
+    /// Uniform over [0, length] after emission.
     static Pulse box(double length);
-    /// Standard deviation sigma, its centre at emission.
+    /// Gaussian of standard deviation sigma, centred at emission.
     static Pulse gaussian(double sigma);
-    /// A Gaussian of that sigma whose photons are late by exponentially distributed lengths of mean `tail`: a laser
-    /// seen by a single-photon detector.
+    /// A Gaussian of that sigma, delayed by exponentially distributed lengths of mean `tail`: a laser with a
+    /// single-photon detector.
     static Pulse exponential_gaussian(double sigma, double tail);
     /// Piecewise linear between the points (at, power), 0 outside of them; power is scaled to energy 1.
-    /// throws: InputError unless `at` rises, power >= 0 and not 0 everywhere
+    /// throws:  InputError unless `at` increases, power >= 0, and power is not 0 everywhere
     static Pulse table(std::vector<double> at, std::vector<double> power);
 
     Kind kind() const { return kind_; }
     bool is_delta() const { return kind_ == Kind::delta; }
     /// P(s), from 0 to 1.
     double arrived(double s) const;
-    /// dP/ds, the power at s; 0 for a delta pulse, whose derivative no number holds.
+    /// dP/ds, the power at s; 0 for a delta pulse, whose derivative is no function.
     double power(double s) const;
     /// P is 0 up to `begin` and 1 from `end`, to double precision.
     double begin() const { return begin_; }
@@ -54,20 +54,20 @@ class Pulse {
     Kind kind_ = Kind::delta;
     double length_ = 0, tail_ = 0;  // length or sigma
     double begin_ = 0, end_ = 0;
-    std::vector<double> at_, power_, arrived_;  // of a table
+    std::vector<double> at_, power_, arrived_;  // table only
 };
 
-/// Light and sensor modulated with one period instead of pulses and gates: n bins, the sensor's modulation of bin k
-/// late by k / n of a period.
+/// Light and sensor modulated with one period instead of pulses and gates. There are n bins; the sensor's modulation of
+/// bin k is delayed by k / n of a period.
 ///   sine    both 1 + cos:               S_e = (1 + cos(2 pi (tof / period - k / n)) / 2) / n
 ///   square  both on for half a period:  S_e is a triangle over [0, 2 / n]
-/// Bins add up to 1 for n >= 2 (sine) and for even n (square).
+/// Bins sum to 1 for n >= 2 (sine) and for even n (square).
 enum class Modulation : std::uint8_t { none, sine, square };
 
 /// S_e of all bins.
 struct TimeResponse {
     std::uint32_t n_bins = 1;
-    double start = 0, width = 1;  // of the first gate, and from gate to gate
+    double start = 0, width = 1;  // start of the first gate, and distance between gates
     double gate = 1;              // length of a gate
     Pulse pulse;
     Modulation modulation = Modulation::none;
@@ -75,15 +75,16 @@ struct TimeResponse {
 
     double end() const { return start + n_bins * width; }
 
-    /// S_e[k] for a time of flight; exact derivatives with a Dual, but for a delta pulse, where S_e jumps.
+    /// Returns S_e[k] for a time of flight. Derivatives with a Dual are exact, except for a delta pulse, where S_e
+    /// jumps.
     template <class T>
     T weight(std::int64_t k, const T& tof) const;
 
-    /// Parts that arrive before start and after end(), of light of a known time of flight.
+    /// Shares that arrive before start and after end(), for light of a given time of flight.
     struct Outside {
         double before = 0, after = 0;
     };
-    /// Calls visit(k, S_e[k]) for the bins that record something.
+    /// Calls visit(k, S_e[k]) for every bin with S_e > 0.
     template <class Visit>
     Outside spread(double tof, Visit&& visit) const;
 };
@@ -104,7 +105,7 @@ T TimeResponse::weight(std::int64_t k, const T& tof) const {
     }
     const double open = start + double(k) * width;
     if (pulse.is_delta()) {
-        // One rule for bins and for outside: which bin a length on a border belongs to is said once.
+        // The same rule for bins and for Outside, so that a length on a border counts once.
         double x;
         if constexpr (std::is_same_v<T, double>)
             x = (tof - start) / width;
@@ -122,7 +123,7 @@ TimeResponse::Outside TimeResponse::spread(double tof, Visit&& visit) const {
         return {};
     }
     const double x = (tof - start) / width, g = gate / width;
-    // The first bin whose gate closes after the pulse begins, the last that opens before it ends.
+    // The first bin whose gate closes after the pulse begins, and the last whose gate opens before the pulse ends.
     const double first = std::max(std::floor(x + pulse.begin() / width - g) + 1, 0.0);
     const double last = std::min(std::floor(x + pulse.end() / width), double(n_bins) - 1);
     if (pulse.is_delta()) {

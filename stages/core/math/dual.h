@@ -1,7 +1,6 @@
 #pragma once
-// Forward-mode differentiation: a value carried together with its derivatives by N parameters.
-// Every formula of scattering and transport is a template over the number; fed with a Dual it gives
-// its derivatives from the same lines that give its value.
+// Forward-mode differentiation: a value together with its derivatives with respect to N parameters. Every formula of
+// scattering and transport is a template over the number type; with a Dual, the same lines compute its derivatives.
 
 #include <array>
 #include <cmath>
@@ -9,12 +8,11 @@
 
 namespace loom {
 
-/// A value and its partial derivatives by N parameters.
+/// A value and its partial derivatives with respect to N parameters.
 ///   (f, f') ; arithmetic follows the chain rule
 /// needs:   Real is float or double
-/// differs: where a derivative is infinite at the edge of a domain (sqrt(0), acos(±1)) it is 0, so that
-///          the side of a select() that was not taken cannot turn the other side into NaN; the value
-///          itself follows the rules of Real.
+/// differs: where a derivative is infinite at the edge of a domain (sqrt(0), acos(±1)) it is 0. Thus the unused side of
+///          a select() cannot turn the used side into NaN. The value itself follows the rules of Real.
 template <int N, class Real = float>
 struct Dual {
     Real value{};
@@ -25,7 +23,7 @@ struct Dual {
     template <class U>
     requires std::is_arithmetic_v<U>
     constexpr Dual(U constant) : value(static_cast<Real>(constant)) {}
-    /// The independent variable number i: its derivative by itself is 1.
+    /// The independent variable number i: its derivative with respect to itself is 1.
     static constexpr Dual variable(Real x, int i) {
         Dual result(x);
         result.d[i] = Real(1);
@@ -64,7 +62,7 @@ struct Dual {
     constexpr Dual& operator*=(const Dual& o) { return *this = *this * o; }
     constexpr Dual& operator/=(const Dual& o) { return *this = *this / o; }
 
-    // Comparisons are by value, so that a select() takes the branch that the plain number takes.
+    // Comparisons use the value, so that a select() takes the same branch as the plain number.
     friend constexpr bool operator==(const Dual& a, const Dual& b) { return a.value == b.value; }
     friend constexpr auto operator<=>(const Dual& a, const Dual& b) { return a.value <=> b.value; }
 
@@ -101,12 +99,12 @@ struct Dual {
         constexpr Real two_over_sqrt_pi = Real(1.12837916709551257390);
         return x.chain(std::erf(x.value), two_over_sqrt_pi * std::exp(-x.value * x.value));
     }
-    /// x^p; at x = 0 the derivative by p is 0, its limit for p > 0.
+    /// x^p; at x = 0 the derivative with respect to p is 0, its limit for p > 0.
     friend Dual pow(const Dual& x, const Dual& p) {
         const Real f = std::pow(x.value, p.value);
         const Real df_dx = p.value == Real(0) ? Real(0) : p.value * std::pow(x.value, p.value - Real(1));
         const Real df_dp = x.value == Real(0) ? Real(0) : f * std::log(x.value);
-        // A constant power of a negative number has no logarithm and needs none.
+        // For a constant power no logarithm is computed: a negative base has none.
         Dual result(f);
         for (int i = 0; i < N; ++i) result.d[i] = df_dx * x.d[i] + (p.d[i] == Real(0) ? Real(0) : df_dp * p.d[i]);
         return result;
@@ -120,7 +118,7 @@ struct Dual {
     }
 };
 
-/// Whether a number moves with a parameter: any of its derivatives is not 0.
+/// Whether a number depends on a parameter, i.e. any of its derivatives is not 0.
 template <class Real>
 requires std::is_arithmetic_v<Real>
 constexpr bool moves(Real) {
@@ -133,7 +131,7 @@ constexpr bool moves(const Dual<N, Real>& x) {
     return false;
 }
 
-/// The plain number under any of the numbers a formula may be fed with: for indices and choices.
+/// Returns the plain value of any number type that a formula may take; for indices and choices.
 template <class Real>
 requires std::is_arithmetic_v<Real>
 constexpr Real value_of(Real x) {

@@ -7,8 +7,8 @@
 
 namespace loom {
 
-/// Affine or projective map of points, row-major, acting on column vectors; world units are m.
-/// T is double, or a Dual where the map moves with a parameter.
+/// Affine or projective map of points, row-major, acting on column vectors; world units are m. T is double, or a Dual
+/// where the map moves with a parameter.
 template <class T>
 struct Matrix4 {
     std::array<T, 16> m{T(1), T(0), T(0), T(0), T(0), T(1), T(0), T(0), T(0), T(0), T(1), T(0), T(0), T(0), T(0), T(1)};
@@ -22,19 +22,19 @@ struct Matrix4 {
     Vector3<T> vector(const Vector3<T>& v) const;
     /// Determinant of the upper left 3x3 block; negative for a mirrored transform.
     T determinant3() const;
-    /// Inverse transpose of the upper left 3x3 block (row-major): maps normals, length not kept.
-    /// needs: determinant3() != 0
+    /// Inverse transpose of the upper left 3x3 block (row-major): maps normals without preserving their length.
+    /// needs:   determinant3() != 0
     std::array<T, 9> normal_matrix() const;
-    /// Whether the 3x3 block has no inverse, judged relative to the lengths of its columns.
+    /// Whether the 3x3 block has no inverse, relative to the lengths of its columns.
     bool singular() const;
     bool finite() const;
 
     static Matrix4 translation(const T& x, const T& y, const T& z);
     static Matrix4 scaling(const T& x, const T& y, const T& z);
-    /// needs: a non-zero axis
+    /// needs:   a non-zero axis
     static Matrix4 rotation(const Vector3<T>& axis, const T& angle_rad);
-    /// Camera at `origin`: z to `target`, x to the left, y up (Mitsuba's handedness).
-    /// needs: target != origin, up not parallel to the view
+    /// Camera at `origin`: z points to `target`, x left, y up (Mitsuba's handedness).
+    /// needs:   target != origin, up not parallel to the view
     static Matrix4 look_at(const Point3<T>& origin, const Point3<T>& target, const Vector3<T>& up);
 
   private:

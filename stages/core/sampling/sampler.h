@@ -1,7 +1,7 @@
 #pragma once
-// Random numbers are a function of (seed, pixel, sample, dimension) and of nothing else, so that a path
-// can be replayed alone, is the same for any number of threads, and stays itself when another path or
-// an edited object makes its neighbours longer or shorter.
+// A sample is a function of (seed, pixel, sample, dimension) only. Thus a path can be replayed alone, is the same for
+// any number of threads, and stays unchanged when another path or an edited object makes its neighbours longer or
+// shorter.
 
 #include <cstddef>
 #include <cstdint>
@@ -19,7 +19,7 @@ constexpr std::uint64_t mix64(std::uint64_t x) {
     return x ^ (x >> 31);
 }
 
-/// Bijective 32-bit mixer, one that loops over columns vectorise.          [Wellons2018] lowbias32
+/// Bijective 32-bit mixer that vectorises in loops over columns.            [Wellons2018] lowbias32
 constexpr std::uint32_t mix32(std::uint32_t x) {
     x ^= x >> 16;
     x *= 0x7feb352du;
@@ -28,33 +28,33 @@ constexpr std::uint32_t mix32(std::uint32_t x) {
     return x ^ (x >> 16);
 }
 
-/// [0, 1), 24 bits: every value is a float, none rounds up to 1.
+/// Maps to [0, 1) with 24 bits: every value is a float, none rounds up to 1.
 constexpr float unit_float(std::uint32_t bits) {
     return float(bits >> 8) * 0x1p-24f;
 }
 
 enum class SamplerKind : std::uint8_t { sobol = 0, independent = 1 };
 
-/// Two-dimensional random numbers of one (seed, pixel, sample), by pair of dimensions.
+/// Two-dimensional samples of one (seed, pixel, sample), by pair of dimensions.
 ///
 /// sobol:        each pair is the (0,2)-sequence, Owen-scrambled and shuffled by a hash of
-///               (seed, pixel, pair); over the samples of a pixel each pair is well spread, pixels and
+///               (seed, pixel, pair). Each pair is well distributed over the samples of a pixel; pixels and
 ///               pairs are independent.        [Burley2020] "Practical Hash-based Owen Scrambling"
-/// independent:  a hash of everything.
+/// independent:  a hash of seed, pixel, sample and pair.
 class Sampler {
   public:
     Sampler(SamplerKind kind, std::uint64_t seed, std::uint64_t pixel, std::uint64_t sample)
         : kind_(kind), index_(std::uint32_t(sample)) {
         std::uint64_t key = mix64(seed * 0x9e3779b97f4a7c15ull + 0x632be59bd9b4e019ull);
         key = mix64(key ^ (pixel * 0xd6e8feb86659fd93ull + 0x2545f4914f6cdd1dull));
-        // A sobol sequence has 2^32 points; what lies beyond starts a new scramble.
+        // A Sobol sequence has 2^32 points; later samples use another scramble.
         const std::uint64_t block = kind == SamplerKind::sobol ? sample >> 32 : sample + 1;
         if (block != 0) key = mix64(key ^ (block * 0xa0761d6478bd642full));
         key_lo_ = std::uint32_t(key);
         key_hi_ = std::uint32_t(key >> 32);
     }
 
-    /// Both numbers of a pair of dimensions.
+    /// Returns both samples of a pair of dimensions.
     Point2f pair(std::uint32_t dimension) const {
         Point2f u;
         if (kind_ == SamplerKind::sobol)
@@ -68,7 +68,7 @@ class Sampler {
     std::uint32_t key_hi() const { return key_hi_; }
     std::uint32_t index() const { return index_; }
 
-    /// Numbers of one pair from the parts of a sampler.
+    /// Returns the samples of one pair from a sampler's keys and index.
     static constexpr void independent(std::uint32_t lo, std::uint32_t hi, std::uint32_t dimension, float& x, float& y) {
         std::uint32_t a = 0, b = 0;
         hash(lo, hi, dimension, a, b);
@@ -123,8 +123,9 @@ class Sampler {
     std::uint32_t index_, key_lo_, key_hi_;
 };
 
-/// Sampler::pair for a column of samplers of one kind, told by their keys; the same bits on every x86-64 level.
-/// in: key_lo, key_hi, index  uint32[n]; out: x, y  float[n]
+/// Sampler::pair for a column of samplers of one kind, given by their keys; bit-identical on every x86-64 level.
+/// in:      key_lo, key_hi, index  uint32[n]
+/// out:     x, y  float[n]
 void sampler_pairs(SamplerKind kind, const std::uint32_t* key_lo, const std::uint32_t* key_hi,
                    const std::uint32_t* index, std::uint32_t dimension, std::size_t n, float* x, float* y);
 

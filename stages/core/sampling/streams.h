@@ -1,6 +1,6 @@
 #pragma once
-// Random streams: which seed a computation draws from, and which dimensions of a sample it uses for what. All seeds that
-// the stages derive from --seed stand here, so that no two computations share one by accident.
+// Random streams: the seed of each computation, and the use of each dimension of a sample. All seeds that the stages
+// derive from --seed are defined here, so that no two computations share one by accident.
 
 #include <cstdint>
 #include <string_view>
@@ -9,15 +9,15 @@
 
 namespace loom {
 
-// Each decision has its own pair of dimensions, used or not, so that an edit which skips one leaves all others as they
-// were.
+// Each decision has its own pair of dimensions, used or not, so that an edit that skips one leaves all others
+// unchanged.
 
-/// Pair of dimensions of a camera path that chooses its position on the film.
+/// Pair of dimensions of a camera path for its position on the film.
 inline constexpr std::uint32_t film_pair = 0;
 /// Pairs of dimensions of a camera path at one vertex.
 enum class Dimension : std::uint32_t { light = 1, direction = 2, lobe = 3, roulette = 4 };
 /// Pair of dimensions of a camera path.
-/// in: depth  number of the vertex that decides, from 1
+/// in:      depth  index of the vertex that decides, from 1
 constexpr std::uint32_t dimension(int depth, Dimension of) {
     return std::uint32_t(depth - 1) * 4 + std::uint32_t(of);
 }
@@ -42,17 +42,17 @@ constexpr std::uint64_t numbered(std::uint64_t seed, std::uint64_t n) {
 
 // Residual.
 
-/// Paths of a residual. They differ from those of an image of the same --seed, to which a residual is added.
+/// Paths of a residual. They differ from those of an image of equal --seed, to which a residual is added.
 constexpr std::uint64_t residual(std::uint64_t seed) {
     return mix64(seed ^ salt("residual"));
 }
-/// Paths of the new scene where they shall not be those of the old one.
-/// in: old_scene  seed of the old scene's paths
+/// Paths of the new scene that must be independent of those of the old one.
+/// in:      old_scene  seed of the old scene's paths
 constexpr std::uint64_t independent_of(std::uint64_t old_scene) {
     return mix64(old_scene);
 }
 /// Samples of a pass whose number of samples is not known beforehand.
-/// in: first_sample  number of the first sample of the pass
+/// in:      first_sample  index of the first sample of the pass
 constexpr std::uint64_t pass(std::uint64_t seed, std::uint64_t first_sample) {
     return numbered(seed, first_sample + 1);
 }
@@ -64,27 +64,27 @@ constexpr std::uint64_t pilot(std::uint64_t pass_seed) {
 constexpr std::uint64_t family(std::uint64_t pass_seed, std::uint64_t family_idx) {
     return numbered(pass_seed, family_idx + 1);
 }
-/// Edit k of a chain, from 1; the first has the seed itself.
+/// Edit k of a chain, from 1; the first uses the seed itself.
 ///   seed_k = seed XOR mix64(k - 1),  mix64(0) = 0
-/// For one seed all are different, so that edits have no random numbers in common and their variances add up. With the
-/// same numbers the residuals of consecutive edits would telescope:
+/// For one seed all streams are different, so that edits are independent and their variances add up. With equal streams
+/// the residuals of consecutive edits would telescope:
 ///   [L_2(u) - L_1(u)] + [L_1(u) - L_0(u)] = L_2(u) - L_0(u)
-/// An emitter that twice grows brighter by the same step would have twice the variance that the ledger states, one that
-/// goes back none. Passes of one edit share one seed.
+/// An emitter that brightens twice by the same step would have twice the variance that the ledger states; one that
+/// returns to its old value would have none. Passes of one edit share one seed.
 constexpr std::uint64_t edit(std::uint64_t seed, std::uint64_t k) {
     return seed ^ mix64(k - 1);
 }
 
 // Clusters and gathering.
 
-/// Rotations of the metric's position and normal axes, from pass to pass.
+/// Rotations of the metric's position and normal axes, per pass.
 constexpr std::uint64_t position_rotation(std::uint64_t seed) {
     return mix64(seed);
 }
 constexpr std::uint64_t normal_rotation(std::uint64_t seed) {
     return mix64(~seed);
 }
-/// Vertex number i of the subset that places the buckets.
+/// Vertex i of the subset that defines the buckets.
 constexpr std::uint64_t subset(std::uint64_t seed, std::uint64_t i) {
     return mix64(seed * golden_gamma + i);
 }
@@ -92,12 +92,12 @@ constexpr std::uint64_t subset(std::uint64_t seed, std::uint64_t i) {
 constexpr std::uint64_t part(std::uint64_t seed, std::uint64_t part_idx) {
     return mix64(seed + part_idx);
 }
-/// Uniform number i in [0, 1) of a selection without replacement.
+/// Uniform sample i in [0, 1) of a selection without replacement.
 constexpr double selection(std::uint64_t seed, std::uint64_t i) {
     return double(mix64(seed * 0xd6e8feb86659fd93ull + i + 1) >> 11) * 0x1p-53;
 }
-/// Members that a path gathers from.
-/// in: first_sample  of the pass
+/// Members from which a path gathers.
+/// in:      first_sample  index of the first sample of the pass
 constexpr std::uint64_t gather(std::uint64_t seed, std::uint64_t first_sample, std::uint64_t path_idx) {
     return mix64(numbered(seed, first_sample) ^ path_idx);
 }

@@ -1,5 +1,5 @@
-// The column loops of the sampler, compiled once per x86-64 level (LOOM_LEVEL is v2, v3 or v4); the sampler's
-// functions are constexpr and inlined, so nothing else of a level leaks into the program.
+// The column loops of the sampler, compiled once per x86-64 level (LOOM_LEVEL is v2, v3 or v4). The sampler's functions
+// are constexpr and inlined, so no other code of a level enters the program.
 #include "stages/core/sampling/sampler_levels.h"
 
 namespace loom::LOOM_LEVEL {
