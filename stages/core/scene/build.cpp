@@ -31,7 +31,7 @@ Mesh rectangle_mesh() {
                       {0, 1, 2, 2, 3, 0});
 }
 
-/// The cube [-1,1]^3, four vertices a face, in Mitsuba's order (it fixes the texture coordinates).
+/// Makes the cube [-1,1]^3 with four vertices per face, in Mitsuba's order (it determines the texture coordinates).
 Mesh cube_mesh() {
     static constexpr int corners[6][4] = {{4, 5, 1, 0}, {6, 2, 3, 7}, {4, 6, 7, 5},
                                           {5, 7, 3, 1}, {1, 3, 2, 0}, {6, 4, 0, 2}};
@@ -49,7 +49,8 @@ Mesh cube_mesh() {
     return mesh;
 }
 
-/// A flat-faced mesh of ours; a mirrored one keeps its faces towards the image of their normals.
+/// Transforms a flat-faced mesh of build.cpp; the faces of a mirrored one stay on the side of their transformed
+/// normals.
 void place_flat(Mesh& mesh, const Matrix4d& world) {
     transform(mesh, world);
     if (world.determinant3() < 0)
@@ -109,14 +110,15 @@ double shape_area(const Shape& shape, std::vector<double>* triangle_areas) {
     return sum;
 }
 
-/// The shape that a capture around a corner looks at, by its number; -1 for any other scene.
+/// Returns the index of the relay wall of an NLOS capture; -1 for any other scene.
 int find_relay_wall(const std::vector<ObjectPtr>& shapes) {
     for (std::size_t i = 0; i < shapes.size(); ++i)
         if (shapes[i]->child(Category::sensor)) return int(i);
     return -1;
 }
 
-/// Of the field of view along x; without one, that of a lens of `focal_length` on 35 mm film (its diagonal).
+/// Returns the tangent for the field of view along x; without one, for a lens of `focal_length` on 35 mm film (its
+/// diagonal).
 double tan_half_fov(const Object& o, double aspect) {
     const double x_of_diagonal = aspect / std::sqrt(1 + aspect * aspect);
     if (!o.has("fov")) {
@@ -165,7 +167,7 @@ void build_sensor(const Object& root, const Object* relay_wall, Sensor& s, Trans
             } else if (filter->plugin == "tent") {
                 s.filter = Filter::tent;
                 s.filter_radius = filter->get_float("radius", 1.0f);
-            } else {  // or another filter, rendered as this one
+            } else {  // other filters are replaced by this one
                 s.gaussian_stddev = filter->get_float("stddev", 0.5f);
                 s.filter_radius = 4 * s.gaussian_stddev;
             }
@@ -175,13 +177,13 @@ void build_sensor(const Object& root, const Object* relay_wall, Sensor& s, Trans
     s.prepare();
 }
 
-/// The path integrator's limits; a wrapper such as `moment` passes on those of what it wraps.
+/// Reads the path integrator's limits; a wrapper such as `moment` uses those of the wrapped integrator.
 void build_limits(const Object& root, View& view) {
     ObjectPtr o = root.child(Category::integrator);
     while (o && o->child(Category::integrator)) o = o->child(Category::integrator);
     if (!o) return;
     const bool transient = o->plugin.starts_with("transient_");
-    // Integrators that Mitsuba and mitransient write in Python stop at 6 where the file does not say.
+    // Python integrators of Mitsuba and mitransient end at depth 6 by default.
     const bool in_python = transient || o->plugin.starts_with("prb");
     view.max_depth = o->plugin.starts_with("direct") ? 2 : o->get_int("max_depth", in_python ? 6 : -1);
     view.rr_depth = o->get_int("rr_depth", 5);
@@ -194,10 +196,11 @@ void build_limits(const Object& root, View& view) {
         view.transient.sigma_opl = o->get_double("gaussian_stddev", 2.0) * view.transient.bin_width_opl;
 }
 
-/// Camera rays of Mitsuba start on the near plane, and mitransient counts lengths from there. [mitransient 1.3.1]
+/// Notes a near plane: camera rays of Mitsuba start on it, and mitransient counts lengths from there.
+///                                                                                                  [mitransient 1.3.1]
 void note_near_plane(const Sensor& s, const TransientFilm& film, std::vector<std::string>& notes) {
     if (film.n_bins == 0 || !film.camera_segment || s.kind == SensorKind::nlos_capture_meter) return;
-    constexpr std::uint32_t most = 16;  // columns and rows looked at
+    constexpr std::uint32_t most = 16;  // sampled columns and rows
     double sum = 0, least = INFINITY, longest = 0;
     const std::uint32_t columns = std::min(s.width, most), rows = std::min(s.height, most);
     for (std::uint32_t j = 0; j < rows; ++j)
@@ -210,7 +213,7 @@ void note_near_plane(const Sensor& s, const TransientFilm& film, std::vector<std
             longest = std::max(longest, before_plane);
         }
     const double mean = sum / (double(columns) * rows);
-    constexpr double worth_saying = 0.05;  // bins
+    constexpr double worth_saying = 0.05;  // threshold of the note, in bins
     if (!(mean > worth_saying * film.bin_width_opl)) return;
     notes.push_back(
         fmt::format("near_clip {:.6g}: mitransient counts optical lengths from the near plane, Pathloom from the "
@@ -232,8 +235,8 @@ int add_light_texture(const Object& texture, Scene& scene, TextureCache& cache) 
     return int(scene.textures.size()) - 1;
 }
 
-/// A parameter of an emitter that a texture may give: index of the texture, whose factor is then 1, or -1 and the
-/// constant.
+/// Reads a parameter of an emitter that may be textured. Returns the index of the texture, with factor 1, or -1 with
+/// the constant.
 int textured_spectrum(const Object& o, const char* name, Spectrum& value, Scene& scene, TextureCache& cache) {
     const auto got = o.get_texture_or_rgb(name, Spectrum(1));
     const auto* texture = std::get_if<ObjectPtr>(&got);
@@ -246,8 +249,8 @@ bool emits_light(const Emitter& e, const Scene& scene) {
     return !is_black(e.radiance) && (e.texture < 0 || !is_black(scene.textures[std::size_t(e.texture)].mean()));
 }
 
-/// Fills scene.emitter_pmf. Emitters without light keep their share, so that switching a light off changes the choice
-/// of no other light.
+/// Fills scene.emitter_pmf. Emitters without light keep their probability, so that switching a light off does not
+/// change the choice of any other.
 void build_choice_of_lights(const std::vector<ObjectPtr>& emitters, Scene& scene) {
     const bool any_light = std::any_of(scene.emitters.begin(), scene.emitters.end(),
                                        [&](const Emitter& e) { return emits_light(e, scene); });
@@ -333,7 +336,7 @@ void record_triangles(Shape& shape) {
     }
 }
 
-/// A rectangle whose corners go (0, 0), (1, 0), (1, 1), (0, 1) in texture space, and not round the other way.
+/// Whether the corners of a rectangle are in the order (0, 0), (1, 0), (1, 1), (0, 1) in texture space, not reversed.
 bool is_parallelogram(const Object& shape) {
     return shape.plugin == "rectangle" && shape.get_transform("to_world").determinant3() > 0;
 }
@@ -395,7 +398,7 @@ void find_bounds(Scene& scene) {
     Box3f all;
     for (const Shape& s : scene.shapes) {
         Box3f box = s.bounds();
-        // The size of a scene does not depend on how its disks are turned.
+        // The size of a scene must not depend on the rotation of its disks about their axes.
         if (s.kind == ShapeKind::disk) {
             box = {s.round.center, s.round.center};
             box.grow(std::max(length(s.round.u_axis), length(s.round.v_axis)));

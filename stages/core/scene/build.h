@@ -6,28 +6,28 @@
 
 namespace loom {
 
-/// Reads a scene file and all it refers to, and builds the acceleration structure. Meshes and textures
-/// are loaded in parallel.
-/// throws: InputError with the place in the file
+/// Reads a scene file and all files that it refers to, and builds the acceleration structure. Meshes and textures are
+/// loaded in parallel.
+/// throws:  InputError with the location in the file
 std::unique_ptr<Scene> load_scene(const std::filesystem::path& file, const Defines& defines = {},
                                   const std::string& sensor = {});
 
-/// The same from a description that has been read.
+/// Builds a scene from a parsed description.
 std::unique_ptr<Scene> build_scene(SceneDescription description);
 
-/// What a scene says of its picture and not of what is in it.
+/// Image parameters of a scene, without its contents.
 struct View {
     Sensor sensor;
     TransientFilm transient;
     int max_depth = -1, rr_depth = 5;
     bool hides_emitters = false;
 };
-/// From the root of a description; opens no file.
-/// throws: InputError with the place in the file
+/// Reads the view from the root of a description; opens no file.
+/// throws:  InputError with the location in the file
 View read_view(const Object& root);
 
-/// From texts NAME=VALUE, as a command line has them.
-/// throws: InputError
+/// Parses texts NAME=VALUE, as given on a command line.
+/// throws:  InputError
 Defines parse_defines(const std::vector<std::string>& texts);
 
 }  // namespace loom

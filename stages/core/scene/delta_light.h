@@ -1,12 +1,12 @@
 #pragma once
-// Light of emitters without an area, as templates over the number T: float for the tracer, Dual where an emitter or the
-// surface point moves with a parameter.
+// Light of emitters without area, as templates over the number T: float for the tracer, Dual where an emitter or the
+// surface point depends on a parameter.
 
 #include "stages/core/scene/scene.h"
 
 namespace loom {
 
-/// Position, axes and radiance of an emitter as numbers that may move with a parameter; the rest is Emitter's.
+/// Position, axes and radiance of an emitter that may depend on a parameter; all other values are Emitter's.
 template <class T>
 struct EmitterPose {
     Rgb<T> radiance;
@@ -20,8 +20,8 @@ struct EmitterPose {
           frame(Vector3<T>(axes.s), Vector3<T>(axes.t), Normal3<T>(axes.n)) {}
 };
 
-/// Part of its intensity that a spot emits into a local direction: 1 inside the beam, falling linearly with the angle to
-/// 0 at the cutoff; times the texture.
+/// Fraction of its intensity that a spot emits in a local direction: 1 inside the beam, falling linearly with the angle
+/// to 0 at the cutoff; times the texture.
 template <class T>
 Rgb<T> spot_falloff(const Scene& scene, const Emitter& e, const Vector3<T>& local) {
     using std::acos;
@@ -33,8 +33,8 @@ Rgb<T> spot_falloff(const Scene& scene, const Emitter& e, const Vector3<T>& loca
     return scene.textures[e.texture].eval(Point2<T>{T(0.5f) + local.x * scale, T(0.5f) + local.y * scale}) * falloff;
 }
 
-/// Radiance of a projector's beam at x and y, in units of half its width and height. The image stands upright for a
-/// viewer who looks along the beam, as that of a camera in the projector's place.
+/// Radiance of a projector's beam at x and y, in units of half its width and height. The image is upright for a viewer
+/// who looks along the beam, like that of a camera at the projector's position.
 template <class T>
 Rgb<T> beam_radiance(const Scene& scene, const Emitter& projector, const Rgb<T>& radiance, const T& x, const T& y) {
     if (projector.texture < 0) return radiance;
@@ -54,8 +54,8 @@ Rgb<T> projected(const Scene& scene, const Emitter& projector, const EmitterPose
     return radiance * (pi<T> * length(local) / (local.z * local.z * local.z));
 }
 
-/// Light of a delta emitter at a surface point; pdf_w is 1.
-/// needs: e.is_delta()
+/// Returns the light sample of a delta emitter at a surface point; pdf_w is 1.
+/// needs:   e.is_delta()
 template <class T>
 LightSampleOf<T> delta_light(const Scene& scene, const Emitter& e, const EmitterPose<T>& pose, const Point3<T>& from) {
     using std::sqrt;

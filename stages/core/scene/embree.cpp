@@ -1,4 +1,4 @@
-// The only file that knows Embree, 3 or 4.
+// The only file that uses Embree, 3 or 4.
 #include "stages/core/scene/embree.h"
 
 #if LOOM_EMBREE >= 4
@@ -26,7 +26,8 @@ struct AnalyticHit {
     float u, v;
 };
 
-/// Roots of the line of a ray, in double: a float quadratic loses the far side of a large sphere. False: none.
+/// Computes the ray parameters at a sphere in double precision: a float quadratic loses the far side of a large sphere.
+/// Returns false for a miss.
 bool sphere_roots(const Shape& s, const Ray& r, double roots[2]) {
     const Vector3<double> o{double(r.o.x) - s.round.center.x, double(r.o.y) - s.round.center.y,
                             double(r.o.z) - s.round.center.z};
@@ -103,7 +104,7 @@ void analytic_intersect(const RTCIntersectFunctionNArguments* args) {
     }
 }
 
-/// Context of a ray query; callbacks get the address of its first member.
+/// Context of a ray query; callbacks receive the address of its first member.
 struct QueryContext {
 #if RTC_VERSION_MAJOR >= 4
     RTCRayQueryContext rtc;
@@ -111,7 +112,7 @@ struct QueryContext {
     RTCIntersectContext rtc;
 #endif
     bool coherent = false;
-    std::vector<Hit>* crossings = nullptr;  // collects every hit; no hit ends the ray
+    std::vector<Hit>* crossings = nullptr;  // collects all hits; no hit ends the ray
 };
 
 std::vector<Hit>* crossings_of(const auto& args) {
@@ -126,7 +127,7 @@ void collect_triangle(const RTCFilterFunctionNArguments* args) {
         const Hit hit{RTCRayN_tfar(args->ray, args->N, i), RTCHitN_u(args->hit, args->N, i),
                       RTCHitN_v(args->hit, args->N, i), RTCHitN_geomID(args->hit, args->N, i),
                       RTCHitN_primID(args->hit, args->N, i)};
-        // A triangle that the builder has split is met in each of its parts.
+        // A triangle that the builder has split is hit once per piece.
         const auto same = [&](const Hit& h) { return h.shape == hit.shape && h.primitive == hit.primitive; };
         if (std::none_of(hits.begin(), hits.end(), same)) hits.push_back(hit);
     }
@@ -164,7 +165,7 @@ void analytic_occluded(const RTCOccludedFunctionNArguments* args) {
 
 constexpr RTCSceneFlags crossings_flag = RTC_SCENE_FLAG_FILTER_FUNCTION_IN_ARGUMENTS;
 
-/// The default context of Embree 4 has no QueryContext around it, so every query brings its own.
+/// The default context of Embree 4 is not part of a QueryContext, so every query provides its own.
 void init(QueryContext& context) {
     rtcInitRayQueryContext(&context.rtc);
 }
@@ -273,7 +274,7 @@ RayEngine::RayEngine(const std::vector<Shape>& shapes, Use use) : impl_(std::mak
         RTCGeometry geometry;
         if (shape.kind == ShapeKind::mesh) {
             geometry = rtcNewGeometry(impl_->device, RTC_GEOMETRY_TYPE_TRIANGLE);
-            // Embree reads 16 bytes from the last vertex on, so the buffer is its own, padded.
+            // Embree reads 16 bytes from the last vertex, so it needs a padded copy.
             const auto& p = shape.mesh.positions;
             auto* vertices = static_cast<float*>(
                 rtcSetNewGeometryBuffer(geometry, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3, 12, p.size()));

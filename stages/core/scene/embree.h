@@ -14,8 +14,8 @@ class RayEngine {
   public:
     enum class Use {
         all_rays,
-        crossings,   // crossings() too, which costs the others a little
-        camera_rays  // of a scene that hides its emitters: shapes that emit are not there
+        crossings,   // crossings() too, which slows down the other queries slightly
+        camera_rays  // for a scene that hides its emitters: without shapes that emit
     };
     explicit RayEngine(const std::vector<Shape>& shapes, Use use = Use::all_rays);
     ~RayEngine();
@@ -24,10 +24,12 @@ class RayEngine {
 
     Hit intersect(const Ray& ray) const;
     bool occluded(const Ray& ray) const;
-    /// All surfaces that a ray passes through, in no order, each once; a sphere may be passed through twice.
+    /// Finds all surfaces along a ray, unordered, each once; a sphere may be crossed twice.
     void crossings(const Ray& ray, std::vector<Hit>& hits) const;
 
-    /// intersect() and occluded() of many rays, sixteen at a time. in: rays, n; coherent: neighbours start and go alike
+    /// intersect() and occluded() of many rays, sixteen at a time.
+    /// in:      rays, n
+    ///          coherent  neighbouring rays have similar origins and directions
     void intersect(const Ray* const* rays, std::size_t n, Hit* hits, bool coherent) const;
     void occluded(const Ray* const* rays, std::size_t n, bool* blocked) const;
 

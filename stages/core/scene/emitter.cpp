@@ -19,21 +19,22 @@ Vector3f sphere_direction(Point2f uv) {
     return {phi.sin * theta.sin, theta.cos, -phi.cos * theta.sin};
 }
 
-/// The cells of EnvironmentMap::density start half a column later than the map.
+/// Converts to the cells of EnvironmentMap::density, which start half a column after the map's.
 Point2f cell_point(const EnvironmentMap& map, Point2f uv) {
     float s = uv.x - 0.5f / float(map.width);
     return {s - std::floor(s), uv.y};
 }
 
-/// sr^-1 in a local direction, from a density over the unit square of latitude and longitude.
+/// Density (sr^-1) of a local direction from one over the unit square of latitude and longitude.
 float solid_angle_density(float density, const Vector3f& local) {
-    // Not from the cosine: near the poles nothing is left of 1 - cos^2.
+    // Computed without the cosine: near the poles 1 - cos^2 cancels.
     const float sin_theta = std::sqrt(sqr(local.x) + sqr(local.z));
     return sin_theta > 0 ? density / (two_pi * pi<float> * sin_theta) : 0.0f;
 }
 
-/// Point on an area light, uniform by area. out: y, geometric normal n, uv
-/// The normal is turned to the side that shines, which is that of the shading normal (as in Mitsuba).
+/// Samples a point on an area light, uniform by area. The normal is turned to the emitting side, which is that of the
+/// shading normal (as in Mitsuba).
+/// out:     y, geometric normal n, uv
 void sample_area(const Scene& scene, const Emitter& e, Point2f u, Point3f& y, Normal3f& n, Point2f& uv) {
     const Shape& shape = scene.shapes[e.shape];
     if (shape.kind == ShapeKind::disk) {
@@ -79,7 +80,7 @@ void sample_area(const Scene& scene, const Emitter& e, Point2f u, Point3f& y, No
     }
 }
 
-/// A sphere seen from outside is sampled by the cone that it fills.
+/// Cone that a sphere subtends from an outside point; used to sample it.
 struct Cone {
     Vector3f axis;
     float distance = 0, cos_max = -1;
@@ -102,7 +103,7 @@ float one_minus_cos(const Cone& cone, float radius) {
     return sqr(radius / cone.distance) / (1 + cone.cos_max);
 }
 
-/// Radiance of an area light at its texture coordinates, to the side that it emits to.
+/// Radiance of an area light at its texture coordinates, on its emitting side.
 Spectrum radiance_at(const Scene& scene, const Emitter& e, Point2f uv) {
     return e.texture < 0 ? e.radiance : e.radiance * scene.textures[e.texture].eval(uv);
 }
@@ -136,12 +137,13 @@ void sample_sphere_light(const Scene& scene, const Emitter& e, const Point3f& fr
     s.n = Normal3f(normalize(on_ray - shape.round.center));
     s.y = shape.round.sphere_point(Vector3f(s.n));
     s.hit_error = shape.hit_error;
-    s.wi = normalize(s.y - from);  // as a reader of the stored point computes it
+    s.wi = normalize(s.y - from);  // as computed by a reader of the stored point
     s.pdf_w = 1.0f / (two_pi * omc);
     s.Li = e.texture < 0 ? e.radiance : radiance_at(scene, e, shape.round.sphere_uv(Vector3f(s.n)));
 }
 
-/// A direction found in the density of an environment map. out: where its radiance stands
+/// Fills a light point with a direction sampled from the density of an environment map.
+/// out:     position of its radiance on the map
 EnvironmentMap::Place place_on_map(const Emitter& e, Point2f st, float density, LightPoint& point) {
     const Point2f uv{st.x + 0.5f / float(e.map->width), st.y};
     const Vector3f local = sphere_direction(uv);
@@ -151,7 +153,7 @@ EnvironmentMap::Place place_on_map(const Emitter& e, Point2f st, float density, 
     return e.map->place({uv.x - std::floor(uv.x), uv.y});
 }
 
-/// A point on an emitter that is already chosen.
+/// Samples a point on a chosen emitter.
 bool sample_point_on(const Scene& scene, const Emitter& e, Point2f u, LightPoint& point) {
     switch (e.kind) {
         case EmitterKind::area:
@@ -175,7 +177,8 @@ bool sample_point_on(const Scene& scene, const Emitter& e, Point2f u, LightPoint
     }
 }
 
-/// Chooses an emitter by its weight. in, out: u, used up and uniform again
+/// Chooses an emitter by its weight.
+/// in, out: u  rescaled, uniform again
 std::size_t choose_emitter(const Scene& scene, float& u, float& pmf) {
     pmf = 1;
     if (scene.emitters.size() == 1) return 0;

@@ -29,7 +29,7 @@ struct Emitter {
     bool parallelogram = false;     // area on a rectangle: its two triangles are sampled as one
     Distribution1 triangles;        // area on a mesh: by area
     std::vector<Normal3f> normals;  // area on a mesh: geometric, by triangle
-    Frame<float> frame;             // world from local; spot and directional shine along +z; envmap axes
+    Frame<float> frame;             // world from local; spot and directional emit along +z; envmap axes
     Point3f position;               // point, spot, projector
     float cutoff_rad = 0, beam_rad = 0;  // spot
     float tan_x = 0, tan_y = 0;          // projector: half the width and height of its beam at distance 1
@@ -61,22 +61,22 @@ struct LightSampleOf {
 };
 using LightSample = LightSampleOf<float>;
 
-/// A point on an emitter, or a direction towards one, chosen independently of the surface point.
+/// A point on an emitter, or a direction towards one, sampled independently of the surface point.
 template <class T>
 struct LightPointOf {
-    Rgb<T> Li;            // emitted to the side of n
-    Point3<T> y;          // or the direction towards it, when at_infinity
-    Normal3<T> n;         // unit, of the emitting side; meaningless when at_infinity
+    Rgb<T> Li;            // emitted on the side of n
+    Point3<T> y;          // or the direction towards the emitter, when at_infinity
+    Normal3<T> n;         // unit, on the emitting side; meaningless when at_infinity
     float hit_error = 0;  // Shape::hit_error, m
-    T area{1};            // y is uniform over it, m^2
-    T pdf_w{};            // of a direction, sr^-1; meaningless for a point
-    float pmf = 1;        // of the emitter
+    T area{1};            // m^2; y is uniform over it
+    T pdf_w{};            // density of a direction, sr^-1; meaningless for a point
+    float pmf = 1;        // probability of the emitter
     bool at_infinity = false;
     std::uint16_t emitter = 0;
 };
 using LightPoint = LightPointOf<float>;
 
-/// The light point as a surface point receives it.
+/// Returns the light sample at a surface point from a light point.
 template <class T>
 inline LightSampleOf<T> seen_from(const LightPointOf<T>& point, const Point3<T>& from) {
     using std::sqrt;
@@ -97,40 +97,40 @@ inline LightSampleOf<T> seen_from(const LightPointOf<T>& point, const Point3<T>&
     return s;
 }
 
-/// Light look-up of a step of a path, independent of its surface: at a hit, an emitter by its weight and a point on it;
+/// Light query of a path step, independent of its surface: at a hit, an emitter chosen by its weight and a point on it;
 /// at a miss, the radiance from infinity.
 struct LightQuery {
     enum class Kind : std::uint8_t {
         nothing,
         point,
         environment
-    } kind = Kind::point;  // at a hit point, at a miss environment
-    Point2f u;             // of a hit; once an emitter is chosen, uniform again
-    Vector3f d;            // of a miss: unit direction of the ray
-    // out, for a hit
+    } kind = Kind::point;  // point at a hit, environment at a miss
+    Point2f u;             // at a hit; uniform again once an emitter is chosen
+    Vector3f d;            // at a miss: unit direction of the ray
+    // out, at a hit
     LightPoint point;
-    // false: the point, or the light from it, depends on the surface point (spheres, delta lights)
+    // false: the point, or its radiance, depends on the surface point (spheres, delta lights)
     bool placed = false;
-    // out, for a miss
+    // out, at a miss
     Spectrum Le;
-    float pdf_w = 0;  // sr^-1, with which a hit's query finds this direction
+    float pdf_w = 0;  // sr^-1, with which a hit's query samples this direction
 };
 void look_up_light(const Scene& scene, LightQuery& query);
-/// look_up_light() of many, with overlapping cache misses of an environment map's tables.
+/// Runs look_up_light() for many queries, with overlapping cache misses of an environment map's tables.
 void look_up_lights(const Scene& scene, std::span<LightQuery> queries);
 
-/// Light of a looked-up query at a point; pdf_w = 0 when nothing arrives.
+/// Returns the light of a query at a point; pdf_w = 0 when no light arrives.
 LightSample sample_light(const Scene& scene, const Point3f& from, const LightQuery& query);
 LightSample sample_light(const Scene& scene, const Point3f& from, Point2f u);
 
-/// Density (sr^-1, choice of the emitter included) with which sample_light(from) finds the point `at` of an
-/// area emitter.
+/// Density (sr^-1, including the choice of the emitter) with which sample_light(from) samples the point `at` of an area
+/// emitter.
 float pdf_light_w(const Scene& scene, const Point3f& from, const SurfacePoint& at);
 
-/// Density (sr^-1) with which sample_light finds the environment in direction d.
+/// Density (sr^-1) with which sample_light samples the environment in direction d.
 float pdf_environment_w(const Scene& scene, const Vector3f& d);
 
-/// Radiance that an area emitter sends from `at` towards wo; black from behind.
+/// Radiance that an area emitter emits from `at` towards wo; zero on its back.
 Spectrum emitted(const Scene& scene, const SurfacePoint& at, const Vector3f& wo);
 
 /// Radiance that arrives from direction d at infinity.

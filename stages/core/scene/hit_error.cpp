@@ -6,12 +6,12 @@
 namespace loom {
 namespace {
 
-/// Keeps the start of a ray off a plane through 0 along an axis, where nothing is rounded; part of the size of a shape.
+/// Minimum error relative to a shape's size; keeps a ray's start off an axis-aligned plane through 0, where nothing is
+/// rounded.
 constexpr double least = 0x1p-40;
 
-/// Sum of the terms (m) that rounding bounds along the normal of a triangle: its corners relative to one another, and
-/// its normal, which the ray engine computes as a cross product of rounded edges and which a sliver loses to
-/// cancellation.
+/// Sum of the terms (m) whose rounding moves a triangle along its normal: its corners relative to one another, and its
+/// normal. The ray engine computes the normal as a cross product of rounded edges, which cancels for a sliver.
 double rounded_terms(const Vector3<double>& a, const Vector3<double>& b) {
     const Vector3<double> n = cross(a, b);
     const double area = length(n);
@@ -24,11 +24,11 @@ double rounded_terms(const Vector3<double>& a, const Vector3<double>& b) {
     return sum;
 }
 
-/// Largest error of the triangles of a mesh but for its worst slivers, a ten-thousandth of its area. Rounded up to a
-/// power of two.
+/// Largest error of the triangles of a mesh, rounded up to a power of two. Leaves out its worst slivers, 1e-4 of its
+/// area.
 float mesh_error(const Shape& shape) {
     constexpr int lowest = -200, highest = 200;
-    std::array<double, highest - lowest + 1> area_of{};  // by exponent of the error
+    std::array<double, highest - lowest + 1> area_of{};  // [exponent of the error]
     double total = 0;
     for (const TriangleRecord& t : shape.triangles) {
         const Vector3<double> a(t.e1), b(t.e2);

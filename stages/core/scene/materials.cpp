@@ -258,7 +258,7 @@ void MaterialBuilder::derive(Material& m) {
     BsdfModel& model = m.model;
     const bool two_lobes = model.kind == BsdfKind::phong || model.kind == BsdfKind::ward;
     if (two_lobes && (m.diffuse >= 0 || m.specular >= 0)) {
-        // By the largest values of the textures, as Mitsuba 0.6; a constant is darkened with them.
+        // Uses the largest values of the textures, as Mitsuba 0.6; a constant lobe is scaled with them.
         const auto most = [&](int texture, const Spectrum& constant) {
             return texture >= 0 ? scene_.textures[texture].maximum() : constant;
         };

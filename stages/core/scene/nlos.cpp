@@ -8,12 +8,12 @@
 namespace loom {
 namespace {
 
-/// Without `do_rroulette` nearly every direction goes to hidden geometry; the rest keeps all other paths in, and the
-/// weight of a direction below 8 times its reflectance.
+/// Probability of hidden-geometry sampling without `do_rroulette`. The remaining BSDF samples keep all other paths
+/// possible, and the weight of a direction below 8 times its reflectance.
 constexpr float mostly_hidden = 0.875f;
 
-/// Where a mesh has the texture coordinates uv: triangle and barycentric coordinates.
-/// out: false when nowhere
+/// Finds the point of a mesh with the texture coordinates uv, as triangle and barycentric coordinates.
+/// out:     false if there is none
 bool point_at_uv(const Mesh& mesh, double u, double v, Hit& hit) {
     for (std::size_t t = 0; t < mesh.n_triangles(); ++t) {
         const std::uint32_t* i = &mesh.indices[3 * t];
@@ -22,7 +22,7 @@ bool point_at_uv(const Mesh& mesh, double u, double v, Hit& hit) {
         const double det = du1 * dv2 - dv1 * du2, du = u - a.x, dv = v - a.y;
         if (det == 0) continue;
         const double s = (du * dv2 - dv * du2) / det, r = (du1 * dv - dv1 * du) / det;
-        constexpr double rounding = 1e-6;  // a point on an edge is on one of its sides
+        constexpr double rounding = 1e-6;  // tolerance, so that a point on an edge is in one of its triangles
         if (s < -rounding || r < -rounding || s + r > 1 + rounding) continue;
         hit.primitive = std::uint32_t(t);
         hit.u = float(s);
@@ -49,8 +49,8 @@ NlosCapture::Point describe(const Scene& scene, const Ray& ray, const Hit& hit) 
     return at;
 }
 
-/// What the sensor sees of the points of the wall. A grid point often lies on the very edge of two triangles, where a
-/// ray may slip through: only what is before the wall is left to the ray engine.
+/// Finds the sensor points on the relay wall. A grid point often lies exactly on the edge of two triangles, where a ray
+/// may pass between them, so the ray engine only tests for occluders in front of the wall.
 void look_at_grid(const Object& wall, const Object& sensor, const Scene& scene, NlosCapture& capture) {
     const Shape& shape = scene.shapes[capture.relay_wall];
     const NlosCapture::Grid grid = capture.sensor_grid;
@@ -75,7 +75,7 @@ void look_at_grid(const Object& wall, const Object& sensor, const Scene& scene, 
         }
 }
 
-/// Axes of a projector that is turned to look along d, upright.
+/// Returns the axes of a projector turned upright along d.
 Framef beam_along(const Vector3f& d) {
     const Vector3f left = cross(Vector3f{0, 1, 0}, d);
     if (!(length2(left) > 1e-12f)) return Framef(Normal3f(d));
@@ -83,7 +83,7 @@ Framef beam_along(const Vector3f& d) {
     return {x, cross(d, x), Normal3f(d)};
 }
 
-/// Aims at what has been seen from elsewhere: lit when the laser sees it too.
+/// Aims the laser at a sensor point; it is lit if visible from the laser.
 NlosCapture::LaserPoint aim(const Scene& scene, const Point3f& laser, const NlosCapture::Point& target) {
     NlosCapture::LaserPoint point;
     static_cast<NlosCapture::Point&>(point) = target;
@@ -107,7 +107,8 @@ double triangle_area(const Mesh& mesh, std::size_t t) {
     return 0.5 * length(cross(b - a, c - a));
 }
 
-/// in: wall  shape that is left out, or NlosCapture::no_wall
+/// Lists the primitives of the hidden geometry.
+/// in:      wall  excluded shape, or NlosCapture::no_wall
 void list_hidden(const Scene& scene, std::uint32_t wall, NlosCapture& capture) {
     std::vector<double> areas;
     capture.is_hidden.assign(scene.shapes.size(), false);
@@ -155,7 +156,7 @@ void read_integrator(const Object& o, NlosCapture& c, bool& includes_wall) {
         o.fail("nlos_hidden_geometry_sampling_max_depth", "must be -1 or positive");
 }
 
-/// Laser points of an exhaustive capture: those of the sensor, or a grid that a projector of that field of view sees,
+/// Sets the laser points of an exhaustive capture: those of the sensor, or a grid over the projector's field of view,
 /// at the corners (i / width, j / height) of its cells.
 void scan(const Object& integrator, const Object& film, const Emitter& projector, const Scene& scene, NlosCapture& c,
           std::vector<std::string>& notes) {
@@ -200,7 +201,8 @@ void scan(const Object& integrator, const Object& film, const Emitter& projector
 }  // namespace
 
 NlosCapture::Point look(const Scene& scene, const Point3f& from, const Vector3f& d) {
-    // Beside the ray, too: a laser is often aimed at the very edge of two triangles, where a ray may slip through.
+    // Tests rays beside the direction as well: a laser often aims exactly at the edge of two triangles, where a ray may
+    // pass between them.
     constexpr float beside = 1e-6f;
     const Framef frame{Normal3f(d)};
     for (const Vector3f& way : {d, normalize(d + frame.s * beside), normalize(d + frame.t * beside)}) {
@@ -281,7 +283,7 @@ void build_nlos(const Object& root, const Object* wall, std::uint32_t relay_wall
         scene.sensor.height = std::uint32_t(c.sensor_points.size());
     }
     if (c.hidden_probability > 0) {
-        // Before a camera the wall is what the laser lights.
+        // For a camera, the wall is the shape that the laser lights.
         const std::uint32_t relay_or_lit = wall                    ? relay_wall
                                            : c.laser_points[0].hit ? c.laser_points[0].hit.shape
                                                                    : NlosCapture::no_wall;

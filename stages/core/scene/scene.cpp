@@ -14,8 +14,8 @@ Tangents<float> triangle_tangents(const Shape& shape, const Hit& hit, const Norm
     return shape.triangles[hit.primitive].tangents(mesh.uvs[i[0]], mesh.uvs[i[1]], mesh.uvs[i[2]], ng);
 }
 
-/// Normal that a map asks for, in world space. A normal that turns away from the viewer while the surface
-/// does not is mirrored about the surface normal, as Mitsuba does, unless the material forbids it.
+/// Returns the normal of a normal or bump map, in world space. A normal that faces away from the viewer while the
+/// surface does not is mirrored about the surface normal, as in Mitsuba, unless the material disables it.
 Normal3f perturbed_normal(const Scene& scene, const Material& m, const Framef& base, const Tangents<float>& tangents,
                           Point2f uv, const Vector3f& wo) {
     Vector3f local;

@@ -1,6 +1,6 @@
 #pragma once
-// What a path tracer asks a scene: where a ray hits, what is there, what shines. Built once by
-// build_scene(), then read-only and shared by all threads.
+// The scene of a path tracer: ray hits, surface points, materials and emitters. Built once by build_scene(), then
+// read-only and shared by all threads.
 
 #include <cstdint>
 #include <memory>
@@ -25,7 +25,7 @@ namespace loom {
 class RayEngine;     // Embree, in embree.cpp
 struct NlosCapture;  // nlos.h
 
-/// Raw answer of the ray engine.
+/// Result of a ray query.
 struct Hit {
     float t = INFINITY;
     float u = 0, v = 0;  // barycentric coordinates on a triangle, (u, v) of an analytic shape
@@ -44,12 +44,12 @@ struct Material {
     int opacity = -1;
     int exponent = -1;
     int eta_c = -1, k_c = -1;
-    float reflectance_scale = 1;  // of textured diffuse and specular: keeps a sum of two lobes below 1
-    float index_scale = 1;        // of textured eta_c and k_c: 1 / index outside
+    float reflectance_scale = 1;  // for textured diffuse and specular: keeps the sum of two lobes below 1
+    float index_scale = 1;        // for textured eta_c and k_c: 1 / index outside
     int normal_map = -1, bump_map = -1;
     float bump_scale = 1;
-    bool flips_invalid_normals = true;  // of a map: see perturbed_normal()
-    int back = -1;                      // material seen from behind; -1: this one
+    bool flips_invalid_normals = true;  // see perturbed_normal()
+    int back = -1;                      // material of the back; -1: this one
     BsdfModel model;
     bool textured() const {
         return diffuse >= 0 || specular >= 0 || transmittance >= 0 || alpha_u >= 0 || alpha_v >= 0 || opacity >= 0 ||
@@ -58,7 +58,7 @@ struct Material {
     bool textured_index() const { return eta_c >= 0 || k_c >= 0; }
     bool perturbed() const { return normal_map >= 0 || bump_map >= 0; }
     bool needs_uv() const { return textured() || perturbed(); }
-    /// Reflects and transmits nothing, whatever the directions: a path ends here.
+    /// Whether it reflects and transmits nothing for any directions: a path ends there.
     bool black() const {
         return model.kind == BsdfKind::diffuse && diffuse < 0 && is_black(model.diffuse) && model.opacity == 1 &&
                opacity < 0;
@@ -67,9 +67,9 @@ struct Material {
 
 enum class ShapeKind : std::uint8_t { mesh, sphere, disk };
 
-/// A triangle of a mesh in one cache line, in place of four look-ups.
+/// A triangle of a mesh in one cache line, instead of four look-ups.
 struct TriangleRecord : TriangleGeometry<float> {
-    Normal3f ng;  // turned by Shape::flip_normals; rounded as the path graph stores it
+    Normal3f ng;  // flipped by Shape::flip_normals; rounded as the path graph stores it
 };
 
 struct Shape {
@@ -78,21 +78,21 @@ struct Shape {
     std::uint32_t material = 0;
     int emitter = -1;
     Mesh mesh;                              // world space; empty for analytic shapes
-    std::vector<TriangleRecord> triangles;  // of the mesh
-    RoundGeometry<float> round;             // of a sphere or disk
+    std::vector<TriangleRecord> triangles;  // [triangle of the mesh]
+    RoundGeometry<float> round;             // sphere or disk only
     bool flip_normals = false;
-    // m along the normal: how far a hit point may be off the plane that the ray engine tests, by the size of the shape;
-    // what its distance from the origin adds is in surface_offset()
+    // m along the normal: how far a hit point may be off the plane that the ray engine tests, due to the size of the
+    // shape; surface_offset() adds the share of its distance from the origin
     float hit_error = 0;
 
     Box3f bounds() const;  // world space
 };
 
-/// What Shape::hit_error is of a shape.
+/// Computes Shape::hit_error of a shape.
 float hit_error(const Shape& shape);
 
-/// A point on a surface, ready for shading. Normals as in Mitsuba: ng from the geometry's own
-/// orientation, ns interpolated, neither turned towards the viewer.
+/// A point on a surface, ready for shading. Normals as in Mitsuba: ng has the geometry's own orientation, ns is
+/// interpolated; neither is turned towards the viewer.
 struct SurfacePoint {
     Point3f p;
     Normal3f ng;
@@ -106,10 +106,10 @@ struct SurfacePoint {
     RayEnd end() const { return {p, ng, hit_error}; }
 };
 
-/// Rougher than a microfacet surface may be at least.
+/// Lower bound of the roughness of microfacet surfaces.
 inline constexpr float smallest_alpha = 1e-4f;
 
-/// What kinds of things a scene holds: stages switch on only what it calls for.
+/// Features of a scene; stages enable only what it needs.
 struct SceneFeatures {
     bool textured_diffuse = false, textured_specular = false, textured_transmittance = false;
     bool textured_alpha = false, textured_opacity = false;
@@ -122,12 +122,12 @@ struct SceneFeatures {
     bool delta_lobes = false;
 };
 
-/// What a time-resolved film asks for, in optical path lengths (m).
+/// Parameters of a time-resolved film, in optical path lengths (m).
 struct TransientFilm {
     std::uint32_t n_bins = 0;  // 0: the film is not time-resolved
     double start_opl = 0, bin_width_opl = 0;
-    double sigma_opl = 0;        // of a Gaussian temporal filter; 0: box
-    bool camera_segment = true;  // lengths count from the camera (and the laser), not from the first hit (to the spot)
+    double sigma_opl = 0;        // standard deviation of a Gaussian temporal filter; 0: box
+    bool camera_segment = true;  // lengths count from camera and laser, not from the first hit and to the laser spot
 };
 
 struct Scene {
@@ -140,39 +140,39 @@ struct Scene {
     std::vector<Texture> textures;
     std::vector<Emitter> emitters;
     Distribution1 emitter_pmf;
-    int environment = -1;                     // index of the emitter that shines from infinity all around
-    std::shared_ptr<const NlosCapture> nlos;  // of a capture around a corner; null for any other scene
+    int environment = -1;                     // index of the emitter at infinity (environment); -1: none
+    std::shared_ptr<const NlosCapture> nlos;  // null unless the scene is an NLOS capture
     SceneFeatures features;
     SensorMedia sensor_media;
     Point3f center;
     float radius = 1;                // bounding sphere of all shapes
-    std::uint64_t content_hash = 0;  // of the scene file, its overrides and all it refers to
+    std::uint64_t content_hash = 0;  // hash of the scene file, its overrides and all files that it refers to
     std::vector<std::string> notes;
     std::shared_ptr<const RayEngine> rays;
-    // camera rays pass through area lights, and the sky is black until a path has been scattered
+    // camera rays pass through area lights, and the environment is zero until a path has been scattered
     bool hides_emitters = false;
-    std::shared_ptr<const RayEngine> camera_rays;  // what they meet
+    std::shared_ptr<const RayEngine> camera_rays;  // shapes that camera rays can hit, when hides_emitters
 
     Hit intersect(const Ray& ray) const;
     Hit intersect_from_camera(const Ray& ray) const;
-    /// True when something opaque or not lies in (t_min, t_max): masks and glass block shadow rays,
-    /// light through them is found by sampling the BSDF.
+    /// Whether any surface, opaque or not, lies in (t_min, t_max). Masks and glass block shadow rays; light through
+    /// them is found by BSDF sampling.
     bool occluded(const Ray& ray) const;
     SurfacePoint surface(const Ray& ray, const Hit& hit) const;
-    /// Of the diffuse lobe, as bsdf() says.
+    /// Returns the reflectance of the diffuse lobe, as bsdf() does.
     Spectrum diffuse(const Material& material, Point2f uv) const;
-    /// Ask for the memory of what surface() and bsdf() will read, in three steps of which each reads what the one
-    /// before has asked for: many hits, step by step, wait for it together.
+    /// Prefetch what surface() and bsdf() read, in three dependent steps. Run each step over a whole batch so that
+    /// cache misses overlap.
     void prefetch_triangle(const Hit& hit) const;
     void prefetch_corners(const Hit& hit) const;
     void prefetch_texels(const Hit& hit) const;
-    /// Of what these ask for; below the size of a cache they only cost time.
+    /// Size of the tables that these prefetch; if it is below the size of a cache, prefetching only costs time.
     std::size_t table_bytes() const;
-    /// The BSDF with its textures evaluated at a point, parameters rounded as the path graph stores them.
+    /// Returns the BSDF with its textures evaluated at a point, parameters rounded as the path graph stores them.
     Bsdf<float> bsdf(const SurfacePoint& at) const;
 };
 
-/// Where a ray has met a triangle.
+/// Hit point on a triangle.
 struct TrianglePoint {
     Point3f p;
     Normal3f ng;
@@ -197,7 +197,8 @@ inline TrianglePoint triangle_point(const Shape& shape, const Hit& hit, bool wan
     return at;
 }
 
-/// Shading normal from the interpolated one, n: unit, turned when `side` is -1, rounded as the path graph stores it.
+/// Returns the shading normal from the interpolated one, n: unit, negated when `side` is -1, rounded as the path graph
+/// stores it.
 inline Normal3f smooth_normal(const Vector3f& n, float side) {
     return Normal3f(as_stored(n * (side / std::sqrt(length2(n)))));
 }

@@ -25,7 +25,7 @@ void Sensor::prepare() {
     film_axes_ = {cross(y, z) / det, cross(z, x) / det, cross(x, y) / det};
     cell_ = std::abs(det) * (2 * scale_x_ / width) * (2 * scale_y_ / height);
     if (filter == Filter::gaussian) {
-        // Mitsuba's gaussian: shifted down so that it ends at 0 at the radius.
+        // Mitsuba's gaussian: shifted down so that it is 0 at the radius.
         const double alpha = -0.5 / (double(gaussian_stddev) * gaussian_stddev);
         const double r = filter_radius, floor = std::exp(alpha * r * r);
         double sum = 0;
@@ -94,7 +94,7 @@ float Sensor::offset_density(float x, float low, float high) const {
 
 float Sensor::filter_density(std::uint32_t px, std::uint32_t py, Point2f film) const {
     const float cx = float(px) + 0.5f, cy = float(py) + 0.5f;
-    // A box is not cut off at the border of the film.
+    // A box is not truncated at the border of the film.
     const bool box = filter == Filter::box;
     return offset_density(film.x - cx, box ? -filter_radius : -cx, box ? filter_radius : float(width) - cx) *
            offset_density(film.y - cy, box ? -filter_radius : -cy, box ? filter_radius : float(height) - cy);

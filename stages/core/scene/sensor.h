@@ -10,22 +10,22 @@ namespace loom {
 
 struct Ray;
 
-/// Where a point of space lies on the film.
+/// Position of a point of space on the film.
 struct FilmPoint {
-    Point2f film;      // pixels from the upper left corner; beyond the film where no camera ray goes
+    Point2f film;      // pixels from the upper left corner; outside of the film where no camera ray passes
     Point3f from;      // origin of the camera ray through the point
-    Vector3f d;        // and its direction
-    float t = 0;       // distance of the point along it, m
-    float t_min = 0;   // where the near plane is
-    double scale = 0;  // film area over area at right angles to the ray at the point, pixels^2 / m^2
+    Vector3f d;        // direction of that ray
+    float t = 0;       // distance of the point along the ray, m
+    float t_min = 0;   // distance of the near plane along the ray, m
+    double scale = 0;  // film area over area perpendicular to the ray at the point, pixels^2 / m^2
 };
 
-/// nlos_capture_meter: its rays are those of Scene::nlos, not of sample_ray().
+/// nlos_capture_meter has the rays of Scene::nlos instead of sample_ray().
 enum class SensorKind : std::uint8_t { perspective, orthographic, nlos_capture_meter };
 enum class Filter : std::uint8_t { box, tent, gaussian };
 
-/// A camera and its film. A path belongs to one pixel: its film position is drawn from the pixel's
-/// reconstruction filter (truncated at the border of the film), so pixels stay independent.
+/// A camera and its film. A path belongs to one pixel. Its film position is sampled from the pixel's reconstruction
+/// filter (truncated at the border of the film), so pixels stay independent.
 struct Sensor {
     SensorKind kind = SensorKind::perspective;
     std::uint32_t width = 768, height = 576;
@@ -39,24 +39,24 @@ struct Sensor {
     Point3f origin;                           // perspective: the pinhole
 
     std::uint64_t n_pixels() const { return std::uint64_t(width) * height; }
-    /// Derived members; call once after the others are set.
+    /// Computes derived members; call once after the others are set.
     void prepare();
-    /// Ray through pixel (x, y) at a film position that u chooses inside the pixel's filter.
+    /// Returns the ray through pixel (x, y) at a film position that u samples from the pixel's filter.
     Ray sample_ray(std::uint32_t x, std::uint32_t y, Point2f u) const;
 
-    /// Nothing for a point behind the near plane or beyond the far one.
+    /// Returns nothing for a point in front of the near plane or beyond the far one.
     std::optional<FilmPoint> project(const Point3f& p) const;
-    /// Where on the film a ray of sample_ray() goes through.
+    /// Returns the film position of a ray of sample_ray().
     FilmPoint film_of(const Ray& ray, float t) const;
-    /// Density of the film positions of pixel (x, y), pixels^-2: its reconstruction filter as sample_ray() draws from
-    /// it.
+    /// Density of the film positions of pixel (x, y), pixels^-2: the reconstruction filter from which sample_ray()
+    /// samples.
     float filter_density(std::uint32_t x, std::uint32_t y, Point2f film) const;
 
   private:
     /// Inverse of the filter's cumulative distribution, truncated to [low, high] pixels from the centre.
     float sample_offset(float u, float low, float high) const;
     float offset_density(float x, float low, float high) const;
-    /// Of the Gaussian, over its whole support; x within it.
+    /// Cumulative distribution of the Gaussian over its whole support; x within it.
     float gaussian_distribution(float x) const;
 
     std::array<Vector3f, 3> axes_;              // camera x, y, z in world space

@@ -1,6 +1,6 @@
 #pragma once
-// A path vertex at which the BSDF can be evaluated in world directions: for the tracer at a hit point, for every later
-// stage at a vertex (its own or a neighbour's) read from a path graph.
+// A path vertex at which the BSDF can be evaluated in world directions: a hit point in the tracer, or in later stages a
+// vertex (its own or a neighbour's) from a path graph.
 
 #include "stages/core/math/frame.h"
 #include "stages/core/scattering/bsdf.h"
@@ -8,11 +8,11 @@
 
 namespace loom {
 
-/// T is float, or a Dual where vertices move with a parameter.
+/// T is float, or a Dual where vertices depend on a parameter.
 template <class T>
 struct ShadingPointOf {
     Point3<T> p;
-    Vector3<T> wo;        // world, direction in which the light leaves
+    Vector3<T> wo;        // world, direction in which light leaves
     Vector3<T> wo_local;  // wo in `frame`
     Frame<T> frame;
     Normal3<T> ng;
@@ -22,7 +22,7 @@ struct ShadingPointOf {
     Bsdf<T> bsdf;
 
     ShadingPointOf() = default;
-    /// A point that moves with no parameter.
+    /// Converts a point that depends on no parameter.
     template <class U>
     requires(!std::is_same_v<U, T>) explicit ShadingPointOf(const ShadingPointOf<U>& o)
         : p(o.p),
@@ -39,8 +39,8 @@ struct ShadingPointOf {
 };
 using ShadingPoint = ShadingPointOf<float>;
 
-/// Factor of a bump or normal map on light from wi: makes the darkening at the terminator of the bumps smooth. 1 where
-/// the material switches it off, 0 where wi lies on different sides of the two normals.
+/// Factor of a bump or normal map on light from wi: smooths the darkening at the terminator of the bumps. 1 where the
+/// material disables it, 0 where wi lies on different sides of the two normals.
 ///                [Estevez2019] "A Microfacet-Based Shadowing Function to Solve the Bump Terminator Problem", section 3.2
 template <class T>
 inline T bump_shadowing(const ShadingPointOf<T>& at, const Vector3<T>& wi, const T& cos_perturbed) {
@@ -56,7 +56,7 @@ inline T bump_shadowing(const ShadingPointOf<T>& at, const Vector3<T>& wi, const
     return T(2) / (T(1) + sqrt(T(1) + alpha2 * tan2_i));
 }
 
-/// f |cos| for light from wi (world) and the density of BSDF sampling for wi (sr^-1).
+/// Returns f |cos| for light from wi (world) and the density of BSDF sampling for wi (sr^-1).
 template <class T>
 inline BsdfValue<T> f_cos_pdf(const ShadingPointOf<T>& at, const Vector3<T>& wi) {
     const Vector3<T> wi_local = at.frame.to_local(wi);

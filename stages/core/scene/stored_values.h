@@ -1,7 +1,7 @@
 #pragma once
-// Values as the path graph stores them: unit vectors in 2 x 16 bits, texture-evaluated BSDF parameters as halves. The
-// tracer rounds here and nowhere else, and goes on with the rounded values, so that every later stage computes with
-// exactly what the tracer had. Geometry and formulas (surface_geometry.h, scattering/) are exact.
+// Values as stored in the path graph: unit vectors in 2 x 16 bits, texture-evaluated BSDF parameters as halves. The
+// tracer rounds only here and continues with the rounded values, so that every later stage computes with the tracer's
+// exact values. Geometry and formulas (surface_geometry.h, scattering/) do not round.
 
 #include <algorithm>
 
@@ -11,7 +11,7 @@
 
 namespace loom {
 
-/// A unit vector or normal after a round trip through its octahedral code.
+/// Rounds a unit vector or normal to its octahedral code.
 template <class Kind>
 inline Triple<float, Kind> as_stored(const Triple<float, Kind>& unit) {
     const auto code = octahedral_from_unit(unit.x, unit.y, unit.z);
@@ -19,7 +19,7 @@ inline Triple<float, Kind> as_stored(const Triple<float, Kind>& unit) {
     return {back[0], back[1], back[2]};
 }
 
-/// A BSDF parameter after a round trip through a half.
+/// Rounds a BSDF parameter to half precision.
 inline float as_stored(float value) {
     constexpr float largest_half = 65504;
     return float_from_half(half_from_float(std::min(value, largest_half)));

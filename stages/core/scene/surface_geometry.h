@@ -1,6 +1,6 @@
 #pragma once
-// Position, normal and texture coordinates of surface points, exactly, as templates over the number T: float for the
-// tracer, Dual where a shape moves with a parameter. Nothing is rounded for the disk format here; as_stored() does it.
+// Position, normal and texture coordinates of surface points, unrounded, as templates over the number T: float for the
+// tracer, Dual where a shape depends on a parameter. as_stored() rounds for the disk format.
 
 #include "stages/core/math/dual.h"
 #include "stages/core/math/frame.h"
@@ -19,11 +19,11 @@ struct TriangleGeometry {
     Point3<T> p0;
     Vector3<T> e1, e2;
 
-    /// Point of barycentric coordinates u (of the second corner) and v (of the third).
+    /// Point of barycentric coordinates u (second corner) and v (third corner).
     Point3<T> point(const T& u, const T& v) const { return p0 + (e1 * u + e2 * v); }
     Normal3<T> normal() const { return Normal3<T>(normalize(cross(e1, e2))); }
-    /// Tangents from the texture coordinates of the corners; any two where those are degenerate.
-    /// in: n  normal, as the tangents are to see it
+    /// Tangents from the texture coordinates of the corners; arbitrary ones where those are degenerate.
+    /// in:      n  normal of arbitrary tangents
     Tangents<T> tangents(const Point2<T>& t0, const Point2<T>& t1, const Point2<T>& t2, const Normal3<T>& n) const {
         const T du1 = t1.x - t0.x, dv1 = t1.y - t0.y, du2 = t2.x - t0.x, dv2 = t2.y - t0.y;
         const T det = du1 * dv2 - dv1 * du2;
@@ -36,7 +36,7 @@ struct TriangleGeometry {
     }
 };
 
-/// Value at barycentric coordinates (u, v) from those at the corners of a triangle.
+/// Interpolates the corner values of a triangle at barycentric coordinates (u, v).
 template <class T>
 Vector3<T> interpolate(const Vector3<T>& a, const Vector3<T>& b, const Vector3<T>& c, const T& u, const T& v) {
     return a * (T(1) - u - v) + b * u + c * v;
@@ -51,10 +51,10 @@ Point2<T> interpolate(const Point2<T>& a, const Point2<T>& b, const Point2<T>& c
 template <class T>
 struct RoundGeometry {
     Point3<T> center;
-    T radius{1};                        // of a sphere, m
+    T radius{1};                        // sphere only, m
     Vector3<T> u_axis, v_axis, w_axis;  // sphere: its x, y, z, unit; disk: u_axis and v_axis span the unit disk, m
 
-    /// in: outward  unit, from the centre, whatever the orientation of the normals
+    /// in:      outward  unit, from the centre, independent of the orientation of the normals
     Point3<T> sphere_point(const Vector3<T>& outward) const { return center + outward * radius; }
     /// Longitude about w_axis from u_axis, and colatitude, both over [0, 1].
     Point2<T> sphere_uv(const Vector3<T>& outward) const {
@@ -69,7 +69,7 @@ struct RoundGeometry {
                 ((u_axis * (x / rho) + v_axis * (y / rho)) * dot(outward, w_axis) - w_axis * rho) * scale};
     }
 
-    /// in: x, y  of the unit disk
+    /// in:      x, y  on the unit disk
     Point3<T> disk_point(const T& x, const T& y) const { return center + u_axis * x + v_axis * y; }
     Normal3<T> disk_normal() const { return Normal3<T>(normalize(cross(u_axis, v_axis))); }
     /// Radius, and angle over [0, 1].
@@ -83,7 +83,7 @@ struct RoundGeometry {
     }
 
   private:
-    /// Root of a squared distance from a pole, where tangents have no direction.
+    /// Square root, bounded away from 0 at a pole, where tangents have no direction.
     static T at_least_1e_6(const T& squared) {
         using std::sqrt;
         const T root = sqrt(squared);
@@ -91,15 +91,15 @@ struct RoundGeometry {
     }
 };
 
-/// Local normal that a normal map stores as a colour.
+/// Decodes the local normal that a normal map stores as a colour.
 template <class T>
 Vector3<T> mapped_normal(const Rgb<T>& rgb) {
     return normalize(Vector3<T>{T(2) * rgb.r - T(1), T(2) * rgb.g - T(1), T(2) * rgb.b - T(1)});
 }
 
 /// Local normal of a bump map.
-/// in: base      shading frame without the map
-///     gradient  of the height by the texture coordinates, m
+/// in:      base      shading frame without the map
+///          gradient  gradient of the height in texture coordinates, m
 template <class T>
 Vector3<T> bumped_normal(const Frame<T>& base, const Tangents<T>& tangents, const Point2<T>& gradient) {
     const Vector3<T> n(base.n);
