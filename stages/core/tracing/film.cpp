@@ -28,7 +28,7 @@ Film::Film(std::uint32_t width, std::uint32_t height, std::uint64_t samples) {
     image_.height = height;
     image_.samples = samples;
     const char *rgb[] = {"R", "G", "B"}, *xyz[] = {"X", "Y", "Z"};
-    // Channels first, spans after: adding a channel may move the others.
+    // Add all channels before taking spans: adding a channel may move the others.
     for (int c = 0; c < 3; ++c) {
         image_.add(rgb[c]);
         image_.add(std::string("VarMean.") + rgb[c]);
@@ -47,7 +47,7 @@ Film::Film(std::uint32_t width, std::uint32_t height, std::uint64_t samples) {
 
 void Film::set(std::uint64_t pixel, const PixelSums& sums) {
     const double samples = double(sums.L[0].n);
-    // Depth is the mean over the samples that hit something; the others are means over all samples.
+    // Depth is the mean over the samples that hit a surface; the others are means over all samples.
     for (int c = 0; c < 3; ++c) {
         radiance_[c][pixel] = float(sums.L[c].mean);
         var_mean_[c][pixel] = float(sums.L[c].var_mean());

@@ -1,6 +1,6 @@
 #pragma once
-// From samples of pixels to an image with its auxiliary layers; the same sums for the tracer that keeps
-// nothing and for the stage that reads a graph.
+// Averages samples of pixels to an image with auxiliary layers. The path tracer without a graph and the stage that
+// reads a graph compute the same sums.
 
 #include <cstdint>
 #include <string>
@@ -18,17 +18,17 @@ struct PixelSums {
     std::uint64_t hits = 0;
 
     void add(const Spectrum& sample, const FirstHit& first);
-    /// Half of that each, for samples whose radiance comes later than the others.
+    /// Adds only one part each, for samples whose radiance is computed later.
     void add(const Spectrum& sample);
     void add(const FirstHit& first);
 };
 
-/// Layers of an image that pixels are written to, each pixel by one thread.
+/// Layers of an image; each pixel is written by one thread.
 class Film {
   public:
     Film(std::uint32_t width, std::uint32_t height, std::uint64_t samples);
 
-    /// Means over as many samples as the sums have, one at least.
+    /// Writes the means of a pixel; divides by the number of samples in the sums, at least 1.
     void set(std::uint64_t pixel, const PixelSums& sums);
     Image finish(Provenance provenance) &&;
 

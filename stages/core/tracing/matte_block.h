@@ -1,6 +1,6 @@
 #pragma once
-// Takes paths that have arrived at plain matte surfaces out of the general step, arrive(), and moves them on side
-// by side, with the very same results.
+// Collects paths that have hit plain diffuse surfaces and steps them as a structure of arrays (SoA), with results equal
+// to those of the general step, arrive().
 
 #include <array>
 #include <vector>
@@ -35,11 +35,11 @@ class MatteBlock {
     std::size_t size() const { return size_; }
     bool full() const { return size_ == MatteColumns::capacity; }
     void clear() { size_ = 0; }
-    /// What `add` was called with for path m of the block.
+    /// Returns the ray index that `add` received for path m of the block.
     std::uint32_t ray(std::size_t m) const { return rays_[m]; }
 
-    /// Takes a path whose ray, number `ray`, has met `hit`. false: it is one for arrive(), which does all that is not
-    /// matte, emits, or is lit by a light that looks at what it lights.
+    /// Adds a path whose ray, with index `ray`, has hit `hit`. Returns false for paths that need arrive(): surfaces
+    /// that are not diffuse or that emit, and lights that depend on the surface point.
     bool add(std::uint32_t ray, const Hit& hit, const PathState& path, const LightQuery& lights, Point2f u_direction,
              float u_roulette) {
         if (!hit || !surfaces_[hit.shape].matte) return false;
@@ -79,7 +79,7 @@ class MatteBlock {
 
     void shade(int depth) { shade_matte(columns_, size_, roulette_at(options_, depth)); }
 
-    /// What shade() has found for path m of the block; as arrive().
+    /// Stores the results of shade() for path m of the block, as arrive() does.
     template <bool recording>
     Step finish(std::size_t m, int depth, const Hit& hit, PathState& path, ShadowRequest& shadow,
                 PathRecorder record) const {
@@ -120,7 +120,7 @@ class MatteBlock {
     }
 
   private:
-    /// What `add` asks of a shape, in one place, and what all of its vertices have in common.
+    /// Properties of a shape that `add` reads, in one record, and the values that all its vertices share.
     struct Surface {
         bool matte = false, textured = false;
         float two_sided = 0, side = 1, hit_error = 0;
@@ -139,7 +139,7 @@ class MatteBlock {
         vertex.q = c.q[m];
     }
 
-    /// What a light edge holds of the light point of path m.
+    /// Returns the values of the light edge for the light point of path m.
     LightSample light(std::size_t m) const {
         const MatteColumns& c = columns_;
         LightSample light;
@@ -154,7 +154,7 @@ class MatteBlock {
 
     const Scene& scene_;
     PathOptions options_;
-    std::vector<Surface> surfaces_;  // by shape
+    std::vector<Surface> surfaces_;  // [shape]
     MatteColumns columns_;
     std::array<std::uint32_t, MatteColumns::capacity> rays_;
     std::array<std::uint16_t, MatteColumns::capacity> emitters_;

@@ -1,6 +1,6 @@
 #pragma once
-// The step of a path at a matte surface, for many paths side by side: the same formulas as arrive(), number by
-// number, in loops that the compiler vectorises. What needs a look-up (triangle, texture, light) is gathered
+// Step of many paths at diffuse surfaces, as a structure of arrays (SoA): the formulas of arrive() with identical
+// results, in loops that the compiler vectorises. Values that need a look-up (triangle, texture, light) are gathered
 // into columns before, path by path.
 
 #include <cstddef>
@@ -11,7 +11,7 @@
 
 namespace loom {
 
-/// Columns of one block of paths; small enough for the innermost cache.
+/// Columns of one block of paths; small enough for the L1 cache.
 struct MatteColumns {
     static constexpr std::size_t capacity = 128;
 
@@ -34,30 +34,30 @@ struct MatteColumns {
         }
     };
 
-    // in: the surface, the path that arrives, random numbers
+    // in: the surface, the arriving path, samples
     Triples p, ng, n;  // n: interpolated, not of unit length
     Numbers hit_error;
-    Numbers side;  // turns n: 1 or -1; 0: shade with ng
+    Numbers side;  // sign of n: 1 or -1; 0: shade with ng
     Triples reflectance;
     Numbers two_sided;  // 1 or 0
     Triples wo, beta;
     Numbers eta_scale;
     Numbers u_direction_x, u_direction_y, u_roulette;
-    // in: the light point; black: none
+    // in: the light point; zero: none
     Triples light_y, light_n, light_Li;
     Numbers light_hit_error;
     Numbers light_area, light_pdf_w, light_pmf, light_at_infinity;
 
     // out: the vertex
     Triples ns, albedo;
-    Triples wo_local;  // turned to the front
-    Numbers turn;      // -1 where the front is the mirror image of the surface, else 1
+    Triples wo_local;  // mirrored to the front
+    Numbers turn;      // -1 where the surface is mirrored to its front, else 1
     Numbers q;         // survival probability of roulette
-    // out: the shadow ray and its contribution; there is no ray where its pdf or its BSDF value is 0
+    // out: the shadow ray and its contribution; no ray where its pdf or its BSDF value is 0
     Triples light_wi;
     Triples shadow_o, shadow_d, contribution;
     Numbers shadow_t_max, shadow_pdf_w, shadow_pdf_bsdf_w, shadow_f;
-    // out: the next ray, roulette folded into its density; there is none where the sum of its weight is 0 or NaN
+    // out: the next ray, with roulette in its density; none where the sum of its weight is 0 or NaN
     Triples next_o, next_d, next_beta;
     Numbers next_pdf_w, next_weight;
 
@@ -66,7 +66,7 @@ struct MatteColumns {
     bool has_next(std::size_t i) const { return next_weight[i] > 0; }
 };
 
-/// Fills the columns that are marked `out`, for the first n paths; the same bits on every x86-64 level.
+/// Fills the columns marked `out`, for the first n paths; bit-identical on every x86-64 level.
 /// in:      roulette  how paths end at this depth; off before rr_depth
 void shade_matte(MatteColumns& columns, std::size_t n, Roulette roulette);
 

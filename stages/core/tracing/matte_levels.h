@@ -1,7 +1,7 @@
 #pragma once
 #include "stages/core/tracing/matte_columns.h"
 
-// One shade_matte for each x86-64 level.
+// Declares shade_matte once per x86-64 level.
 #define LOOM_DECLARE_LEVEL(level)                                              \
     namespace loom::level {                                                    \
     void shade_matte(MatteColumns& columns, std::size_t n, Roulette roulette); \

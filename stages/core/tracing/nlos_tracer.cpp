@@ -7,8 +7,8 @@
 namespace loom {
 namespace {
 
-/// Two points of one plane receive light from each other only by rounding, which over their distance squared can be
-/// anything.
+/// Whether two points lie in one plane. They receive light from each other only by rounding, which divided by their
+/// squared distance can have any value.
 bool in_one_plane(const Normal3f& n, const Vector3f& d, const Point3f& p) {
     constexpr double flat = 1e-5;
     const double size = std::max({std::abs(p.x), std::abs(p.y), std::abs(p.z)});
@@ -52,12 +52,12 @@ class NlosPath {
   private:
     /// Light that reaches a vertex from the projector or the laser spot. pdf_w is 1: the point is not sampled.
     struct Light : LightSample {
-        RayEnd end;  // of its shadow ray
+        RayEnd end;  // end of its shadow ray
         Light() { pdf_w = 1; }
     };
     static constexpr int no_limit = 1 << 30;
 
-    /// Adds light at hit_, samples a direction and traces it. False when the path ends.
+    /// Adds light at hit_, samples a direction and traces it. Returns false when the path ends.
     template <bool recording>
     bool step(int depth, PathRecorder record) {
         const SurfacePoint at = scene_.surface(path_.ray, hit_);
@@ -71,7 +71,7 @@ class NlosPath {
             return false;
         };
 
-        const int lit = depth + (capture_.laser_sampling ? 2 : 1);  // edges of a path that is lit here
+        const int lit = depth + (capture_.laser_sampling ? 2 : 1);  // edges of a path that the laser lights here
         const bool smooth = has_smooth_lobe(here.bsdf);
         const bool wanted = lit <= longest_ && (capture_.filter_depth < 0 || lit == capture_.filter_depth) &&
                             !(capture_.discard_direct && lit == 2);
@@ -116,8 +116,8 @@ class NlosPath {
 
         path_.ray = spawn_ray(here.end(), wi);
         if (aims) {
-            // Aim at the sampled point from the ray's origin beside the vertex, then treat the ray as starting at the
-            // vertex. Along wi the points hit would lie closer together than those sampled.
+            // Aim at the sampled point from the ray's origin off the surface, then treat the ray as starting at the
+            // vertex. Along wi the hit points would lie closer together than the sampled points.
             const Vector3f d = aimed.p - path_.ray.o;
             hit_ = scene_.intersect({path_.ray.o, d / length(d)});
             path_.ray.o = here.p;
@@ -137,7 +137,7 @@ class NlosPath {
             const float p_hidden = c > 0 ? pdf_hidden_w(scene_, here.p, scene_.surface(path_.ray, hit_)) : 0.0f;
             const float pdf_w = q * (c * p_hidden + (1 - c) * value.pdf_w);
             if (!(pdf_w > 0)) return end(Ending::invalid_sample);
-            s.weight = value.f_cos * (1 / pdf_w);  // roulette included
+            s.weight = value.f_cos * (1 / pdf_w);  // including roulette
             pass_vertex(path_, here.p, model, at.shape, s, 1, pdf_w);
         }
         if constexpr (recording) {
@@ -148,11 +148,11 @@ class NlosPath {
         return true;
     }
 
-    /// Whether the ray has hit exactly the point that it was aimed at, and nothing before it.
+    /// Whether the ray has hit the point at which it was aimed, and nothing before it.
     bool hit_first(const HiddenPoint& aimed) const {
         if (!hit_ || hit_.shape != aimed.element.shape || hit_.primitive != aimed.element.primitive) return false;
         if (scene_.shapes[hit_.shape].kind != ShapeKind::sphere) return true;
-        // A line hits a sphere twice. From outside the ray hits the front point, from inside the only one ahead.
+        // A line hits a sphere twice: from outside the ray hits the front point, from inside the only one ahead.
         const Shape& sphere = scene_.shapes[hit_.shape];
         const bool inside = length2(path_.ray.o - sphere.round.center) < sqr(sphere.round.radius);
         return (dot(aimed.n, path_.ray.d) < 0) != inside;
@@ -196,7 +196,7 @@ class NlosPath {
             ++path_.result.n_rays;
             const float cos_surface = std::abs(dot(spot.ng, spot.ray.d));
             if (!spot.hit || !(cos_surface > 0)) return false;
-            // Over the beam's section, irradiance times area is constant but for the surface's slant.
+            // Over the beam's section, irradiance times area is constant except for the surface's slant.
             E = beam_radiance(scene_, projector_, projector_.radiance, x, y) *
                 (pi<float> * 4 * projector_.tan_x * projector_.tan_y / cos_surface);
         }

@@ -1,5 +1,5 @@
 #pragma once
-// Paths of a capture around a corner. Apart from the path tracer proper, so that ordinary scenes pay nothing for it.
+// Paths of an NLOS capture, separate from the path tracer so that ordinary scenes have no overhead.
 
 #include <span>
 
@@ -7,15 +7,15 @@
 
 namespace loom {
 
-/// Traces from the sensor to its point of the relay wall and on, each vertex lit by the laser.
-///   L = sum_j beta_j f cos Li,  Li of the projector itself or, with laser sampling, of the spot that its beam lights:
+/// Traces paths from the sensor to its point of the relay wall and on; each vertex is lit by the laser.
+///   L = sum_j beta_j f cos Li,  Li of the projector itself or, with laser sampling, of the laser spot:
 ///   Li = f_l cos_laser E cos_l / r^2 A,  E its irradiance of a facing plane, A = 1 m^2 or that of the beam's section
-/// A direction is chosen among hidden geometry or by the BSDF, and its density is that of both together:
+/// A direction is chosen among hidden geometry or by the BSDF; its density is that of both together:
 ///   pdf_w = q (c p_hidden + (1 - c) p_bsdf)
-/// A point of hidden geometry that something hides ends the path, so that no layer counts twice.   [Royo2022]
-/// Depths count edges, the laser's among them: wall, hidden surface, wall is 4 whether or not lasers are sampled.
+/// A sampled point of hidden geometry that is occluded ends the path, so that no layer counts twice.   [Royo2022]
+/// Depths count edges, including the laser's: wall, hidden surface, wall is 4 with or without laser sampling.
 /// needs:   scene.nlos
-/// in:      records  null: the radiance alone
+/// in:      records  null: compute the radiance only
 void trace_nlos(const Scene& scene, const PathOptions& options, std::span<const PathId> ids,
                 std::span<PathResult> results, PathRecords* records);
 

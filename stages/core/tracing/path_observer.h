@@ -6,19 +6,19 @@
 
 namespace loom {
 
-/// Watches the paths of a PathBatch. Each call covers all paths that are under way; paths are indices into the batch.
+/// Observes the paths of a PathBatch. Each call covers all active paths; paths are indices into the batch.
 class PathObserver {
   public:
     virtual ~PathObserver() = default;
 
     /// A batch of n paths starts.
     virtual void start(std::size_t n) = 0;
-    /// Rays have arrived, before anything is added to their paths. All spans have the length of `paths`.
-    /// in:  hits    false where the ray leaves the scene
-    ///      lights  looked up for the hit or the miss
+    /// Rays have arrived; nothing has been added to their paths yet. All spans have the length of `paths`.
+    /// in:      hits    false where the ray leaves the scene
+    ///          lights  looked up for the hit or the miss
     virtual void arrive(std::span<const std::uint32_t> paths, std::span<const Ray* const> rays,
                         std::span<const Hit> hits, std::span<const LightQuery> lights) = 0;
-    /// Shadow rays of these paths have been traced, whatever they hit.
+    /// Shadow rays of these paths have been traced, whether occluded or not.
     virtual void trace_shadow_rays(std::span<const std::uint32_t> paths, std::span<const Ray* const> rays) = 0;
 };
 

@@ -8,7 +8,7 @@
 
 namespace loom {
 
-/// A shadow ray of next-event estimation, and what the path gains if nothing blocks it.
+/// A shadow ray of next-event estimation, and its contribution if it is not occluded.
 struct alignas(64) ShadowRequest {
     Ray ray;
     Spectrum contribution;
@@ -24,8 +24,8 @@ constexpr Step operator|(Step a, Step b) {
 }
 
 /// Adds the light that the path's ray has hit, weighted against next-event estimation.
-/// in:  pdf_nee  density of next-event estimation for the same light point, 0 where it does not find it
-///      at       the light point; null: at infinity
+/// in:      pdf_nee  density of next-event estimation for the same light point, 0 where it does not sample it
+///          at       the light point; null: at infinity
 template <bool recording>
 void add_arrived_light(PathState& path, PathRecorder record, const Spectrum& Li, float pdf_nee, int emitter,
                        const SurfacePoint* at) {
@@ -36,8 +36,8 @@ void add_arrived_light(PathState& path, PathRecorder record, const Spectrum& Li,
         light.pdf_w = pdf_nee;
         light.emitter = std::uint16_t(emitter);
         light.at_infinity = at == nullptr;
-        // Exactly along the sampled direction from the vertex: the ray started off the surface, so the direction to the
-        // point that it hit differs from it.
+        // Exactly along the sampled direction from the vertex. The ray started off the surface, so the direction to its
+        // hit point differs.
         light.y = at ? path.from + path.ray.d * dot(at->p - path.from, path.ray.d) : Point3f(path.ray.d);
         if (at) light.n = at->ng;
         record.add(light_edge(record.last_number(), LightTechnique::bsdf_hit, light, path.pdf_w, path.media.index()));
@@ -45,8 +45,8 @@ void add_arrived_light(PathState& path, PathRecorder record, const Spectrum& Li,
 }
 
 /// Samples a light from a vertex.
-/// in:  q  survival probability of roulette at the vertex
-/// out: whether a shadow ray must decide; then `shadow` is filled
+/// in:      q  survival probability of roulette at the vertex
+/// out:     whether a shadow ray must be traced; then `shadow` is filled
 template <bool recording>
 bool sample_next_event(const Scene& scene, const PathState& path, const ShadingPoint& here, std::uint32_t shape,
                        float q, const LightQuery& lights, ShadowRequest& shadow, std::uint32_t vertex) {
@@ -67,15 +67,15 @@ template <bool recording>
 Step leave(const Scene& scene, const PathOptions& options, int depth, const ShadingPoint& here, std::uint32_t shape,
            const LightQuery& lights, Point2f u_direction, PathState& path, ShadowRequest& shadow, PathRecorder record);
 
-/// Ends the path's edge number `depth` at `hit`, or at nothing: adds emission, samples a light and the next direction.
-/// in:  lights  looked up for this hit or miss
-/// out: path.ray is the next ray if the path goes on; `shadow` is filled if the step needs a shadow ray
+/// Ends the path's edge number `depth` at `hit`, or at a miss: adds emission, samples a light and the next direction.
+/// in:      lights  looked up for this hit or miss
+/// out:     path.ray is the next ray if the path continues; `shadow` is filled if the step needs a shadow ray
 template <bool recording>
 Step arrive(const Scene& scene, const PathOptions& options, int depth, const Hit& hit, const LightQuery& lights,
             Point2f u_direction, PathState& path, ShadowRequest& shadow, PathRecorder record) {
     const Vector3f wo = -path.ray.d;
     const bool mis = depth > 1 && !is_delta(path.lobe);
-    const bool dark = options.max_depth == 0;  // without even the directly visible emitters
+    const bool dark = options.max_depth == 0;  // excludes even directly visible emitters
     if (!hit) {
         const Spectrum Le = dark || hides_sky(scene, path.is_straight) ? Spectrum(0) : lights.Le;
         if (depth == 1) {
@@ -130,7 +130,7 @@ Step arrive(const Scene& scene, const PathOptions& options, int depth, const Hit
     return leave<recording>(scene, options, depth, here, at.shape, lights, u_direction, path, shadow, record);
 }
 
-/// Leaves vertex number `depth` of a path that may go on: samples a light, applies roulette and samples the next
+/// Leaves vertex number `depth` of a path that may continue: samples a light, applies roulette and samples the next
 /// direction.
 /// in, out: as arrive()
 template <bool recording>

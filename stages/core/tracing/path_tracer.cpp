@@ -13,7 +13,7 @@ namespace loom {
 
 namespace {
 
-/// in: last  no light is sampled from a hit
+/// in:      last  no light is sampled at this hit
 LightQuery light_query(const Hit& hit, const Ray& ray, Point2f u, bool last) {
     LightQuery query;
     query.kind = !hit ? LightQuery::Kind::environment : last ? LightQuery::Kind::nothing : LightQuery::Kind::point;
@@ -62,10 +62,10 @@ struct PathBatch::Impl {
     std::vector<Hit> hits;
     std::vector<LightQuery> lights;
     std::vector<const Ray*> rays;
-    std::vector<std::uint32_t> active, waiting;  // paths under way; paths that need a shadow ray
-    std::vector<std::uint32_t> joining;          // paths that begin at a later depth, the deepest first
+    std::vector<std::uint32_t> active, waiting;  // active paths; those that need a shadow ray
+    std::vector<std::uint32_t> joining;          // paths that start at a later depth, the deepest first
     std::unique_ptr<bool[]> blocked{new bool[capacity]};
-    // Columns of random numbers, in the order of `active`.
+    // Columns of random numbers and their keys, in the order of `active`.
     std::vector<std::uint32_t> key_lo, key_hi, index;
     std::vector<float> light_x, light_y, direction_x, direction_y, roulette_x, unused;
     std::vector<Step> steps;
@@ -73,7 +73,7 @@ struct PathBatch::Impl {
     bool prefetches;
     PathObserver* observer;
 
-    static constexpr std::size_t cache_bytes = std::size_t(1) << 20;  // of the second level
+    static constexpr std::size_t cache_bytes = std::size_t(1) << 20;  // size of the L2 cache
 
     Impl(const Scene& s, const PathOptions& o, PathObserver* path_observer)
         : scene(s), options(o), matte(s, o), prefetches(s.table_bytes() > cache_bytes), observer(path_observer) {
@@ -123,7 +123,7 @@ struct PathBatch::Impl {
         follow<false>(nullptr);
     }
 
-    /// Paths that begin here join the active ones.
+    /// Activates the paths that start at this depth.
     void join(int depth) {
         for (; !joining.empty() && paths[joining.back()].depth() == depth; joining.pop_back()) {
             const Sampler& sampler = paths[joining.back()].sampler;
@@ -163,7 +163,7 @@ struct PathBatch::Impl {
             look_up_lights(scene, {lights.data(), n});
             ask(&Scene::prefetch_texels);
             if (observer) observer->arrive(active, {rays.data(), n}, {hits.data(), n}, {lights.data(), n});
-            // Matte surfaces by column, a block at a time; all else vertex by vertex.
+            // Diffuse surfaces as a structure of arrays, block by block; all others vertex by vertex.
             const bool by_column = options.max_depth < 0 || depth < options.max_depth;
             const auto shade = [&] {
                 matte.shade(depth);

@@ -24,7 +24,7 @@ enum class Roulette : std::uint8_t {
 
 /// Area of the laser spot that laser sampling assumes.
 enum class LaserSpot : std::uint8_t {
-    unit_area,  // a point of 1 m^2, as in mitransient: the result is per area of the spot
+    unit_area,  // a point with an area of 1 m^2, as in mitransient: the result is per area of the spot
     true_area   // the section of the beam: the result is that of next-event estimation
 };
 
@@ -34,13 +34,13 @@ struct PathOptions {
     Roulette roulette = Roulette::albedo;
     int rr_depth = 5;                             // first vertex (camera ray: 1) at which roulette may end a path
     int max_depth = -1;                           // longest path in edges, -1: no limit
-    LaserSpot laser_spot = LaserSpot::unit_area;  // of an NLOS capture
+    LaserSpot laser_spot = LaserSpot::unit_area;  // NLOS captures only
 };
 
-/// Never survive with certainty, so that paths in a lossless enclosure end.
+/// Upper bound of the survival probability, so that paths in a lossless enclosure end.
 inline constexpr float max_survival = 0.95f;
 
-/// What later stages need of the first surface that a camera ray hits.
+/// Values of the first surface that a camera ray hits, for later stages.
 struct FirstHit {
     Spectrum albedo;  // 0 where the ray escapes
     Normal3f n;       // shading normal, (0, 0, 0) where the ray escapes
@@ -60,25 +60,26 @@ struct PathId {
 };
 
 /// Traces many paths at once: rays sixteen at a time, random numbers as a structure of arrays. One batch belongs to one
-/// thread. A result does not depend on what else is in the batch, apart from ties of two surfaces at one point.
+/// thread. A result does not depend on the other paths of the batch, except for ties of two surfaces at one point.
 ///   L = Le(x1) + sum_j beta_j [ w_nee f cos Li / p_nee + w_bsdf f cos Li / (q p_bsdf) ],  power-heuristic
-/// weights over the density of next-event estimation and that of BSDF sampling with roulette folded in.
+/// weights over the density of next-event estimation and that of BSDF sampling including roulette.
 class PathBatch {
   public:
-    /// in:  observer  null, or watches all paths of trace(); borrowed. Not for NLOS captures.
+    /// in:      observer  null, or observes all paths of trace(); borrowed. Not for NLOS captures.
     PathBatch(const Scene& scene, const PathOptions& options, PathObserver* observer = nullptr);
     ~PathBatch();
     PathBatch(PathBatch&&) noexcept;
 
-    /// in: ids, at most `capacity`; out: results, of the same length
+    /// in:      ids, at most `capacity`
+    /// out:     results, of the same length
     void trace(std::span<const PathId> ids, std::span<PathResult> results);
     /// Traces the same paths and records all of their vertices and light edges.
     void trace(std::span<const PathId> ids, std::span<PathResult> results, PathRecords& records);
 
-    /// Traces started paths to their ends, each from its own depth; the result is that of tracing them whole.
-    /// in:      under_way  indices of the paths to trace, at most `capacity`; the others stay as they are
-    ///          paths      each with its ray, the state that led to it, and the light and vertices so far
-    /// out:     paths      the result of each; n_rays counts on
+    /// Traces started paths to their ends, each from its own depth; the result equals that of tracing them whole.
+    /// in:      under_way  indices of the paths to trace, at most `capacity`; all others are unchanged
+    ///          paths      each with its ray, the state that led to it, and its radiance and vertices so far
+    /// out:     paths      the result of each; n_rays is incremented
     /// needs:   no observer, no NLOS capture
     void resume(std::span<PathState> paths, std::span<const std::uint32_t> under_way);
 
@@ -89,7 +90,7 @@ class PathBatch {
     std::unique_ptr<Impl> impl_;
 };
 
-/// Traces one path ray by ray. A replay runs it; it is the plain twin of PathBatch.
+/// Traces one path ray by ray; used for replay. Its results equal those of PathBatch.
 PathResult trace_path(const Scene& scene, const PathOptions& options, PathId id, PathRecords& records);
 
 }  // namespace loom

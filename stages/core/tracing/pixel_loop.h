@@ -1,6 +1,6 @@
 #pragma once
-// The loop of the stages that trace every pixel from the camera and keep only sums: pixel by pixel, sample by sample,
-// in batches that may end inside a pixel.
+// Loop of the stages that trace every pixel from the camera and keep only sums: pixel by pixel, sample by sample, in
+// batches that may end inside a pixel.
 
 #include <tbb/enumerable_thread_specific.h>
 
@@ -22,7 +22,7 @@ struct Work {
     int threads = 0;
 };
 
-/// What tracing took.
+/// Counters of a trace.
 struct Counts {
     std::uint64_t rays = 0, vertices = 0, nonfinite = 0;
     void add(const PathResult& path) {
@@ -36,10 +36,11 @@ struct Counts {
     }
 };
 
-/// Samples that are not finite are counted, never dropped; the first few are named with their replay. For all threads.
+/// Counts samples that are not finite (they are never dropped) and reports the first few with their replay command.
+/// Thread-safe.
 class NonfiniteLog {
   public:
-    /// in:  of  which of several scenes, " of the old scene"; empty when there is one
+    /// in:      of  name of the scene if there are several, as " of the old scene"; else empty
     NonfiniteLog(app::Report& report, std::uint64_t width, std::uint64_t seed, std::string of = "")
         : report_(report), width_(width), seed_(seed), of_(std::move(of)) {}
     void check(const Spectrum& L, PathId id) {
@@ -59,21 +60,21 @@ class NonfiniteLog {
     std::atomic<std::uint64_t> count_{0};
 };
 
-/// Samples of one pixel, by number.
+/// Samples of one pixel, as a range of indices.
 struct SampleRange {
     std::uint64_t first = 0, n = 0;
 };
 
-/// Traces `samples_of(pixel)` of every pixel. A pixel is one thread's, and its samples come in order.
+/// Traces `samples_of(pixel)` of every pixel. A pixel belongs to one thread; its samples come in order.
 /// in:      workers  one Worker per thread, kept from chunk to chunk, with
-///                     trace(std::span<const PathId>)   a batch of paths, at most PathBatch::capacity
-///                     add(k, PathId)                   the k-th path of the batch is one of the pixel
-///                     finish(pixel)                    that was its last sample; never for a pixel without samples
-///          mean_spp   about how many samples a pixel has, to cut the work into chunks
+///                    trace(std::span<const PathId>)   trace a batch of paths, at most PathBatch::capacity
+///                    add(k, PathId)                   add the k-th path of the batch to its pixel
+///                    finish(pixel)                    end a pixel after its last sample; never without samples
+///          mean_spp   approximate samples per pixel, to divide the work into chunks
 template <class Worker, class SamplesOf>
 void trace_pixels(tbb::enumerable_thread_specific<Worker>& workers, std::uint64_t n_pixels, double mean_spp,
                   int threads, SamplesOf&& samples_of, app::Progress& progress) {
-    // Small enough to balance two threads, large enough to hide the task.
+    // Small enough to balance two threads, large enough to hide the overhead of a task.
     constexpr std::uint64_t paths_per_chunk = 4096;
     const std::uint64_t pixels_per_chunk = std::clamp<std::uint64_t>(
         std::uint64_t(double(paths_per_chunk) / std::max(mean_spp, 1.0)), 16, paths_per_chunk);

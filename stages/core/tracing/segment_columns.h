@@ -8,7 +8,7 @@
 
 namespace loom {
 
-/// Segments o + t d, t in [t_min, t_max], by column.
+/// Segments o + t d, t in [t_min, t_max], as a structure of arrays (SoA).
 struct SegmentColumns {
     std::vector<float> o[3], inv_d[3], t_min, t_max;  // inv_d: 1 / d by component, infinite where it is 0
     std::vector<std::uint8_t> met;
@@ -32,8 +32,8 @@ struct SegmentColumns {
     }
 };
 
-/// met[i]: whether segment i meets one of the boxes, but for rounding; one in the plane of a face may be taken for
-/// outside.
+/// Sets met[i] to whether segment i hits one of the boxes, except for rounding; a segment in the plane of a face may
+/// count as outside.
 void find_met(SegmentColumns& segments, std::size_t n, const Box3f* boxes, std::size_t n_boxes);
 
 }  // namespace loom

@@ -1,7 +1,7 @@
 #pragma once
 #include "stages/core/tracing/segment_columns.h"
 
-// One find_met for each x86-64 level.
+// Declares find_met once per x86-64 level.
 #define LOOM_DECLARE_LEVEL(level)                                                                    \
     namespace loom::level {                                                                          \
     void find_met(SegmentColumns& segments, std::size_t n, const Box3f* boxes, std::size_t n_boxes); \

@@ -1,14 +1,14 @@
-// The step at a matte surface, compiled once per x86-64 level (LOOM_LEVEL is v2, v3 or v4). `flatten` inlines all
-// that is called, so nothing else of a level leaks into the program.
+// The step at a diffuse surface, compiled once per x86-64 level (LOOM_LEVEL is v2, v3 or v4). `flatten` inlines all
+// callees, so no other code of a level enters the program.
 #include "stages/core/tracing/matte_levels.h"
 #include "stages/core/tracing/vertex_rules.h"
 
 namespace loom::LOOM_LEVEL {
 namespace {
 
-// Several loops over few columns, not one over all: a comparison with a number that a select() has made in the same
-// loop becomes a select of comparisons, which g++ does not vectorise. For the same reason directions are mirrored by
-// a product, and what a decision rests on is left in a column.
+// Several loops over few columns, not one loop over all. A comparison with the result of a select() in the same loop
+// becomes a select of comparisons, which g++ does not vectorise. For the same reason directions are mirrored by a
+// product, and the operands of a decision are stored in a column.
 
 Vector3f times_z(const Vector3f& w, float sign) {
     return {w.x, w.y, w.z * sign};
@@ -69,7 +69,7 @@ void reflect_light(MatteColumns& c, std::size_t i) {
     c.shadow_pdf_bsdf_w[i] = pdf_bsdf;
 }
 
-/// spawn_ray() or spawn_segment(), without a Ray: the vectoriser does not look through copies of it.
+/// Computes spawn_ray() or spawn_segment() without a Ray, because the vectoriser does not optimise copies of it.
 void aim_at_light(MatteColumns& c, std::size_t i) {
     const auto p = c.p.get<Point3f>(i), y = c.light_y.get<Point3f>(i);
     const auto wi = c.light_wi.get<Vector3f>(i);
