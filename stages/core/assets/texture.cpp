@@ -143,8 +143,8 @@ float Texture::eval_float(Point2f uv) const {
 
 namespace {
 
-/// Derivatives of the bilinear interpolant by (u, v).
-/// in: convert  from a pixel to the value
+/// Computes the derivatives of the bilinear interpolant with respect to (u, v).
+/// in:      convert  from a pixel to the value
 template <class Value, class Convert>
 std::pair<Value, Value> gradient(const Texture& texture, Point2f uv, const Convert& convert) {
     if (texture.kind != TextureKind::bitmap || texture.nearest) return {};

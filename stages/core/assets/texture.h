@@ -54,21 +54,21 @@ struct Texture {
     std::string id;
 
     Spectrum eval(Point2f uv) const;
-    /// eval() and, by the chain rule, its derivatives by what uv moves with.
+    /// eval() with derivatives, by the chain rule, with respect to the parameters of uv.
     template <int N, class Real>
     Rgb<Dual<N, Real>> eval(const Point2<Dual<N, Real>>& uv) const;
-    /// Asks for the memory of the pixels that eval() will read.
+    /// Prefetches the pixels that eval() reads.
     void prefetch(Point2f uv) const;
     /// Returns the luminance of a colour texture, the value of a grey one.
     ///                                             [Mitsuba 3.8, checkerboard: eval_1 swaps the colours]
     float eval_float(Point2f uv) const;
-    /// d eval / d(u, v) as eval_gradient().
+    /// d eval / d(u, v), defined as in eval_gradient().
     struct ColourGradient {
         Spectrum by_u, by_v;
     };
     ColourGradient eval_colour_gradient(Point2f uv) const;
     /// d eval_float / d(u, v) of the bilinear interpolant; 0 for `nearest`, checkerboard and constant.
-    /// differs: Mitsuba 3.8 scales by the image size after a rotation in to_uv, we before it
+    /// differs: Mitsuba 3.8 scales by the image size after a rotation in to_uv, this function before it
     Point2f eval_gradient(Point2f uv) const;
     /// Returns the mean over the unit square of the untransformed texture.
     Spectrum mean() const;
@@ -91,7 +91,7 @@ Rgb<Dual<N, Real>> Texture::eval(const Point2<Dual<N, Real>>& uv) const {
 /// Decodes each (file, decoding) once, however many textures use it. Safe from several threads.
 class TextureCache {
   public:
-    /// throws: InputError naming the file: missing, not an image, empty, too large
+    /// throws:  InputError naming the file: missing, not an image, empty, too large
     std::shared_ptr<const TextureImage> image(const std::filesystem::path& file, Decode decode);
     /// Returns the notes of the images, by file name. Must be called after all reading.
     std::vector<std::string> notes() const;
@@ -109,7 +109,7 @@ class TextureCache {
 Decode decode_of(const Object& description);
 
 /// Returns the image of an object's `filename`.
-/// throws: InputError at that parameter
+/// throws:  InputError at that parameter
 std::shared_ptr<const TextureImage> image_of(const Object& object, Decode decode, TextureCache& cache);
 
 /// Makes the texture of a description.
