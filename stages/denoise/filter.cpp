@@ -155,7 +155,7 @@ Colours colours_of(Picture& picture, const Layers& layers, float unit) {
     return out;
 }
 
-/// What tiles read, with a border.
+/// Columns that tiles read, with a border.
 struct TileColumns {
     Column color[3], variance[3], guide[3], guide_variance[3], feature[n_stored_features], inside;
 };
@@ -185,7 +185,7 @@ void add_features(Picture& picture, const Layers& layers, const FilterParameters
         out.feature[3 + c] =
             stored(layers.normal[c], [&](float n) { return parameters.normal_scale * std::clamp(n, -1.0f, 1.0f); });
     }
-    // What no ray hit lies behind everything.
+    // Pixels without a hit are behind all others.
     const float far = layers.depth.empty() ? 0 : *std::max_element(layers.depth.begin(), layers.depth.end());
     out.feature[6] = stored(layers.depth, [&](float z) {
         return parameters.depth_scale * (z > 0 ? std::log(z) : far > 0 ? std::log(far) + 1 : 0.0f);
@@ -200,7 +200,7 @@ Column inside_of(const Picture& picture, std::size_t size) {
     return inside;
 }
 
-/// A tile but for its place and outputs.
+/// Returns a tile without its position and outputs.
 FilterTile tile_of(const TileColumns& columns, const Picture& picture, const FilterParameters& parameters) {
     FilterTile tile{};
     for (int c = 0; c < 3; ++c) {
@@ -229,11 +229,11 @@ struct BandSums {
           bands(std::size_t(picture.bands())) {}
 
     int radius, n_rows;
-    std::size_t size;  // of one of the four
+    std::size_t size;  // of each of the four
     std::vector<Column> bands;
 };
 
-/// Centres of a band write to the rows of their windows; bands overlap there and are added up in order.
+/// Filters bands of centres. A band writes to the rows of its windows; bands overlap there and are added in order.
 void filter_bands(Picture& picture, const FilterTile& whole, BandSums& sums) {
     static const auto filter_tile = __builtin_cpu_supports("x86-64-v4")   ? v4::filter_tile
                                     : __builtin_cpu_supports("x86-64-v3") ? v3::filter_tile
@@ -255,7 +255,7 @@ void filter_bands(Picture& picture, const FilterTile& whole, BandSums& sums) {
     });
 }
 
-/// Adds up the bands, and bounds each pixel by the colours around it.
+/// Adds the bands, and bounds each pixel by the colours around it.
 void finish(Picture& picture, const BandSums& sums, const Colours& colours, float unit, Filtered& out) {
     for (auto& channel : out.color) channel.resize(picture.n_pixels());
     picture.parallel(picture.height(), [&](int y) {
@@ -293,7 +293,7 @@ Filtered filter(const Layers& layers, const FilterParameters& parameters, int th
     if (layers.n_pixels() == 0) return out;
     Picture picture(layers, parameters, threads);
 
-    // Scale the colours, and bound outliers.
+    // Scale the colours and bound outliers.
     const float unit = unit_of(layers);
     Colours colours = colours_of(picture, layers, unit);
     if (parameters.outlier_limit > 0)

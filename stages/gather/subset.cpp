@@ -31,7 +31,7 @@ void SubsetGather::choose(std::size_t path, std::uint32_t first, std::vector<std
         if (j != first) members.push_back(j);
     const std::size_t others = members.size() - 1, wanted = std::min<std::size_t>(options_.members, others);
     if (wanted == others) return;
-    // The first of a random permutation; by path, pass and seed, whatever the thread.
+    // Choose the first members of a random permutation, whose stream depends on path, pass and seed, not on the thread.
     std::uint64_t key = streams::gather(options_.seed, reader_.graph().tracing.first_sample, path);
     for (std::size_t i = 0; i < wanted; ++i) {
         key = streams::next(key);

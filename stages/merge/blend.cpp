@@ -435,7 +435,7 @@ void add_blend(const Image& image, const Weights& w, const DirectImage* direct_i
         }
 }
 
-/// Adds the mean weights as layers.
+/// Stores the mean weights as layers.
 void add_weights(const Weights (&weights)[2], std::size_t n_parts, Image& result) {
     const double even = double((n_parts + 1) / 2) / double(n_parts);
     const auto add = [&](const char* layer, std::vector<double> Weights::*of) {
@@ -468,7 +468,7 @@ bool has_estimates(const Image& image) {
 
 Image blend_images(std::size_t n_parts, const std::function<Image(std::size_t)>& part, const Image* direct,
                    bool test_bias) {
-    // Add up the parts.
+    // Sum the parts.
     LayerMeans layers(n_parts);
     std::optional<HalfSums> sums;
     for (std::size_t i = 0; i < n_parts; ++i) {

@@ -104,7 +104,7 @@ class Reduced {
     struct Arriving {
         Quad all, base;  // light of X, and of B alone
     };
-    /// What an edge brings in the first step; sets its gain.
+    /// Returns the light of an edge in the first step; sets its gain.
     [[gnu::always_inline]] Arriving first_light_of(std::size_t slot, LightColumn X);
     [[gnu::always_inline]] void first_step_of_flat(std::size_t c, LightColumn X);
     [[gnu::always_inline]] void first_step_of_general(std::size_t c, LightColumn X, Edges& edges, Sums& clamped);
@@ -310,7 +310,8 @@ void Reduced::first_step_of_privates(LightColumn X) {
                     });
 }
 
-/// Against X vertex by vertex, as it has no S; and what later steps need for the same sums from S alone.
+/// Sums the changes from X vertex by vertex, because X has no S. Stores what later steps need to compute these sums
+/// from S alone.
 AllSums Reduced::sums_of_first_step(LightColumn X) {
     const System& s = s_;
     std::vector<AllSums> parts(n_chunks() + 1), bases(n_chunks());

@@ -36,11 +36,12 @@ struct Builder {
     const SystemOptions& options;
     std::span<const std::uint32_t> offsets;  // of light edges
     System& system;
-    /// Of a flat cluster, and of the base of split coefficients. What is of rank one for a direction is not for a
-    /// point, nor where successes are counted; the clamp by cluster wants the light of each edge by itself.
+    /// Whether flat clusters and split coefficients are used. They require that a coefficient has rank one. This does
+    /// not hold for points instead of directions, nor where successes are counted. The clamp by cluster needs the light
+    /// of each edge separately.
     bool rank_one =
         options.sharing.reuse == Reuse::directions && !options.sharing.as_printed && options.clamp != Clamp::cluster;
-    std::atomic<std::uint64_t> n_bytes = 0;  // of blocks taken
+    std::atomic<std::uint64_t> n_bytes = 0;  // of allocated blocks
 
     std::span<const std::uint32_t> members(std::size_t c) const {
         return clusters.member.values().subspan(system.first[c], system.first[c + 1] - system.first[c]);
@@ -51,7 +52,8 @@ struct Builder {
     }
 
     /// Adds one column of a block: f_j cos_j / rho at all vertices of the cluster, in 16 bits of its largest value.
-    /// in:  clamp_weight  of each lane;  edge_eta2  of the medium that the light comes through
+    /// in:      clamp_weight  [lane]
+    ///          edge_eta2     squared index of the medium that the light crosses
     void add_column(const ClusterShading& shading, const float* clamp_weight, float edge_eta2, float* scale,
                     std::uint16_t* out, float inv_rho, ChunkResult& result) const {
         float sum[3];
@@ -101,7 +103,8 @@ struct Builder {
     }
 
     /// Adds vertex j's own samples that no neighbour can use.
-    /// in/out:  direct  light; weight  of the continuation
+    /// in, out: direct  light
+    ///          weight  of the continuation
     void add_private(std::size_t j, std::uint32_t unknown, bool all, Spectrum& direct, Spectrum& weight,
                      ChunkResult& result) const {
         const bool delta = is_delta(Lobe(graph.vertices.lobe[j]));
@@ -187,9 +190,9 @@ struct Builder {
         }
     }
 
-    /// What each vertex of a cluster makes of its own samples.
+    /// Results of each vertex's own samples.
     struct OwnSums {
-        Spectrum light[max_lanes], weight[max_lanes];  // direct light; of the continuation
+        Spectrum light[max_lanes], weight[max_lanes];  // direct light; weight of the continuation
     };
 
     static void load_lanes(const ClusterShading& shading, Lanes& direct) {
@@ -204,7 +207,7 @@ struct Builder {
         }
     }
 
-    /// Samples of delta lobes, which only their own vertex uses.
+    /// Adds samples of delta lobes, which only their own vertex uses.
     void add_delta_samples(std::size_t c, const ClusterShading& shading, Lanes& direct, OwnSums& own,
                            ChunkResult& result) {
         const std::uint32_t begin = system.first[c];
@@ -218,7 +221,7 @@ struct Builder {
         }
     }
 
-    /// The block of coefficients, a column for each continuation.
+    /// Adds the block of coefficients, one column per continuation.
     [[gnu::always_inline]] void add_block(std::size_t c, ClusterShading& shading, const Lanes& direct,
                                           std::span<const VertexRow> vertex_rows, OwnSums& own, ChunkResult& result) {
         // Reserve memory.
@@ -260,7 +263,7 @@ struct Builder {
             for_each_direction(shading, sink);
     }
 
-    /// Light that arrives directly: the light edges of all vertices, at each vertex.
+    /// Adds direct light: the light edges of all vertices, at each vertex.
     [[gnu::always_inline]] void add_direct_light(std::size_t c, ClusterShading& shading, const ClusterRows& rows,
                                                  Lanes& direct, OwnSums& own) {
         const int lanes = shading.padded();
@@ -284,7 +287,7 @@ struct Builder {
                             });
     }
 
-    /// Builds all clusters; a result for each chunk of them.
+    /// Builds all clusters. Returns one result per chunk.
     std::vector<ChunkResult> add_clusters() {
         const std::size_t n_members = system.first.back();
         ClusterRows rows(reader, system.unknown, n_members, offsets, options.threads);
@@ -295,7 +298,8 @@ struct Builder {
         };
         const std::uint64_t n_chunks = (system.n_clusters + clusters_per_chunk - 1) / clusters_per_chunk;
         std::vector<ChunkResult> results(n_chunks);
-        // Half of the light rows at a time: what is held at once costs more than reading the graph's light edges again.
+        // Build half of the rows of light at a time: holding all of them costs more than reading the graph's light
+        // edges twice.
         for (const auto& [first_chunk, past_chunks] :
              {std::pair{std::uint64_t(0), n_chunks / 2}, std::pair{n_chunks / 2, n_chunks}}) {
             const std::size_t past_end = std::min(past_chunks * clusters_per_chunk, system.n_clusters);
@@ -318,7 +322,7 @@ struct Builder {
         return results;
     }
 
-    /// Solitary vertices: those that no cluster has.
+    /// Adds solitary vertices, which have no cluster.
     std::vector<ChunkResult> add_solitary() {
         const std::size_t n_members = system.first.back();
         if (n_members == system.n_unknowns) return {};
@@ -343,7 +347,7 @@ struct Builder {
     }
 };
 
-/// Allocates all but the rows.
+/// Allocates all columns except the rows.
 System empty_system(const PathGraph& graph, const Clusters& clusters, const SystemOptions& options) {
     System s;
     s.n_clusters = clusters.n_clusters();
@@ -369,7 +373,7 @@ System empty_system(const PathGraph& graph, const Clusters& clusters, const Syst
     return s;
 }
 
-/// Numbers vertices by cluster; a cluster that is not flat sorts its own once more.
+/// Numbers vertices by cluster; the vertices of a cluster that is not flat are sorted once more.
 void number_members(System& s, const Clusters& clusters, int threads) {
     const std::size_t n_members = s.first.back();
     if (n_members < s.n_unknowns) std::fill_n(s.unknown.data(), s.n_unknowns, System::nothing);
@@ -378,7 +382,7 @@ void number_members(System& s, const Clusters& clusters, int threads) {
     });
 }
 
-/// Adds up chunks in order.
+/// Sums chunks in order.
 void add_results(const std::vector<ChunkResult>& results, System& s, double& sum, double& taken) {
     for (const ChunkResult& r : results) {
         s.privates.insert(s.privates.end(), r.privates.begin(), r.privates.end());
@@ -390,7 +394,7 @@ void add_results(const std::vector<ChunkResult>& results, System& s, double& sum
     }
 }
 
-/// Ends are vertices so far; the iteration wants unknowns.
+/// Converts ends from vertices to unknowns for the iteration.
 void number_ends(System& s, int threads) {
     for (System::Private& p : s.privates) p.end = s.unknown[p.end];
     parallel_chunks(s.n_clusters, 4096, threads, [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
