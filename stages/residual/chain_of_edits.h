@@ -11,7 +11,7 @@ namespace loom::residual {
 /// Returns the links of an image; an image without a ledger is its own only link.
 Ledger ledger_of(const Image& picture);
 
-/// The link of a residual, which says it itself; else what its provenance says.
+/// Returns the link of a residual from its ledger, else from its provenance.
 LedgerLink link_of_residual(const Image& residual);
 
 /// throws:  InputError when a residual by `method` with `seed` has the random stream of an earlier link

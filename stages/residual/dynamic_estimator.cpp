@@ -42,7 +42,7 @@ class Splats {
     std::vector<Splat> of_sample_;
 };
 
-/// Image of the samples that start from sites: sums, and squares by sample.
+/// Image of the samples that start from sites: sums, and sums of squares per sample.
 struct SitePicture {
     std::vector<Radiance> sum, square;
 };
@@ -71,7 +71,7 @@ class Estimator {
         return part.value * (1 / (part.by_camera ? n * part.h * part.density.camera_density : part.own));
     }
 
-    /// in: first  index of the first sample of a family over its number of samples
+    /// in:      first  index of the first sample of a family over its number of samples
     void add_from_sites(double first, SitePicture& picture, Counts& counts, std::uint64_t& unrelocated,
                         app::Progress& progress) const {
         const std::uint64_t n_pixels = picture.sum.size();
@@ -101,7 +101,7 @@ class Estimator {
                         }
                         progress.add(end - begin);
                     });
-                // In the order of the samples, so that sums do not depend on threads.
+                // In the order of the samples, so that sums do not depend on the number of threads.
                 for (const std::vector<Splat>& splats : found)
                     for (const Splat& s : splats) {
                         family_sum[s.pixel] += s.value;
@@ -119,8 +119,8 @@ class Estimator {
         }
     }
 
-    /// Renders camera paths. Alone they are plain pairs, else weighted against the other families.
-    /// in: control  null, or with weights; only with camera paths alone
+    /// Renders camera paths, as plain pairs if they are the only family, else weighted against the other families.
+    /// in:      control  null, or with weights; only if camera paths are the only family
     Film from_camera(std::uint64_t first_sample, ControlSums* control, DynamicCounts& counts, app::Report& report,
                      app::Progress& progress) const;
 
@@ -279,8 +279,7 @@ Image render_dynamic(const ScenePair& pair, const Edit& edit, const DynamicOptio
         effort.why = fmt::format("camera paths alone, evenly: --spp {} is too small for a pilot, which needs {}",
                                  work.spp, least_spp);
     } else {
-        // How many samples there will be is not known beforehand, so that passes have seeds of their own, as the pilot
-        // has.
+        // The number of samples is not known beforehand, so each pass has its own seed, and the pilot too.
         path.seed = streams::pass(path.seed, work.first_sample);
         first_sample = 0;
         PathOptions pilot = path;

@@ -36,8 +36,8 @@ bool says_its_noise(const Image& image) {
 }
 
 /// Reads an image with variance and the film of a scene.
-/// in:  writers  programs that write such images, as text
-///      or_denoised  accept a denoised image without variance
+/// in:      writers      programs that write such images, as text
+///          or_denoised  accept a denoised image without variance
 Image read_noisy_picture(const std::string& file, const Scene& scene, const std::string& scene_name,
                          const char* writers, bool or_denoised = false) {
     Image image = read_image(file);
@@ -49,7 +49,7 @@ Image read_noisy_picture(const std::string& file, const Scene& scene, const std:
     return image;
 }
 
-/// Reads the old image and checks that it is of the old scene, if it names its scene.
+/// Reads the old image and checks that it shows the old scene, if the image stores its scene.
 Image read_old_picture(const std::string& file, const Scene& old_scene, const std::string& scene_name,
                        app::Report& report) {
     Image image = read_noisy_picture(file, old_scene, scene_name, "loom-trace -o x.exr and loom-merge");
@@ -58,7 +58,7 @@ Image read_old_picture(const std::string& file, const Scene& old_scene, const st
             fmt::format("{}: has no variance (samples per pixel: {}; VarMean needs two)", file, image.samples));
     if (image.ledger.size() == 1)
         throw InputError(fmt::format("{}: is a residual, not an image of {}; --new writes one", file, scene_name));
-    // Traced before images named their scene.
+    // Images from before images stored their scene.
     if (image.scene.hash.empty() && image.provenance.stage == "loom-trace" && !image.provenance.inputs.empty())
         image.scene = image.provenance.inputs[0];
     const std::string hash = content_hash_text(old_scene.content_hash);
@@ -84,7 +84,8 @@ std::size_t family_of(const std::string& name, const std::vector<Family>& famili
         fmt::format("--technique {}: unknown; the techniques of this edit are {}", name, fmt::join(names, ", ")));
 }
 
-/// Reads an existing residual, with its link, and checks that it leads to the new scene, if it names its scene.
+/// Reads an existing residual with its link, and checks that it leads to the new scene, if the residual stores its
+/// scene.
 Image read_residual(const std::string& file, const Scene& new_scene, const std::string& scene_name) {
     Image image =
         read_noisy_picture(file, new_scene, scene_name, "loom-residual and loom-merge of two or more passes", true);
@@ -139,8 +140,8 @@ void check_endings(const Options& options) {
         throw InputError("--spp 1: one sample has no variance, which --new must store; give at least 2");
 }
 
-/// in:  old_picture  null, or the control variate of the new image
-///      plan         distribution of the effort of the added samples
+/// in:      old_picture  null, or the control variate of the new image
+///          plan         distribution of the effort of the added samples
 Image render_by_dynamic_paths(const ScenePair& scenes, const Edit& edit, const Options& options,
                               const PathOptions& path, const Image* old_picture, app::Report& report, Counts& counts,
                               std::string& plan, std::optional<ControlledPicture>& controlled) {
@@ -321,7 +322,7 @@ std::string text_of(const Edit& edit) {
     return edit.nothing() ? "nothing differs" : fmt::format("{}", fmt::join(edit.changes, "; "));
 }
 
-/// The answer to --plan.
+/// Returns the output of --plan.
 std::string answer_of(const Edit& edit, const std::string& plan) {
     std::string text = edit.nothing() ? "nothing differs" : fmt::format("{}", fmt::join(edit.changes, "\n"));
     text += "\n";
@@ -338,7 +339,7 @@ void report_edit(const Edit& edit, app::Report& report) {
     for (const std::string& line : edit.changes) report.info("edit: {}", line);
 }
 
-/// The two scenes of a run under the names of their files.
+/// The two scenes of a run with their file names.
 struct Scenes {
     std::unique_ptr<Scene> old_scene, new_scene;
     std::string old_name, new_name;
@@ -346,7 +347,7 @@ struct Scenes {
     ScenePair pair() const { return {*old_scene, *new_scene}; }
 };
 
-/// The answer to --technique list.
+/// Returns the output of --technique list.
 std::string technique_names(const Scenes& scenes, const Edit& edit) {
     std::string names;
     for (const Family& family : families_of(DynamicScenes(*scenes.old_scene, *scenes.new_scene, edit)))
@@ -354,15 +355,15 @@ std::string technique_names(const Scenes& scenes, const Edit& edit) {
     return names;
 }
 
-/// A residual, and how it was made.
+/// A residual and its origin.
 struct Residual {
     Image image;
-    bool existed = false;  // --residual
+    bool existed = false;  // read from --residual
     PathOptions path;
-    OldGraph graph;                               // --old-graph
-    bool same_samples = false;                    // the old image is of the graph's samples
-    GraphResidual of_graph;                       // with a graph
-    std::optional<ControlledPicture> controlled;  // --method auto
+    OldGraph graph;                               // read from --old-graph
+    bool same_samples = false;                    // the old image has the graph's samples
+    GraphResidual of_graph;                       // only with a graph
+    std::optional<ControlledPicture> controlled;  // only with --method auto
     Counts counts;
     std::string plan;
 };
@@ -375,7 +376,7 @@ PathOptions path_options(const Options& options, const Scene& new_scene, const L
     return path;
 }
 
-/// Reads the old graph, whose seed is the residual's.
+/// Reads the old graph; its seed is the residual's.
 void read_graph(const Options& options, const Scenes& scenes, const Image& old_picture, Residual& residual) {
     residual.graph = read_old_graph(options.old_graph, *scenes.old_scene, scenes.old_name, residual.path.max_depth);
     residual.path.seed = residual.graph.path.seed;
@@ -400,7 +401,7 @@ void render_by_graph(const Options& options, const Scenes& scenes, const Edit& e
                     options.old_picture);
 }
 
-/// in, out: residual  path and plan; the rest is filled
+/// in, out: residual  path and plan are set; the function fills the rest
 void make_residual(const Options& options, const Scenes& scenes, const Edit& edit, const Image& old_picture,
                    const Ledger& before, app::Report& report, Residual& residual) {
     residual.existed = !options.residual.empty();
@@ -408,7 +409,7 @@ void make_residual(const Options& options, const Scenes& scenes, const Edit& edi
     if (has_graph) read_graph(options, scenes, old_picture, residual);
     if (residual.existed) residual.image = read_residual(options.residual, *scenes.new_scene, scenes.new_name);
 
-    // Its random numbers must differ from those of the old image.
+    // Check that its random streams differ from those of the old image.
     if (residual.existed)
         check_numbers(before, residual.image.ledger[0].method, residual.image.ledger[0].seed);
     else if (!residual.same_samples)
@@ -428,7 +429,7 @@ void make_residual(const Options& options, const Scenes& scenes, const Edit& edi
                                          {options.first_sample, options.spp, options.threads}, report, residual.counts);
 }
 
-/// Writes into the residual what it was made from and how.
+/// Stores the inputs and settings of the residual in it.
 void label_residual(const Options& options, const Scenes& scenes, const Edit& edit, const app::Report& report,
                     Residual& residual) {
     Image& image = residual.image;
@@ -460,7 +461,7 @@ Cost cost_of(const Options& options, const Scenes& scenes, const Residual& resid
     return cost;
 }
 
-/// The image of the new scene; a weighted one is moved out of the residual.
+/// Returns the image of the new scene; a weighted one is moved out of the residual.
 Image new_image(const Options& options, const Image& old_picture, Residual& residual) {
     Image sum = residual.controlled     ? take_controlled(old_picture, residual.image, std::move(*residual.controlled))
                 : residual.same_samples ? add_residual_of_same_samples(old_picture, residual.image, residual.of_graph)
@@ -470,7 +471,8 @@ Image new_image(const Options& options, const Image& old_picture, Residual& resi
     return sum;
 }
 
-/// out: name of the last file that has a cost
+/// Writes the outputs.
+/// out:     name of the last file that has a cost
 std::string write_outputs(const Options& options, const Image& old_picture, const Cost& cost, app::Report& report,
                           Residual& residual) {
     std::string last_output;
@@ -485,7 +487,7 @@ std::string write_outputs(const Options& options, const Image& old_picture, cons
     if (options.new_picture.empty()) return last_output;
     const Image sum = new_image(options, old_picture, residual);
     if (!sum.ledger.empty()) say_standing(sum.ledger, options, report);
-    // The new image carries the cost of this run, whether the residual is kept or not.
+    // The new image carries the cost of this run, whether or not the residual is stored.
     write(sum, options.new_picture, {options.old_picture, options.residual});
     if (!options.png.empty()) write_png(sum, options.png);
     return last_output;

@@ -19,10 +19,10 @@ class Report;
 namespace loom::residual {
 
 struct Options {
-    std::string old_scene, new_scene;  // Mitsuba XML; no new_scene: the same file with other values
-    std::vector<std::string> defines, old_defines, new_defines;  // name=value; those of both first
-    std::string sensor;                                          // of both: id or index, from 0; empty: the first
-    std::string old_picture;                                     // of the old scene, with VarMean
+    std::string old_scene, new_scene;  // Mitsuba XML; empty new_scene: the old file with other values
+    std::vector<std::string> defines, old_defines, new_defines;  // name=value; `defines` go before those of each scene
+    std::string sensor;                  // of both scenes: id or index, from 0; empty: the first
+    std::string old_picture;             // image of the old scene, with VarMean
     std::vector<std::string> old_graph;  // passes over the old scene: only paths that the edit touches are traced
     std::string residual;                // an existing residual: nothing is traced
     std::string output, new_picture;     // the residual, and the sum
@@ -50,12 +50,12 @@ void run(const Options& options, app::Report& report);
 /// Describes in one line which features of a method an edit turns on or off, and why.
 std::string plan_of(Method method, const Edit& edit);
 
-/// old + residual.
+/// Returns old + residual.
 ///   L = L_old + delta_L,  var_mean = var_mean_old + var_mean_delta: their samples are independent (streams::edit)
 /// out:     image  R, G, B, VarMean; Albedo, N, Depth of the residual, which has those of the new scene; samples: of
 ///          both;
-///                 ledger: the old picture's and the residual's link, whose scene it shows
-/// needs:   both to have VarMean and one size, the residual its link
+///                 ledger: links of the old image and of the residual, whose scene the sum shows
+/// needs:   VarMean in both, equal sizes, and the residual's link
 Image add_residual(const Image& old_picture, const Image& residual);
 /// Completes a new image whose control variate is the old one: sets its ledger. The links of the old image have the
 /// remaining share of their variances, the edit's link that of its own samples.

@@ -148,11 +148,11 @@ class SiteDensities {
   private:
     static constexpr std::size_t inline_size = 32;
 
-    /// Density with which a ghost on the light's segment leads to the vertex behind it.
+    /// Density of sampling the vertex behind a ghost on the light's segment, through that ghost.
     double light_density(const Crossing& g, float cos_sensor) const {
         const Point3f& v = path_.places[m_ - 1]->at.p;
         const Vector3f to_light = direction_to(path_.light, v);
-        double nearer = 1;  // the light of a point falls off from the ghost to the vertex
+        double nearer = 1;  // a point light falls off from the ghost to the vertex
         if (path_.light.delta && !path_.light.at_infinity)
             nearer = double(length2(path_.light.y - g.p)) / length2(path_.light.y - v);
         return light_pdf(side_.scene, path_.light, g.p) * nearer * cos_sensor / cosine(g.n, to_light);
@@ -173,11 +173,11 @@ class SiteDensities {
     std::size_t m_;
     std::vector<Term>* terms_;
     Evaluation& e_;
-    // Prefixes from the sensor and from the emitter, S[i] and E[i] of vertex i + 1.
+    // Prefixes from the sensor and from the emitter: S[i] and E[i] belong to vertex i + 1.
     std::array<double, inline_size> S_few_, E_few_;
     std::vector<double> many_;
     double *S_ = S_few_.data(), *E_ = E_few_.data();
-    double from_sensor_;  // of what is joined to the sensor; techniques 2 and 5 come from there
+    double from_sensor_;  // density of the connection to the sensor, for techniques 2 and 5
 };
 
 }  // namespace

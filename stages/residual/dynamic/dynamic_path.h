@@ -91,7 +91,7 @@ struct LightEnd {
     Radiance Le;
     Point3f y;  // or the direction towards it
     Normal3f n;
-    float hit_error = 0;  // of its shape
+    float hit_error = 0;  // Shape::hit_error, m
     double pdf = 0;       // of next-event estimation from v_m, sr^-1 or a pmf; 0: it cannot sample this light
     std::uint16_t emitter = 0;
     bool at_infinity = false, delta = false, changed = false;
@@ -159,7 +159,7 @@ struct Evaluation {
 double light_pdf(const Scene& scene, const LightEnd& light, const Point3f& from);
 
 /// Evaluates a path; all results are 0 for a path that is not dynamic.
-/// in:  terms  null, or receives each technique's density, in the order of places
+/// in:      terms  null, or receives each technique's density, in the order of places
 Evaluation evaluate(const DynamicScenes& scenes, const DynamicScene& side, const SampleCounts& counts,
                     const PathOptions& options, const FullPath& path, std::vector<Term>* terms);
 
@@ -167,7 +167,7 @@ Evaluation evaluate(const DynamicScenes& scenes, const DynamicScene& side, const
 double pdf_towards_light(const ShadingPoint& here, const Vector3f& towards_light);
 bool scatters_on_both_sides(const Scene& scene, const ShadingPoint& here, const Vertex& vertex);
 
-/// in: lobe  sampled lobe that joined the directions; Lobe::none for directions joined without sampling
+/// in:      lobe  sampled lobe that joined the directions; Lobe::none for directions joined without sampling
 Interaction interact(const DynamicScene& side, const Vertex& vertex, const Vector3f& to_sensor,
                      const Vector3f& to_light, Lobe lobe);
 

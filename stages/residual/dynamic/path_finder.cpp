@@ -249,7 +249,7 @@ void PathFinder::dynamic_from_emitter(const SiteSample& from) {
 }
 
 void PathFinder::ghost_from_emitter(const SiteSample& from) {
-    // Sample a light as seen from the ghost.
+    // Sample a light from the ghost.
     const Scene& scene = side_.scene;
     if (scene.emitters.empty()) return;
     LightQuery query;
@@ -265,7 +265,7 @@ void PathFinder::ghost_from_emitter(const SiteSample& from) {
     Stop first;
     first.v = side_.vertex(away, hit);
 
-    // Take the light as that vertex sees it.
+    // Evaluate the light from that vertex.
     const Point3f& p = first.v.at.p;
     LightEnd light;
     if (query.placed || seen.delta) {

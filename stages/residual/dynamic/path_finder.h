@@ -28,11 +28,11 @@ class PathFinder {
     /// Samples paths from one point of a site. Equal random streams give corresponding points in the two scenes. On a
     /// shape that is dynamic in both, it is the same point of the shape. Where the shape is dynamic in one scene and a
     /// ghost in the other, it is the same point in space.
-    /// needs: technique is 1 to 3 and the site dynamic here, or 4 to 6 and the site a ghost
+    /// needs:   technique is 1 to 3 and the site dynamic here, or 4 to 6 and the site a ghost
     void find(Technique technique, Site site, const Numbers& numbers, const Visitor& visit);
 
     /// Samples the paths of one camera sample, with the random stream of loom-trace; static paths are skipped.
-    /// out: whether the same sample may give another path in the other scene
+    /// out:     whether the same sample may give another path in the other scene
     bool find_from_camera(PathId id, const Sampler& numbers, const Visitor& visit);
 
     FirstHit first_hit;  // of the last camera sample
@@ -72,25 +72,25 @@ class PathFinder {
     void ghost_from_sensor(const SiteSample& from);
     void dynamic_two_ends(const SiteSample& from);
     void ghost_two_ends(const SiteSample& from);
-    /// Paths from the light through `first`, the vertex next to it.
-    /// in:  ghost  null, or the point that must lie between the two
+    /// Samples paths from the light through `first`, the vertex next to it.
+    /// in:      ghost  null, or the point that must lie between the two
     void from_light(const Stop& first, const LightEnd& light, const SitePoint* ghost, Technique technique,
                     const SiteSample& from);
-    /// Whether a vertex reflects on the side that it is seen from.
+    /// Whether a vertex reflects on its visible side.
     bool reflects_back(const Vertex& v) const;
 
     /// A camera path as traced; its vertices are y_.
     struct CameraPath {
         Ray first;             // from the camera
         LightEnd sky;          // where its last ray escaped
-        bool touched = false;  // by the edit
+        bool touched = false;  // whether the edit touches it
         bool escaped = false;
     };
     CameraPath trace_from_camera(PathId id, const Sampler& numbers);
     void show_camera_path(const CameraPath& path, const Visitor& visit);
     bool crosses_movers(const Ray& ray) const;
     LightEnd sky_end(const Vector3f& d) const;
-    /// Light that a vertex emits; its pdf is left to the caller.
+    /// Returns the emission of a vertex as a light; the caller sets its pdf.
     LightEnd emitted_end(const Stop& stop, int emitter) const;
     /// Samples a light from a vertex of a camera path.
     /// in, out: touched  whether the edit touches the path
@@ -98,9 +98,10 @@ class PathFinder {
     /// Samples the next direction of a camera path; false where the path ends.
     bool leave(Stop& stop, const Sampler& numbers, int depth) const;
 
-    /// Goes on from the last of the stops, and joins each on the way (the first only if told to).
+    /// Extends the walk from its last vertex, and joins each vertex on the way (the first one only if join_first is
+    /// set).
     void walk(std::vector<Stop>& stops, Towards towards, const Numbers& numbers, int n_max, bool join_first = true);
-    /// in:  u_lobe_roulette  x, y
+    /// in:      u_lobe_roulette  x, y
     bool step(Stop& from, Point2f u, Point2f u_lobe_roulette, Stop& next);
     void join_sensor(Stop& stop);
     void join_light(Stop& stop, Point2f u);

@@ -77,10 +77,10 @@ class ResumedPaths::Walk {
 
     const Sampler& sampler() const { return sampler_; }
     PathState& path() { return path_; }
-    /// Whether the path in the new scene goes on by itself.
+    /// Whether the path in the new scene continues on its own.
     bool resumes() const { return resumes_; }
 
-    /// Light that the camera sees straight.
+    /// Adds directly visible light.
     void add_first_light() {
         pair_.before = rgb(g_.paths.Le, change_.path);
         pair_.after = Spectrum(0);
@@ -110,23 +110,23 @@ class ResumedPaths::Walk {
     }
 
   private:
-    /// The vertex that the walk has reached.
+    /// Vertex that the walk has reached.
     struct Reached {
         std::size_t j;
         StoredVertex vertex;
         Point3f p;
         int depth;
         float q;          // survival probability in the old scene
-        bool ask_again;   // its light sample
-        bool repaint;     // its BSDF is another in the new scene
-        bool step_again;  // what it makes of its random numbers
+        bool ask_again;   // sample the light again
+        bool repaint;     // its BSDF differs in the new scene
+        bool step_again;  // step again with its random numbers
     };
 
     [[gnu::always_inline]] Reached reach(std::size_t j) {
         const int depth = int(j - first_) + 1;
         const bool ask_again = along_ && !again_.empty() && again_.front() == j;
         const bool repaint = along_ && owner_.reach_.repainted[g_.vertices.shape[j]] >= 0;
-        // Roulette goes by the throughput of the path.
+        // Roulette depends on the throughput of the path.
         const bool other_survival = other_weight_ && roulette_at(owner_.options_, depth) == Roulette::throughput;
         const bool step_again = along_ && (repaint || other_survival) && depth != owner_.options_.max_depth;
         if (ask_again) again_ = again_.subspan(1);
@@ -135,18 +135,18 @@ class ResumedPaths::Walk {
                 step_again};
     }
 
-    /// Whether neither scene has anything to add from vertex j on.
+    /// Whether neither scene contributes from vertex j on.
     bool done(std::size_t j) const {
         const auto& of = g_.light_edges.vertex;
         return (!along_ || j >= end_) && (edge_ == of.size() || of[edge_] >= last_);
     }
 
-    /// Light of an emitter in the new scene: one that is relit sends the same to wherever it has been seen from.
+    /// Returns an emitter's light in the new scene; a relit one sends the same radiance to all points.
     Spectrum new_light(std::size_t emitter, const Spectrum& old_light) const {
         return owner_.reach_.relit[emitter] ? owner_.scene_.emitters[emitter].radiance : old_light;
     }
 
-    /// Adds the stored light samples of a vertex; returns whether there are any.
+    /// Adds the stored light samples of a vertex. Returns whether there are any.
     [[gnu::always_inline]] bool add_light_samples(Reached& here) {
         const auto& e = g_.light_edges;
         bool seen = false;
@@ -177,13 +177,13 @@ class ResumedPaths::Walk {
         }
     }
 
-    /// Direction in which the old path leaves a vertex.
+    /// Returns the direction in which the old path leaves a vertex.
     Vector3f direction(Reached& here) const {
         return here.j + 1 < last_ ? paths_.arrival(here.j + 1) : here.vertex.direction(sampler_, here.depth);
     }
 
-    /// Steps on in the new scene with the same random numbers.
-    /// in:  light_seen  whether the old path's light sample was not occluded
+    /// Continues in the new scene with the same random numbers.
+    /// in:      light_seen  whether the old path's light sample was visible
     void step_again(Reached& here, bool light_seen) {
         // Sample a light and the next direction.
         const std::uint32_t shape = g_.vertices.shape[here.j];
@@ -197,7 +197,7 @@ class ResumedPaths::Walk {
         const Step step = leave<false>(owner_.scene_, owner_.options_, here.depth, now, shape, lights,
                                        sampler_.pair(dimension(here.depth, Dimension::direction)), path_, shadow, {});
 
-        // Test visibility, where the old path has not done so.
+        // Test visibility, where the old path did not.
         if (has(step, Step::needs_shadow_ray)) {
             const auto was_asked = [&] {
                 return !is_black(f_cos_pdf(before, sample_light(owner_.scene_, before.p, lights).wi).f_cos);
@@ -210,14 +210,14 @@ class ResumedPaths::Walk {
                 owner_.ask(pair_, shadow);
         }
 
-        // Follow the old path as long as the directions are the same.
+        // Follow the old path as long as the directions are equal.
         const bool goes_on = has(step, Step::goes_on);
         along_ = goes_on && path_.lobe == Lobe(g_.vertices.lobe[here.j]) && same_bits(path_.ray.d, direction(here));
         resumes_ = goes_on && !along_;
         other_weight_ = true;
     }
 
-    /// in:  s  sample of the BSDF, the same in both scenes
+    /// in:      s  sample of the BSDF, equal in both scenes
     [[gnu::always_inline]] void step_as_before(Reached& here, const BsdfSample<float>& s) {
         const auto& v = g_.vertices;
         ShadowRequest shadow;
@@ -235,13 +235,13 @@ class ResumedPaths::Walk {
     std::span<const std::uint32_t> again_;  // vertices ahead
     PathPair& pair_;
     std::size_t first_, last_;  // vertices
-    std::size_t end_;           // from this vertex on the path in the new scene has nothing of its own
+    std::size_t end_;           // from this vertex on the path in the new scene has no changes of its own
     Sampler sampler_;
-    PathState path_;    // in the new scene
-    Spectrum beta_{1};  // in the old one
+    PathState path_;    // state in the new scene
+    Spectrum beta_{1};  // throughput in the old scene
     std::size_t edge_;  // next light edge of the graph
-    bool along_;        // the new path goes along the old one
-    bool resumes_;      // it goes on by itself
+    bool along_;        // the new path follows the old one
+    bool resumes_;      // the new path continues on its own
     bool other_weight_ = false;
 };
 
@@ -253,7 +253,7 @@ void ResumedPaths::add(const StoredPaths& paths, const PathChange& change, std::
     walk.follow();
     if (!walk.resumes()) return;
 
-    // Hand the rest of the path to the batch.
+    // Pass the rest of the path to the batch.
     if (change.cut == 0) {
         states_.emplace_back(scene_, walk.sampler(), paths.id(change.path), walk.sampler().pair(film_pair));
     } else {

@@ -21,7 +21,7 @@ TouchedPaths::TouchedPaths(const StoredPaths& paths, const EditReach& reach)
     for (Queue* queue : {&through_, &blocked_}) queue->rays.reserve(2 * queue_size);
 }
 
-/// Handles a failed light sample of a vertex: light that was not visible.
+/// Handles a failed light sample of a vertex, whose light was occluded.
 void TouchedPaths::look_at_failed_light(std::size_t path, std::size_t j) {
     if (!(paths_.graph().vertices.flags[j] & vertex_flag::attempted_nee)) return;
     const Point3f p = paths_.position(j);
@@ -63,13 +63,13 @@ void TouchedPaths::look_at(std::size_t path) {
         seen >= 0 && reach_.relit[std::size_t(seen)])
         touched_[of.in_block] = 1;
     if (of.first == of.last) return look_at_camera_ray(of);
-    // What needs no ray to be known; rays behind that need not be asked.
+    // Test what needs no ray; rays behind the first change need no test.
     look_at_shapes(of);
     look_at_lights(of);
     look_at_rays(of);
 }
 
-/// The ray of a path without vertices.
+/// Tests the ray of a path without vertices.
 void TouchedPaths::look_at_camera_ray(const Rows& of) {
     if (reach_.sky) return cut(of.in_block, 0);
     if (reach_.new_places.empty()) return;
@@ -97,7 +97,7 @@ void TouchedPaths::look_at_lights(const Rows& of) {
         const std::size_t emitter = e.emitter[k];
         if (reach_.relit[emitter]) touched_[of.in_block] = 1;
         if (e.technique[k] == std::uint8_t(LightTechnique::bsdf_hit)) {
-            // A ray may have ended on a shape that only shines.
+            // A ray may have ended on a shape that emits but reflects nothing.
             if (reach_.emitters[emitter] || (e.y[4 * k + 3] == 1 && reach_.shapes[emitters[emitter].shape]))
                 cut(of.in_block, std::uint32_t(e.vertex[k] - of.first + 1));
         } else if (reach_.emitters[emitter]) {
@@ -106,7 +106,7 @@ void TouchedPaths::look_at_lights(const Rows& of) {
     }
 }
 
-/// The ray that has found a vertex.
+/// Tests the ray that hit a vertex.
 inline void TouchedPaths::look_at_arriving_ray(const Rows& of, std::size_t j, const Point3f& p) {
     const Obstacles& ahead = reach_.new_places;
     const Point3f from = j == of.first ? paths_.camera(of.path) : paths_.position(j - 1);
@@ -116,7 +116,7 @@ inline void TouchedPaths::look_at_arriving_ray(const Rows& of, std::size_t j, co
     through_.add({o, d, 0, beyond(dot(p - o, d), p)}, {of.in_block, std::uint32_t(j - of.first), true});
 }
 
-/// The ray along light edge k.
+/// Tests the ray along light edge k.
 inline void TouchedPaths::look_at_light_ray(const Rows& of, std::size_t k, const Point3f& p) {
     const Obstacles& ahead = reach_.new_places;
     const auto& e = paths_.graph().light_edges;
@@ -130,7 +130,7 @@ inline void TouchedPaths::look_at_light_ray(const Rows& of, std::size_t k, const
     } else if (ahead.may_meet(p, y)) {
         Ray ray = spawn_segment(paths_.end(j), {y});
         if (by_hit) {
-            // It lies in the direction of the ray from the vertex, not from where the ray started.
+            // The light point lies along the ray's direction from the vertex, not from the ray's origin.
             const float distance = length(y - p);
             ray = spawn_ray(paths_.end(j), (y - p) / distance);
             ray.t_max = beyond(distance, y);
@@ -139,8 +139,8 @@ inline void TouchedPaths::look_at_light_ray(const Rows& of, std::size_t k, const
     }
 }
 
-/// The ray that has left the last vertex and found none.
-/// in:  hit_found  whether it has hit a light
+/// Tests the ray that left the last vertex and hit no further vertex.
+/// in:      hit_found  whether it has hit a light
 inline void TouchedPaths::look_at_last_ray(const Rows& of, const Point3f& p, bool hit_found) {
     const Obstacles& ahead = reach_.new_places;
     const std::size_t j = of.last - 1;
@@ -155,7 +155,7 @@ inline void TouchedPaths::look_at_last_ray(const Rows& of, const Point3f& p, boo
     }
 }
 
-/// Rays from and to the vertices before the first that is known to be another.
+/// Tests rays from and to the vertices before the first one that is known to differ.
 void TouchedPaths::look_at_rays(const Rows& of) {
     const auto& e = paths_.graph().light_edges;
     const std::uint32_t end = cuts_[of.in_block];

@@ -84,7 +84,7 @@ class TouchedPaths {
     void look_at_shapes(const Rows& of);
     void look_at_lights(const Rows& of);
     void look_at_rays(const Rows& of);
-    // Of a vertex at p:
+    // Test the rays of a vertex at p.
     void look_at_arriving_ray(const Rows& of, std::size_t vertex, const Point3f& p);
     void look_at_light_ray(const Rows& of, std::size_t edge, const Point3f& p);
     void look_at_failed_light(std::size_t path, std::size_t vertex);
@@ -106,7 +106,7 @@ class TouchedPaths {
     CandidatePaths candidates_;
     Queue through_, blocked_;  // unoccluded rays, and occluded ones
     std::vector<const Ray*> pointers_;
-    // Of a block of paths: its begin; then by path.
+    // State of a block of paths: its begin; then arrays, [path].
     std::size_t begin_ = 0, first_vertex_ = 0, next_edge_ = 0;
     std::uint8_t* touched_ = nullptr;
     std::vector<std::uint32_t> cuts_;
