@@ -240,13 +240,13 @@ void check_output(const Options& options, const std::string& ending) {
     check_output_path(options.output);
 }
 
-/// What all passes have in common.
+/// Parameters that all passes share.
 struct Passes {
     const Options& options;
     const Scene& scene;
     PathOptions path;
     std::string plan, ending;
-    Cost loading;                                               // what reading the scene has cost
+    Cost loading;                                               // cost of reading the scene
     std::shared_ptr<Arena> memory = std::make_shared<Arena>();  // of a graph, reused by the next pass
 };
 
@@ -275,8 +275,8 @@ Counts trace_pass(const Passes& of, std::uint64_t pass, const std::string& outpu
     return counts;
 }
 
-/// Writes the cost of a pass beside its file; each pass carries a part of that of reading the scene.
-/// in:  before  cost of the stage before the pass
+/// Writes the cost of a pass beside its file; each pass has a share of the cost of reading the scene.
+/// in:      before  cost of the stage before the pass
 void finish_pass(const Passes& of, const std::string& output, const Counts& counts, const Cost& before,
                  app::Report& report) {
     const double n_passes = double(of.options.passes);
