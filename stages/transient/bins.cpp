@@ -3,9 +3,10 @@
 #include <algorithm>
 
 #include "stages/core/app/report.h"
+#include "stages/core/clusters/shared_arrivals.h"
 #include "stages/core/compute/parallel.h"
 #include "stages/core/graph/time_of_flight.h"
-#include "stages/transient/shared.h"
+#include "stages/transient/transient.h"
 
 namespace loom::transient {
 namespace {

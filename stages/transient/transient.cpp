@@ -11,7 +11,7 @@
 #include "formats/io/error.h"
 #include "stages/core/app/command.h"
 #include "stages/core/app/values.h"
-#include "stages/transient/shared.h"
+#include "stages/core/clusters/shared_arrivals.h"
 #include "stages/transient/tal.h"
 
 namespace loom::transient {

@@ -19,6 +19,10 @@ class Progress;
 class Report;
 }  // namespace loom::app
 
+namespace loom {
+class SharedArrivals;
+}
+
 namespace loom::transient {
 
 enum class Unit { opl, ns };
@@ -47,8 +51,6 @@ struct Options {
 };
 
 void declare(app::Command& command, Options& options);
-
-class SharedArrivals;
 
 /// Bins paths of several graphs by opl and passes on rows of the cube.
 ///   radiance[k] = mean over paths of sum over light edges of L S_e[k](opl)

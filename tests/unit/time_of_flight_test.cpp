@@ -7,8 +7,9 @@
 #include <cmath>
 #include <random>
 
+#include "stages/core/clusters/shared_arrivals.h"
 #include "stages/gather/gather.h"
-#include "stages/transient/shared.h"
+#include "stages/transient/transient.h"
 #include "tests/traced_graph.h"
 
 namespace loom {
@@ -52,7 +53,7 @@ Cube cube_of(const PathGraph& graph, const TimeResponse& response, const BinOpti
     app::Progress progress(report, "binning", graph.n_pixels());
     Cube cube;
     cube.n_bins = response.n_bins;
-    std::vector<transient::SharedArrivals> shared;
+    std::vector<SharedArrivals> shared;
     if (options.clusters) shared.emplace_back(graph, *options.clusters, options.timing, options.threads);
     transient::bin_graphs({&graph, 1}, shared, response, options.timing, options.max_bytes, options.threads, progress,
                           [&](std::uint32_t, const TransientRows& rows) {

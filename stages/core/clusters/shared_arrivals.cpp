@@ -1,4 +1,4 @@
-#include "stages/transient/shared.h"
+#include "stages/core/clusters/shared_arrivals.h"
 
 #include <tbb/enumerable_thread_specific.h>
 
@@ -6,7 +6,7 @@
 
 #include "stages/core/compute/parallel.h"
 
-namespace loom::transient {
+namespace loom {
 
 SharedArrivals::SharedArrivals(const PathGraph& graph, const Clusters& clusters, const Timing& timing, int threads)
     : reader_(graph),
@@ -44,8 +44,8 @@ void SharedArrivals::take_all(ClusterShading& shading, std::size_t cluster,
                               std::span<const std::uint32_t> slot_of_lane) {
     const auto members = clusters_.member.values().subspan(clusters_.first[cluster],
                                                            clusters_.first[cluster + 1] - clusters_.first[cluster]);
-    // Paths of limited length go on for less from where they already are long: with a limit only first vertices give
-    // their continuations, or late light would be missing.
+    // With a depth limit only first vertices give their continuations: those of later vertices are shorter, and late
+    // light would be missing.
     std::vector<std::uint32_t> givers, slot_of_givers;
     for (std::size_t i = 0; i < members.size(); ++i) {
         if (graph().tracing.max_depth >= 0 && !is_first_[members[i]]) continue;
@@ -107,4 +107,4 @@ void SharedArrivals::prepare(std::size_t first_pixel, std::size_t n, int threads
     });
 }
 
-}  // namespace loom::transient
+}  // namespace loom

@@ -1,12 +1,12 @@
 #pragma once
-// Light of first hits shared by their clusters, with its time.
+// Light of first hits shared by their clusters, with its time of flight.
 //
-// A path's first vertex j takes the light edges and the continuations of all members k of its cluster, as refining does
-// (PG eq. 7 to 12), and what each continuation's own path brings from there on:
+// The first vertex j of a path takes the light edges and the continuations of all members k of its cluster, as in
+// refinement (PG eq. 7 to 12), and the light of each continuation's own path:
 //   sum_e f_j cos_j / rho_e L_e  at  |x_0 x_j| + eta_e |x_j y_e|
 //   sum_k f_j cos_j / rho_k L'   at  |x_0 x_j| + eta_k |x_j x_(k+1)| + the rest of path k,    L' of each light of that
 //   rest
-// Lengths are those of the polyline through x_j itself: exact for it. What errs is the light: it is that which x_k saw.
+// Lengths are those of the polyline through x_j and exact for it. The light is approximate: L' is what x_k receives.
 
 #include <span>
 #include <vector>
@@ -14,9 +14,8 @@
 #include "formats/clusters.h"
 #include "stages/core/clusters/cluster_edges.h"
 #include "stages/core/graph/time_of_flight.h"
-#include "stages/transient/transient.h"
 
-namespace loom::transient {
+namespace loom {
 
 class SharedArrivals {
   public:
@@ -24,22 +23,22 @@ class SharedArrivals {
     SharedArrivals(const PathGraph& graph, const Clusters& clusters, const Timing& timing, int threads);
 
     const PathGraph& graph() const { return reader_.graph(); }
-    /// Works out what the paths of pixels [first, first + n) take from whom; forgets the ones before.
+    /// Finds what the paths of pixels [first, first + n) take from their clusters; forgets earlier pixels.
     void prepare(std::size_t first_pixel, std::size_t n, int threads);
-    /// on_light(L, opl) for each light that a path brings.
+    /// Calls on_light(L, opl) for each light of a path.
     /// needs:   prepare() of its pixel
     template <class OnLight>
     void walk(std::size_t path, OnLight&& on_light) const;
-    /// Bytes that prepare() takes for a pixel, about.
+    /// Approximate memory of prepare() per pixel, bytes.
     std::size_t bytes_per_pixel() const;
 
   private:
-    struct Leg {
-        Spectrum factor;  // own estimate of what comes along it
+    struct Segment {
+        Spectrum factor;  // own estimate of the light along it
         double opl = 0;
     };
-    /// What a first vertex takes from the cluster: light edge or end of a continuation, and by which factor (of an edge
-    /// its light included).
+    /// A light edge or the end of a continuation that a first vertex takes from its cluster, with its factor (of an edge
+    /// including its light).
     struct Taken {
         Spectrum factor;
         std::uint32_t from;
@@ -48,20 +47,20 @@ class SharedArrivals {
     static constexpr std::uint32_t nobody = 0xffffffffu;
 
     void take_all(ClusterShading& shading, std::size_t cluster, std::span<const std::uint32_t> slot_of_lane);
-    /// Lights of path from vertex j on, times `beta`.
+    /// Visits the lights of a path from vertex j on, times `beta`.
     template <class OnLight>
     void own_rest(std::size_t j, Spectrum beta, double opl, OnLight&& on_light) const;
 
     GraphReader reader_;
     const Clusters& clusters_;
     OpticalLengths lengths_;
-    std::vector<std::uint32_t> first_edge_;  // vertex+1
-    std::vector<std::uint32_t> cluster_of_;  // by vertex
-    std::vector<Leg> continuation_, light_;  // by vertex, by light edge
+    std::vector<std::uint32_t> first_edge_;      // [vertex+1]
+    std::vector<std::uint32_t> cluster_of_;      // [vertex]
+    std::vector<Segment> continuation_, light_;  // [vertex], [light edge]
     std::size_t first_pixel_ = 0, n_prepared_ = 0;
-    std::vector<std::uint32_t> slot_of_;     // by vertex: of the prepared path that starts there
-    std::vector<bool> is_first_;             // by vertex: of its path
-    std::vector<std::vector<Taken>> taken_;  // by slot: pixel - first pixel + sample * n
+    std::vector<std::uint32_t> slot_of_;     // [vertex] slot of the prepared path that starts there
+    std::vector<bool> is_first_;             // [vertex] first of its path
+    std::vector<std::vector<Taken>> taken_;  // [slot], slot = pixel - first pixel + sample * n
 };
 
 template <class OnLight>
@@ -98,7 +97,7 @@ void SharedArrivals::walk(std::size_t path, OnLight&& on_light) const {
         else
             own_rest(t.from, t.factor, opl + lengths_.to_vertex(t.from, x), on_light);
     }
-    // What its own delta lobe has found is no other's.
+    // Light that its own delta lobe has found belongs to no other vertex.
     if (is_delta(Lobe(g.vertices.lobe[j]))) {
         for (std::uint32_t e = first_edge_[j]; e < first_edge_[j + 1]; ++e)
             if (LightTechnique(g.light_edges.technique[e]) == LightTechnique::bsdf_hit)
@@ -108,4 +107,4 @@ void SharedArrivals::walk(std::size_t path, OnLight&& on_light) const {
     }
 }
 
-}  // namespace loom::transient
+}  // namespace loom
