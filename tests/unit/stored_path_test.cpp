@@ -5,6 +5,7 @@
 #include "stages/cluster/metric.h"
 #include "stages/core/graph/own_samples.h"
 #include "stages/core/math/dual.h"
+#include "stages/core/math/matrix.h"
 #include "stages/refine/system.h"
 #include "tests/traced_graph.h"
 
@@ -34,7 +35,61 @@ struct ScaledContinuations {
     }
 };
 
+/// The paths of a scene that moves rigidly with a parameter whose value is 0, camera and all.
+struct MovedSamples {
+    const GraphReader& reader;
+    Matrix4<Derivative> motion =
+        Matrix4<Derivative>::rotation({Derivative(1), Derivative(2), Derivative(3)}, Derivative::variable(0, 0)) *
+        Matrix4<Derivative>::translation(Derivative::variable(0, 0), Derivative(0), Derivative(0));
+
+    const PathGraph& graph() const { return reader.graph(); }
+    ShadingPointOf<Derivative> vertex(std::size_t j) const {
+        ShadingPointOf<Derivative> at(reader.vertex(j));
+        const auto turn = [&](auto& v) { v = std::decay_t<decltype(v)>(motion.vector(Vector3<Derivative>(v))); };
+        at.p = motion.point(at.p);
+        turn(at.wo), turn(at.ng), turn(at.n_side), turn(at.frame.s), turn(at.frame.t), turn(at.frame.n);
+        at.wo_local = at.frame.to_local(at.wo);
+        return at;
+    }
+    Rgb<Derivative> continuation(std::size_t j, const ShadingPointOf<Derivative>& at) const {
+        const Vector3<Derivative> wi(continuation_direction(graph(), j));
+        return own_continuation(reader, at, j, motion.vector(wi));
+    }
+    Rgb<Derivative> light(std::size_t j, const ShadingPointOf<Derivative>& at, std::size_t k) const {
+        const float* y = graph().light_edges.y.data() + 4 * k;
+        const Vector3<Derivative> to(Vector3f{y[0], y[1], y[2]});
+        const Vector3<Derivative> wi =
+            y[3] == 0 ? motion.vector(to) : normalize(motion.point(Point3<Derivative>(to)) - at.p);
+        return own_light(reader, at, j, k, wi, Rgb<Derivative>(rgb(graph().light_edges.Li, k)));
+    }
+};
+
 class StoredPath : public ::testing::TestWithParam<const char*> {};
+
+// Detected mutations: the light points stay; the shading frames do not turn.
+TEST_P(StoredPath, OfASceneThatMovesRigidlyHasNoDerivative) {
+    const PathGraph graph = graph_of(GetParam());
+    const GraphReader reader(graph);
+    const auto no_vertex = [](std::size_t, const auto&) {};
+    std::size_t edge[2] = {};
+    double sum = 0;
+    for (std::size_t path = 0; path < graph.n_paths(); ++path) {
+        std::vector<Spectrum> still;
+        walk_path(OwnSamples(reader), path, edge[0], no_vertex,
+                  [&](std::size_t, std::size_t, const Spectrum& L) { still.push_back(L); });
+        std::size_t i = 0;
+        walk_path<Derivative>(
+            MovedSamples{reader}, path, edge[1], no_vertex, [&](std::size_t, std::size_t, const Rgb<Derivative>& L) {
+                const Spectrum& value = still[i++];
+                for (int c = 0; c < 3; ++c) {
+                    EXPECT_NEAR(L[c].value, value[c], 0.1 * value[c] + 1e-9);  // narrow lobes in float
+                    EXPECT_NEAR(L[c].d[0], 0, 2e-4 * value[c]) << path;
+                    sum += value[c];
+                }
+            });
+    }
+    EXPECT_GT(sum, 0);
+}
 
 TEST_P(StoredPath, HasTheSameRadianceInEveryNumber) {
     const PathGraph graph = graph_of(GetParam());

@@ -11,18 +11,53 @@ namespace loom {
 /// MIS heuristic between next-event estimation and BSDF sampling.       [Veach1995]
 enum class Heuristic { power, balance };
 
-/// Returns f cos / pdf of the BSDF sample that leads from vertex j (`at`) along wi, including roulette.
-Spectrum own_continuation(const GraphReader& reader, const ShadingPoint& at, std::size_t j, const Vector3f& wi);
+/// MIS weight of the technique that found a light against the other one.
+inline float mis_weight(bool next_event, float pdf_nee_w, float pdf_bsdf_w, Heuristic heuristic) {
+    const float pdf = next_event ? pdf_nee_w : pdf_bsdf_w, other = next_event ? pdf_bsdf_w : pdf_nee_w;
+    return heuristic == Heuristic::power ? power_heuristic(pdf, other) : pdf / (pdf + other);
+}
 
-/// Returns f cos Li w / pdf of light edge k of vertex j (`at`).
-Spectrum own_light(const GraphReader& reader, const ShadingPoint& at, std::size_t j, std::size_t k,
-                   Heuristic heuristic = Heuristic::power);
+/// f cos / pdf of the BSDF sample that leads from vertex j (`at`) along wi, roulette folded in.
+/// The density is that of the stored path, a constant over a Dual (detached sampling).
+template <class T>
+Rgb<T> own_continuation(const GraphReader& reader, const ShadingPointOf<T>& at, std::size_t j, const Vector3<T>& wi) {
+    const auto& v = reader.graph().vertices;
+    const Lobe lobe = Lobe(v.lobe[j]);
+    const T inv_pdf(1 / v.pdf_w[j]);
+    if (!is_delta(lobe)) return f_cos_pdf(at, wi).f_cos * inv_pdf;
+    Rgb<T> value = delta_value(at.bsdf, at.wo_local, lobe) * inv_pdf;
+    if (at.perturbed && lobe != Lobe::null) value *= bump_shadowing(at, wi, at.frame.to_local(wi).z);
+    return value;
+}
 
-/// Returns f cos Li w / pdf of a light edge, given its values.
+/// f cos Li w / pdf of a light edge, given its numbers; densities and MIS weight are constants.
 /// in:      pdf_w  density of the vertex's BSDF sample; used unless next-event estimation found the light
 /// needs:   the edge was not found by a delta lobe
-Spectrum own_light(const Spectrum& f_cos, const Spectrum& Li, bool next_event, float pdf_nee_w, float pdf_bsdf_w,
-                   float pdf_w, Heuristic heuristic);
+template <class T>
+Rgb<T> own_light(const Rgb<T>& f_cos, const Rgb<T>& Li, bool next_event, float pdf_nee_w, float pdf_bsdf_w, float pdf_w,
+                 Heuristic heuristic) {
+    return f_cos * Li * T(mis_weight(next_event, pdf_nee_w, pdf_bsdf_w, heuristic) / (next_event ? pdf_nee_w : pdf_w));
+}
+
+/// f cos Li w / pdf of light edge k of vertex j (`at`).
+/// in:      wi, Li  direction and radiance of the edge, where they move with a parameter
+template <class T>
+Rgb<T> own_light(const GraphReader& reader, const ShadingPointOf<T>& at, std::size_t j, std::size_t k,
+                 const Vector3<T>& wi, const Rgb<T>& Li, Heuristic heuristic = Heuristic::power) {
+    const PathGraph& g = reader.graph();
+    const auto& e = g.light_edges;
+    const bool next_event = LightTechnique(e.technique[k]) == LightTechnique::next_event;
+    if (next_event || !is_delta(Lobe(g.vertices.lobe[j])))
+        return own_light(f_cos_pdf(at, wi).f_cos, Li, next_event, e.pdf_nee_w[k], e.pdf_bsdf_w[k], g.vertices.pdf_w[j],
+                         heuristic);
+    return own_continuation(reader, at, j, wi) * Li *
+           T(mis_weight(next_event, e.pdf_nee_w[k], e.pdf_bsdf_w[k], heuristic));
+}
+inline Spectrum own_light(const GraphReader& reader, const ShadingPoint& at, std::size_t j, std::size_t k,
+                          Heuristic heuristic = Heuristic::power) {
+    return own_light(reader, at, j, k, reader.light_direction(at.p, k), rgb(reader.graph().light_edges.Li, k),
+                     heuristic);
+}
 
 /// Returns the first light edge at or after vertex j.
 std::size_t first_light_edge(const PathGraph& graph, std::size_t j);
