@@ -113,5 +113,25 @@ TEST_F(MaterialOptions, GammaOfAnEnvironmentMapIsThatOfTheFile) {
     EXPECT_NEAR(radiance("<float name='gamma' value='-1'/>", "0.6.0"), 0.2159, 1e-4);
 }
 
+// Its half vector has no direction for light that goes straight on; Mitsuba refuses it, too.
+TEST_F(MaterialOptions, RoughGlassOfEqualIndicesIsRefused) {
+    const auto load = [](const char* plugin, const char* ior) {
+        return testing::load_inline(
+            {.sensor = R"(type="perspective">)",
+             .body = fmt::format(
+                 R"(<shape type="sphere"><bsdf type="{}"><float name="int_ior" value="{}"/><float name="ext_ior" value="1.3"/></bsdf></shape>)",
+                 plugin, ior)});
+    };
+    EXPECT_NO_THROW(load("roughdielectric", "1.4"));
+    EXPECT_NO_THROW(load("dielectric", "1.3"));
+    try {
+        load("roughdielectric", "1.3");
+        FAIL() << "not refused";
+    } catch (const InputError& error) {
+        EXPECT_NE(std::string(error.what()).find("int_ior and ext_ior are both 1.3"), std::string::npos)
+            << error.what();
+    }
+}
+
 }  // namespace
 }  // namespace loom::test

@@ -149,6 +149,11 @@ Material MaterialBuilder::build_plain(const Object& o) {
         case BsdfKind::rough_dielectric:
             model.int_ior = o.get_ior("int_ior", "bk7");
             model.ext_ior = o.get_ior("ext_ior", "air");
+            if (model.kind == BsdfKind::rough_dielectric && model.int_ior == model.ext_ior)
+                o.fail(
+                    "int_ior",
+                    fmt::format("int_ior and ext_ior are both {:.6g}: a rough dielectric needs two different indices",
+                                model.int_ior));
             m.specular = colour(o, "specular_reflectance", model.specular);
             m.transmittance = colour(o, "specular_transmittance", model.transmittance);
             break;
