@@ -216,6 +216,27 @@ bool misread_by_1_2(const PathGraphHeader& g) {
            std::any_of(textured.begin(), textured.end(), [](std::uint8_t bits) { return (bits & newer) != 0; });
 }
 
+/// Rows of materials, or 65535.
+std::string bad_media(std::string_view name, const Column<std::uint16_t>& medium, const PathGraph& g) {
+    constexpr std::uint16_t outside = 65535;
+    const std::size_t n_materials = g.materials.id.size();
+    const std::size_t row =
+        first_bad(medium.size(), [&](std::size_t i) { return medium[i] < n_materials || medium[i] == outside; });
+    if (row == medium.size()) return {};
+    return fmt::format("{}: row {} is {}, but there are {} materials (65535: outside)", name, row, medium[row],
+                       n_materials);
+}
+
+/// Oldest version whose readers understand a graph: 1.2, 2.0 if a reader of 1.2 would misread it, and the next minor
+/// version with columns that those do not know.
+template <class Graph>
+FormatId version_of(const Graph& g) {
+    FormatId version = Graph::format_of_most;
+    if (misread_by_1_2(g)) version = {Graph::format.name, Graph::format.major, 0, Graph::format.oldest_major};
+    if (!g.vertices.primitive.empty() || !g.vertices.medium.empty()) ++version.minor;
+    return version;
+}
+
 template <class Graph>
 void write_graph(const Graph& graph, const std::filesystem::path& path, Sync sync) {
     if (graph.n_vertices() > std::numeric_limits<std::uint32_t>::max()) {
@@ -224,7 +245,7 @@ void write_graph(const Graph& graph, const std::filesystem::path& path, Sync syn
                         "file",
                         path.native(), graph.n_vertices()));
     }
-    write_format(graph, path, sync, misread_by_1_2(graph) ? Graph::format : Graph::format_of_most);
+    write_format(graph, path, sync, version_of(graph));
 }
 
 template <class Graph>
@@ -265,6 +286,10 @@ std::string PathGraph::problem(Check check) const {
     if (auto bad = bad_index("misses/vertex", misses.vertex, n_vertices(), "vertices"); !bad.empty()) return bad;
     if (auto bad = bad_index("misses/emitter", misses.emitter, emitters.id.size(), "emitters"); !bad.empty())
         return bad;
+    if (auto bad = bad_media("vertices/medium", vertices.medium, *this); !bad.empty()) return bad;
+    if (auto bad = bad_media("light_edges/medium", light_edges.medium, *this); !bad.empty()) return bad;
+    if (vertices.medium.empty() != light_edges.medium.empty() && n_vertices() > 0 && n_light_edges() > 0)
+        return "vertices/medium, light_edges/medium: one of them is missing";
     if (auto bad = missing_parameter(*this); !bad.empty()) return bad;
     if (auto bad = bad_coats(*this); !bad.empty()) return bad;
     if (auto bad = bad_order_of_edges(*this); !bad.empty()) return bad;

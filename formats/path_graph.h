@@ -89,8 +89,8 @@ struct PathRows {
     struct Vertices {
         ColumnOf<float> p, wo;
         ColumnOf<std::int16_t> ns, ng, n_side, tangent;
-        ColumnOf<std::uint16_t> material, flags;
-        ColumnOf<std::uint32_t> shape;
+        ColumnOf<std::uint16_t> material, flags, medium;
+        ColumnOf<std::uint32_t> shape, primitive;
         ColumnOf<std::uint8_t> lobe;
         ColumnOf<float> pdf_w, q, eta;
         ColumnOf<Half> diffuse, specular, transmittance, alpha, opacity, eta_c, k_c;
@@ -103,7 +103,7 @@ struct PathRows {
         ColumnOf<float> y;
         ColumnOf<std::int16_t> n;
         ColumnOf<float> Li, pdf_nee_w, pdf_bsdf_w;
-        ColumnOf<std::uint16_t> emitter;
+        ColumnOf<std::uint16_t> emitter, medium;
         ColumnOf<float> eta;
     } light_edges;
 
@@ -193,8 +193,8 @@ struct PathGraphHeader {
 /// The declaration of the format; the same for every way in which the columns can lie in memory.
 template <template <class> class ColumnOf>
 struct PathGraphOf : PathGraphHeader, PathRows<ColumnOf> {
-    static constexpr FormatId format{"path_graph", 2, 0, 1};
-    /// The version of a graph that uses nothing newer; older readers take it.
+    static constexpr FormatId format{"path_graph", 2, 1, 1};
+    /// Version of a graph that uses nothing newer, so that older readers accept it.
     static constexpr FormatId format_of_most{"path_graph", 1, 2};
 
     template <class Self, class Visitor>
@@ -264,6 +264,12 @@ void PathRows<ColumnOf>::row_fields(Self& g, Visitor& v) {
     v.optional("vertices/q", x.q, 1, "vertex", "1", "survival probability of roulette; absent: 1");
     v.optional("vertices/eta", x.eta, 1, "vertex", "1",
                "absolute refractive index along the segment from the previous vertex; absent: 1");
+    v.optional(
+        "vertices/medium", x.medium, 1, "vertex", "1",
+        "row of materials of the dielectric that contains the segment from the previous vertex; 65535: outside of "
+        "all objects; absent: not stored, or no dielectric");
+    v.optional("vertices/primitive", x.primitive, 1, "vertex", "1",
+               "triangle of the shape's mesh; 0 on a sphere or disk; absent: not stored");
     v.optional("vertices/diffuse", x.diffuse, 3, "vertex,rgb", "1",
                "diffuse reflectance, for materials where it is textured");
     v.optional("vertices/specular", x.specular, 3, "vertex,rgb", "1",
@@ -299,6 +305,8 @@ void PathRows<ColumnOf>::row_fields(Self& g, Visitor& v) {
             "density of the BSDF sample, roulette folded in; 0 where it cannot find this point");
     v.field("light_edges/emitter", e.emitter, 1, "edge", "1", "row of emitters");
     v.optional("light_edges/eta", e.eta, 1, "edge", "1", "absolute refractive index along the edge; absent: 1");
+    v.optional("light_edges/medium", e.medium, 1, "edge", "1",
+               "row of materials of the dielectric that contains the edge, as vertices/medium");
 
     auto& m = g.misses;
     v.optional("misses/vertex", m.vertex, 1, "miss", "1",

@@ -65,13 +65,13 @@ inline PathOptions path_options(const Scene& scene, std::uint64_t seed,
 
 /// Returns the graph written and read again, so that all invariants of the format hold.
 inline PathGraph trace_graph(const Scene& scene, const PathOptions& path, std::uint64_t spp,
-                             std::uint64_t first_sample = 0, bool misses = false) {
+                             std::uint64_t first_sample = 0, const OptionalColumns& columns = {}) {
     app::Report report;
     report.set_quiet(true);
     trace::Counts counts;
     const auto file = scratch_file(".h5");
     const auto traced =
-        trace::render_graph(scene, path, {first_sample, spp, 0}, report, counts, std::make_shared<Arena>(), misses);
+        trace::render_graph(scene, path, {first_sample, spp, 0}, report, counts, std::make_shared<Arena>(), columns);
     static std::mutex hdf5_one_at_a_time;  // tests call this from many threads
     const std::lock_guard lock(hdf5_one_at_a_time);
     write_path_graph(traced, file, Sync::no);

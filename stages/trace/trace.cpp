@@ -105,10 +105,10 @@ Image render_image(const Scene& scene, const PathOptions& path, const Work& work
 }
 
 PathGraphInPieces render_graph(const Scene& scene, const PathOptions& path, const Work& work, app::Report& report,
-                               Counts& counts, std::shared_ptr<Arena> memory, bool misses) {
+                               Counts& counts, std::shared_ptr<Arena> memory, const OptionalColumns& columns) {
     const std::uint64_t n_pixels = scene.sensor.n_pixels(), n_paths = n_pixels * work.spp;
     GraphBuilder builder(scene, path, (n_paths + PathBatch::capacity - 1) / PathBatch::capacity, std::move(memory),
-                         misses);
+                         columns);
     NonfiniteLog nonfinite(report, scene.sensor.width, path.seed);
     counts = {};
     {
@@ -117,7 +117,7 @@ PathGraphInPieces render_graph(const Scene& scene, const PathOptions& path, cons
         parallel_chunks(n_paths, PathBatch::capacity, work.threads,
                         [&](std::uint64_t chunk, std::uint64_t begin, std::uint64_t end) {
                             GraphWorker& worker = workers.local();
-                            worker.records.keeps_misses = misses;
+                            worker.records.keeps_misses = columns.misses;
                             worker.ids.resize(end - begin);
                             for (std::uint64_t i = begin; i < end; ++i)
                                 worker.ids[i - begin] = {i % n_pixels, work.first_sample + i / n_pixels};
@@ -161,8 +161,13 @@ void declare(app::Command& command, Options& options) {
                    "area of a sampled laser spot in an NLOS capture: 1 m² (as in mitransient), or the true area of the "
                    "beam's section",
                    {{"unit", LaserSpot::unit_area}, {"true", LaserSpot::true_area}});
-    command.flag("--misses", options.misses,
+    command.flag("--misses", options.columns.misses,
                  "also store failed light samples (+10 % bytes); makes loom-residual --old-graph several times faster");
+    command.flag("--primitives", options.columns.primitives,
+                 "also store the triangle of each vertex (+4 bytes per vertex), for derivatives");
+    command.flag("--media", options.columns.media,
+                 "also store the material of each segment's medium (+2 bytes per vertex and edge), for derivatives by "
+                 "the index of refraction");
     command.threads(options.threads);
     command.flag("--plan", options.plan, "print the plan and stop");
     command.option("--replay", options.replay, "X,Y,SAMPLE: trace that path alone and print it");
@@ -182,12 +187,12 @@ std::string camera_medium(const Scene& scene) {
                               id.empty() ? fmt::format("number {}", entry.shape + 1) : "'" + id + "'");
     }
     return fmt::format("camera {}(index {:.4g})", shapes.empty() ? "in a medium " : "inside of " + shapes + " ",
-                       media.index());
+                       media.medium().ior);
 }
 
 }  // namespace
 
-std::string plan(const Scene& scene, const PathOptions& path, bool graph) {
+std::string plan(const Scene& scene, const PathOptions& path, const OptionalColumns* graph) {
     const SceneFeatures& f = scene.features;
     std::string on, off;
     const auto say = [&](bool yes, const char* what, const char* why) {
@@ -220,6 +225,8 @@ std::string plan(const Scene& scene, const PathOptions& path, bool graph) {
         if (f.textured_exponent) say(true, "exponent column", "");
         if (f.textured_index) say(true, "conductor index columns", "");
         say(f.dielectric, "index of refraction", " (no dielectric)");
+        if (graph->media) say(f.dielectric, "materials of media", " (no dielectric)");
+        if (graph->primitives) say(true, "triangles", "");
         if (!scene.sensor_media.vacuum) say(true, camera_medium(scene).c_str(), "");
     }
     return "on: " + on + "; off: " + (off.empty() ? "nothing" : off);
@@ -265,7 +272,7 @@ Counts trace_pass(const Passes& of, std::uint64_t pass, const std::string& outpu
         write_image(image, output);
         return counts;
     }
-    PathGraphInPieces graph = render_graph(of.scene, of.path, work, report, counts, of.memory, options.misses);
+    PathGraphInPieces graph = render_graph(of.scene, of.path, work, report, counts, of.memory, options.columns);
     graph.provenance = std::move(provenance);
     write_path_graph(graph, output);
     std::uint64_t bytes = 0;
@@ -303,12 +310,12 @@ void run(const Options& options, app::Report& report) {
     const auto scene = load_scene(options.scene, parse_defines(options.defines), options.sensor);
     for (const std::string& note : scene->notes) report.info("{}", note);
     const PathOptions path = path_options(options, *scene);
-    const std::string planned = plan(*scene, path, ending != ".exr");
+    const std::string planned = plan(*scene, path, ending != ".exr" ? &options.columns : nullptr);
     if (!options.replay.empty()) {
         report.answer(replay(*scene, path, options.replay));
         return;
     }
-    if (options.misses && scene->nlos)
+    if (options.columns.misses && scene->nlos)
         throw InputError("--misses: an NLOS capture stores no failed light samples; leave out --misses");
     if (options.plan) {
         report.answer(planned + "\n");

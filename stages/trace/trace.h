@@ -7,6 +7,7 @@
 #include "formats/image.h"
 #include "formats/path_graph.h"
 #include "stages/core/scene/scene.h"
+#include "stages/core/tracing/graph_builder.h"
 #include "stages/core/tracing/path_tracer.h"
 #include "stages/core/tracing/pixel_loop.h"
 
@@ -32,9 +33,9 @@ struct Options {
     std::optional<int> rr_depth;   // unset: that of the scene file
     std::optional<int> max_depth;  // unset: that of the scene file; -1: no limit
     LaserSpot laser_spot = LaserSpot::unit_area;
-    bool misses = false;  // graph: store failed light samples too
-    bool plan = false;    // print the plan and stop
-    std::string replay;   // x,y,sample: trace that one path and print it
+    OptionalColumns columns;  // of a graph
+    bool plan = false;        // print the plan and stop
+    std::string replay;       // x,y,sample: trace that one path and print it
 };
 
 using loom::Counts;
@@ -46,10 +47,10 @@ Image render_image(const Scene& scene, const PathOptions& path, const Work& work
 
 /// Traces the same paths as a graph to be written, in the given memory. The memory of an earlier graph may be reused;
 /// that graph is then invalid.
-/// in:      misses  store failed samples too; an NLOS capture has none
+/// in:      columns  an NLOS capture has no misses
 PathGraphInPieces render_graph(const Scene& scene, const PathOptions& path, const Work& work, app::Report& report,
                                Counts& counts, std::shared_ptr<Arena> memory = std::make_shared<Arena>(),
-                               bool misses = false);
+                               const OptionalColumns& columns = {});
 
 void declare(app::Command& command, Options& options);
 
@@ -58,6 +59,7 @@ void declare(app::Command& command, Options& options);
 void run(const Options& options, app::Report& report);
 
 /// Describes in one line what the scene requires, and what is off.
-std::string plan(const Scene& scene, const PathOptions& path, bool graph);
+/// in: graph  optional columns of a graph; null: an image
+std::string plan(const Scene& scene, const PathOptions& path, const OptionalColumns* graph);
 
 }  // namespace loom::trace

@@ -41,29 +41,50 @@ TEST(PathGraph, MissesReadBackBitForBit) {
     EXPECT_EQ(read.n_misses(), 3u);
 }
 
+/// Version in the file of a graph that was written and read back.
+std::array<std::int32_t, 2> version_after_writing(const PathGraph& graph) {
+    const ScratchFolder folder;
+    write_path_graph(graph, folder / "g.h5");
+    expect_equal(graph, read_path_graph(folder / "g.h5"));
+    const Hdf5Handle file(H5Fopen((folder / "g.h5").c_str(), H5F_ACC_RDONLY, H5P_DEFAULT), H5Fclose);
+    const Hdf5Handle attribute(H5Aopen(file.get(), "version", H5P_DEFAULT), H5Aclose);
+    std::array<std::int32_t, 2> version{};
+    H5Aread(attribute.get(), H5T_NATIVE_INT32, version.data());
+    return version;
+}
+
 // A reader of 1.2 would take the material's exponent, index and coat for all its vertices: it must refuse such a graph
 // by its version, and go on reading all others.
 TEST(PathGraph, OnlyGraphsThatOlderReadersWouldMisreadAreOfVersion2) {
-    const ScratchFolder folder;
-    const auto version_of = [&](const PathGraph& graph) {
-        write_path_graph(graph, folder / "g.h5");
-        expect_equal(graph, read_path_graph(folder / "g.h5"));
-        const Hdf5Handle file(H5Fopen((folder / "g.h5").c_str(), H5F_ACC_RDONLY, H5P_DEFAULT), H5Fclose);
-        const Hdf5Handle attribute(H5Aopen(file.get(), "version", H5P_DEFAULT), H5Aclose);
-        std::array<std::int32_t, 2> version{};
-        H5Aread(attribute.get(), H5T_NATIVE_INT32, version.data());
-        return version;
-    };
-    EXPECT_EQ(version_of(tiny_graph()), (std::array{1, 2}));
-    EXPECT_EQ(version_of(tiny_graph_with_own_lobes()), (std::array{2, 0}));
+    EXPECT_EQ(version_after_writing(tiny_graph()), (std::array{1, 2}));
+    EXPECT_EQ(version_after_writing(tiny_graph_with_own_lobes()), (std::array{2, 0}));
     PathGraph coats = tiny_graph();
     coats.coats = tiny_graph_with_own_lobes().coats;
-    EXPECT_EQ(version_of(coats), (std::array{2, 0}));
+    EXPECT_EQ(version_after_writing(coats), (std::array{2, 0}));
     for (const std::uint8_t bit : {textured_parameter::exponent, textured_parameter::index}) {
         PathGraph one = tiny_graph_with_own_lobes();
         one.coats = {};
         one.materials.textured = std::vector<std::uint8_t>{bit, 0};
-        EXPECT_EQ(version_of(one), (std::array{2, 0}));
+        EXPECT_EQ(version_after_writing(one), (std::array{2, 0}));
+    }
+}
+
+// Columns that readers of 1.2 and 2.0 do not know, and may leave aside.
+TEST(PathGraph, NewColumnsRaiseTheMinorVersion) {
+    for (const bool own_lobes : {false, true}) {
+        PathGraph graph = own_lobes ? tiny_graph_with_own_lobes() : tiny_graph();
+        const std::array without{own_lobes ? 2 : 1, own_lobes ? 0 : 2}, with{without[0], without[1] + 1};
+        EXPECT_EQ(version_after_writing(graph), without);
+        graph.vertices.primitive = {0, 1, 2, 3, 4, 5};
+        EXPECT_EQ(version_after_writing(graph), with);
+        graph.vertices.primitive = {};
+        graph.vertices.medium = {65535, 0, 1, 0, 65535, 65535};
+        graph.light_edges.medium = {65535, 1, 0, 65535};
+        EXPECT_EQ(version_after_writing(graph), with);
+        graph.vertices.medium = {65535, 0, 2, 0, 65535, 65535};
+        EXPECT_EQ(graph.problem(), "vertices/medium: row 2 is 2, but there are 2 materials (65535: outside)");
+        graph.vertices.medium = {};
+        EXPECT_EQ(graph.problem(), "vertices/medium, light_edges/medium: one of them is missing");
     }
 }
 

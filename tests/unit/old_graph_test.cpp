@@ -276,7 +276,7 @@ struct Edited {
     }
 
     PathGraph trace(PathOptions path, std::uint64_t n, std::uint64_t first, bool misses) const {
-        return loom::testing::trace_graph(*old_scene, path, n, first, misses);
+        return loom::testing::trace_graph(*old_scene, path, n, first, {.misses = misses});
     }
     OldGraph graph(const PathOptions& options, bool misses = false) const {
         PathOptions path = options;

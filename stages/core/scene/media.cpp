@@ -24,10 +24,11 @@ bool lets_through(const Material& m) {
            m.model.opacity < 1 || m.opacity >= 0;
 }
 
-/// What the rays say of one shape.
+/// Counts of rays that leave or enter one shape first.
 struct Votes {
     int inside = 0, outside = 0;
     int rank = 0;  // sum over rays of how many others were left before
+    SurfaceIdx surface;
     float int_ior = 1, ext_ior = 1;
 };
 
@@ -53,9 +54,11 @@ class Survey {
                        first = std::find(seen.begin(), seen.end(), at.shape) == seen.end();
             if (entering && seen.empty()) ++outer[model.ext_ior];
             seen.push_back(at.shape);
-            const bool entered = media.pass(at.shape, entering, model);
+            const SurfaceIdx surface{at.shape, at.material};
+            const bool entered = media.pass(surface, entering, model);
             if (!first) continue;
             Votes& votes = shapes[at.shape];
+            votes.surface = surface;
             votes.int_ior = model.int_ior;
             votes.ext_ior = model.ext_ior;
             if (entering) ++votes.outside;
@@ -84,7 +87,7 @@ MediumStack media_at(const Scene& scene, const Point3f& p) {
     MediumStack media;
     for (const auto& [rank, shape] : around) {
         const Votes& votes = survey.shapes[shape];
-        media.cross(shape, true, votes.int_ior, votes.ext_ior);
+        media.cross(votes.surface, true, votes.int_ior, votes.ext_ior);
     }
     if (around.empty() && !survey.outer.empty())
         media.start_outside(

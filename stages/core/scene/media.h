@@ -16,19 +16,32 @@ inline bool is_interface(const BsdfModel& model) {
     return model.kind == BsdfKind::dielectric || model.kind == BsdfKind::rough_dielectric;
 }
 
-/// The dielectric objects that a path is inside of, innermost last; gives the absolute index of refraction
-/// of the segment that comes next, right for nested and immersed objects. Leaving an object removes its own
-/// entry, wherever it lies, so that overlapping surfaces do no harm.
+/// Shape and material of a surface, rows of Scene::shapes and Scene::materials.
+struct SurfaceIdx {
+    std::uint32_t shape = 0, material = 0;
+};
+
+/// Medium of a path segment.
+struct Medium {
+    static constexpr std::uint16_t outside = 65535;
+    float ior = 1;                     // absolute index of refraction
+    std::uint16_t material = outside;  // dielectric whose inside it is; outside: outside of all objects
+    bool operator==(const Medium&) const = default;
+};
+
+/// Dielectric objects that a path is inside of, innermost last. Gives the medium of the next segment, correct for nested
+/// and immersed objects. Leaving an object removes its own entry, wherever it lies, so that overlapping surfaces do no
+/// harm.
 class MediumStack {
   public:
     struct Entry {
         std::uint32_t shape;
-        float ior;
+        Medium medium;
         bool operator==(const Entry&) const = default;
     };
 
-    /// Index of the medium around; outside of everything that of the last surface's outside.
-    float index() const { return size_ > 0 ? entries_[size_ - 1].ior : outside_; }
+    /// Medium of the next segment; outside of everything it has the index of the last surface's outside.
+    Medium medium() const { return size_ > 0 ? entries_[size_ - 1].medium : Medium{outside_}; }
     /// Innermost last.
     std::span<const Entry> entries() const { return {entries_.data(), std::size_t(size_)}; }
     bool operator==(const MediumStack& other) const {
@@ -38,21 +51,21 @@ class MediumStack {
 
     /// Starts outside of everything, in a medium of this index.
     void start_outside(float ior) { outside_ = ior; }
-    /// Follows light through the surface of a shape; changes the stack only at an interface.
+    /// Follows light through a surface; changes the stack only at an interface.
     /// out: as cross()
-    bool pass(std::uint32_t shape, bool entering, const BsdfModel& model) {
-        return !is_interface(model) || cross(shape, entering, model.int_ior, model.ext_ior);
+    bool pass(SurfaceIdx surface, bool entering, const BsdfModel& model) {
+        return !is_interface(model) || cross(surface, entering, model.int_ior, model.ext_ior);
     }
     /// out: false when an object is left that was never entered
-    bool cross(std::uint32_t shape, bool entering, float int_ior, float ext_ior) {
+    bool cross(SurfaceIdx surface, bool entering, float int_ior, float ext_ior) {
         if (entering) {
             if (size_ == 0) outside_ = ext_ior;
-            if (size_ < max_nesting) entries_[size_++] = {shape, int_ior};
+            if (size_ < max_nesting) entries_[size_++] = {surface.shape, {int_ior, std::uint16_t(surface.material)}};
             return true;
         }
-        int i = find([&](const Entry& e) { return e.shape == shape; });
-        // An object may be made of several shapes: in by the one, out by the other.
-        if (i < 0) i = find([&](const Entry& e) { return e.ior == int_ior; });
+        int i = find([&](const Entry& e) { return e.shape == surface.shape; });
+        // An object may be made of several shapes: entered by one, left by another.
+        if (i < 0) i = find([&](const Entry& e) { return e.medium.ior == int_ior; });
         for (int k = i; k >= 0 && k + 1 < size_; ++k) entries_[k] = entries_[k + 1];
         if (i >= 0) --size_;
         if (size_ == 0) outside_ = ext_ior;
@@ -60,11 +73,11 @@ class MediumStack {
     }
 
   private:
-    /// Innermost entry that is meant; -1: none.
-    template <class Meant>
-    int find(Meant meant) const {
+    /// Innermost entry that meets a condition; -1: none.
+    template <class Condition>
+    int find(Condition condition) const {
         int i = size_ - 1;
-        while (i >= 0 && !meant(entries_[i])) --i;
+        while (i >= 0 && !condition(entries_[i])) --i;
         return i;
     }
 
@@ -74,11 +87,10 @@ class MediumStack {
     std::array<Entry, max_nesting> entries_;
 };
 
-/// Media around a point, by what is seen from there: rays in all directions pass straight through whatever lets light
-/// through, and stop at the rest. The point is inside of an object where more of them leave it first than enter it
-/// first; so an open surface, such as the plane of a pool, has the point inside that sees its back. Outside of
-/// everything it is in the outer medium of what most rays enter first. A medium of which nothing is seen, behind opaque
-/// walls, does not count.
+/// Media around a point, by rays in all directions from there that pass straight through what lets light through and
+/// stop at the rest. The point is inside of an object that more rays leave first than enter first; a point behind an open
+/// surface, such as the plane of a pool, is inside. Outside of everything the point is in the outer medium of the object
+/// that most rays enter first. A medium that no ray reaches, behind opaque walls, does not count.
 MediumStack media_at(const Scene& scene, const Point3f& p);
 
 /// Media in which camera paths start.

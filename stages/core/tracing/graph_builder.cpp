@@ -204,7 +204,7 @@ void describe_scene(const Scene& scene, PathGraphHeader& g) {
 }  // namespace
 
 GraphBuilder::GraphBuilder(const Scene& scene, const PathOptions& options, std::size_t n_pieces,
-                           std::shared_ptr<Arena> memory, bool misses)
+                           std::shared_ptr<Arena> memory, const OptionalColumns& columns)
     : scene_(scene), options_(options), pieces_(n_pieces), arena_(std::move(memory)) {
     arena_->reset();
     const SceneFeatures& f = scene.features;
@@ -215,6 +215,8 @@ GraphBuilder::GraphBuilder(const Scene& scene, const PathOptions& options, std::
     v.tangent.wanted = f.anisotropic;
     v.q.wanted = options.roulette != Roulette::off;
     v.eta.wanted = wanted_.light_edges.eta.wanted = f.dielectric;
+    v.medium.wanted = wanted_.light_edges.medium.wanted = columns.media && f.dielectric;
+    v.primitive.wanted = columns.primitives;
     v.diffuse.wanted = f.textured_diffuse;
     v.specular.wanted = f.textured_specular;
     v.transmittance.wanted = f.textured_transmittance;
@@ -223,7 +225,7 @@ GraphBuilder::GraphBuilder(const Scene& scene, const PathOptions& options, std::
     v.exponent.wanted = f.textured_exponent;
     v.eta_c.wanted = v.k_c.wanted = f.textured_index;
     auto& m = wanted_.misses;
-    m.vertex.wanted = m.technique.wanted = m.y.wanted = m.emitter.wanted = misses;
+    m.vertex.wanted = m.technique.wanted = m.y.wanted = m.emitter.wanted = columns.misses;
 }
 
 void GraphBuilder::set(std::size_t i, const PathRecords& records) {
@@ -266,6 +268,8 @@ void GraphBuilder::set(std::size_t i, const PathRecords& records) {
         v.pdf_w.put(row, r.pdf_w);
         v.q.put(row, r.q);
         v.eta.put(row, r.eta);
+        v.medium.put(row, r.medium);
+        v.primitive.put(row, r.primitive);
         v.diffuse.put(row, r.diffuse);
         v.specular.put(row, r.specular);
         v.transmittance.put(row, r.transmittance);
@@ -286,7 +290,8 @@ void GraphBuilder::set(std::size_t i, const PathRecords& records) {
         e.pdf_nee_w.put(row, r.pdf_nee_w);
         e.pdf_bsdf_w.put(row, r.pdf_bsdf_w);
         e.emitter.put(row, r.emitter);
-        e.eta.put(row, r.eta);
+        e.eta.put(row, r.medium.ior);
+        e.medium.put(row, r.medium.material);
     }
     const auto& m = rows.misses;
     for (const MissRecord& r : records.misses) {

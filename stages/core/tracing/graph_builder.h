@@ -12,12 +12,20 @@
 
 namespace loom {
 
-/// Collects the paths of all workers in huge pages, column by column, and numbers their vertices through.
+/// Columns of a graph that are stored only on request.
+struct OptionalColumns {
+    bool misses = false;      // failed light samples
+    bool primitives = false;  // triangle of each vertex
+    bool media = false;       // material of each segment's medium, in a scene with dielectrics
+};
+
+/// Collects the paths of all workers in huge pages, as a structure of arrays, and numbers their vertices consecutively.
 class GraphBuilder {
   public:
-    /// in:      n_pieces  batches to come   memory  for their columns; what it held is gone   misses  kept, too
+    /// in:      n_pieces  batches to come
+    ///          memory    for their columns; its former contents are lost
     GraphBuilder(const Scene& scene, const PathOptions& options, std::size_t n_pieces, std::shared_ptr<Arena> memory,
-                 bool misses);
+                 const OptionalColumns& columns);
 
     /// Takes a batch as the i-th piece. From any thread, once for each i.
     void set(std::size_t i, const PathRecords& records);

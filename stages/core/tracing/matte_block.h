@@ -94,7 +94,7 @@ class MatteBlock {
             shadow.contribution = c.contribution.get<Spectrum>(m);
             if constexpr (recording)
                 shadow.edge = light_edge(record.last_number(), LightTechnique::next_event, light(m),
-                                         c.shadow_pdf_bsdf_w[m], path.media.index());
+                                         c.shadow_pdf_bsdf_w[m], path.media.medium());
         } else if constexpr (recording) {
             if (!scene_.emitters.empty()) record.miss(emitters_[m]);
         }
@@ -134,8 +134,9 @@ class MatteBlock {
         VertexRecord& vertex = record.add(surfaces_[hit.shape].vertex);
         const auto ns = c.ns.get<Normal3f>(m);
         vertex.set_arrival(c.p.get<Point3f>(m), c.wo.get<Vector3f>(m), ns, c.ng.get<Normal3f>(m), ns,
-                           path.media.index(), scene_.features);
+                           path.media.medium(), scene_.features);
         if (scene_.features.textured_diffuse) vertex.diffuse = half_color(c.reflectance.get<Spectrum>(m));
+        vertex.primitive = hit.primitive;
         vertex.q = c.q[m];
     }
 

@@ -65,7 +65,7 @@ class NlosPath {
         const BsdfModel& model = *here.bsdf.model;
         ++path_.result.n_vertices;
         if (depth == 1) path_.result.first = first_hit(here, hit_.t);
-        if constexpr (recording) record.add(scene_, at, here, path_.media.index());
+        if constexpr (recording) record.add(scene_, at, here, path_.media.medium());
         const auto end = [&](Ending ending) {
             if constexpr (recording) record.last().end(ending);
             return false;
@@ -132,13 +132,13 @@ class NlosPath {
         if (delta) {
             if (here.perturbed && s.lobe != Lobe::null) s.weight *= bump_shadowing(here, wi, s.wi.z);
             const float chosen = q * (1 - c);
-            pass_vertex(path_, here.p, model, at.shape, s, chosen, s.pdf_w * chosen);
+            pass_vertex(path_, here.p, model, {at.shape, at.material}, s, chosen, s.pdf_w * chosen);
         } else {
             const float p_hidden = c > 0 ? pdf_hidden_w(scene_, here.p, scene_.surface(path_.ray, hit_)) : 0.0f;
             const float pdf_w = q * (c * p_hidden + (1 - c) * value.pdf_w);
             if (!(pdf_w > 0)) return end(Ending::invalid_sample);
-            s.weight = value.f_cos * (1 / pdf_w);  // including roulette
-            pass_vertex(path_, here.p, model, at.shape, s, 1, pdf_w);
+            s.weight = value.f_cos * (1 / pdf_w);  // roulette included
+            pass_vertex(path_, here.p, model, {at.shape, at.material}, s, 1, pdf_w);
         }
         if constexpr (recording) {
             record.last().lobe = s.lobe;
@@ -169,7 +169,7 @@ class NlosPath {
         path_.result.L += path_.beta * f_cos * light.Li;
         if constexpr (recording)
             record.add(light_edge(record.last_number(), LightTechnique::next_event, light, 0,
-                                  index_towards(path_.media, here, at.shape, light.wi)));
+                                  medium_towards(path_.media, here, {at.shape, at.material}, light.wi)));
     }
 
     bool light_of_projector(const ShadingPoint& here, Light& light) const {

@@ -37,22 +37,24 @@ struct VertexRecord {
     float exponent = 0;
     std::uint16_t material = 0, flags = 0;
     Lobe lobe = Lobe::none;
-    std::uint32_t shape = 0, path = 0;
+    std::uint16_t medium = Medium::outside;  // Medium::material of the segment that arrives here
+    std::uint32_t shape = 0, primitive = 0, path = 0;
     float pdf_w = 0;  // of the BSDF sample, roulette folded in
     float q = 1;      // survival probability of roulette
     float eta = 1;    // absolute index of the segment that arrives here
 
     void end(Ending ending) { flags = flags_with_ending(flags, ending); }
     /// Fills what depends on the ray that arrives, apart from textures.
-    /// in:  eta_  index of refraction of the segment that arrives
+    /// in:  arriving  medium of the segment that arrives
     void set_arrival(const Point3f& p_, const Vector3f& wo_, const Normal3f& shading, const Normal3f& geometric,
-                     const Normal3f& unperturbed, float eta_, const SceneFeatures& features) {
+                     const Normal3f& unperturbed, const Medium& arriving, const SceneFeatures& features) {
         p = p_;
         wo = wo_;
         ns = normal_code(shading);
         if (features.smooth_normals) ng = normal_code(geometric);
         if (features.perturbed_normals) n_side = unperturbed == shading ? ns : normal_code(unperturbed);
-        eta = eta_;
+        eta = arriving.ior;
+        medium = arriving.material;
     }
     /// Fills what the shape and its material determine.
     void set_surface(std::uint32_t shape_, std::uint32_t material_, const Bsdf<float>& bsdf,
@@ -78,15 +80,15 @@ struct LightEdgeRecord {
     NormalCode n{};
     Spectrum Li;
     float pdf_nee_w = 0, pdf_bsdf_w = 0;
-    float eta = 1;
+    Medium medium;
 };
 
 /// A light edge of vertex number `vertex` of a path.
 /// in:  light       point, normal, emitter and Li; pdf_w: of next-event estimation, 0 where it does not find the point
 ///      pdf_bsdf_w  of BSDF sampling, roulette folded in
-///      eta         index of refraction of the edge
+///      medium      of the edge
 inline LightEdgeRecord light_edge(std::uint32_t vertex, LightTechnique technique, const LightSample& light,
-                                  float pdf_bsdf_w, float eta) {
+                                  float pdf_bsdf_w, const Medium& medium) {
     LightEdgeRecord edge;
     edge.vertex = vertex;
     edge.technique = technique;
@@ -97,7 +99,7 @@ inline LightEdgeRecord light_edge(std::uint32_t vertex, LightTechnique technique
     edge.Li = light.Li;
     edge.pdf_nee_w = light.pdf_w;
     edge.pdf_bsdf_w = pdf_bsdf_w;
-    edge.eta = eta;
+    edge.medium = medium;
     return edge;
 }
 
@@ -143,10 +145,12 @@ class PathRecorder {
     std::uint32_t last_number() const { return path().n_vertices - 1; }
 
     /// Adds a vertex on a surface.
-    /// in:  eta  index of refraction of the segment that arrives
-    VertexRecord& add(const Scene& scene, const SurfacePoint& at, const ShadingPoint& here, float eta) const {
+    /// in:  arriving  medium of the segment that arrives
+    VertexRecord& add(const Scene& scene, const SurfacePoint& at, const ShadingPoint& here,
+                      const Medium& arriving) const {
         VertexRecord& vertex = add(VertexRecord{});
-        vertex.set_arrival(here.p, here.wo, here.frame.n, here.ng, here.n_side, eta, scene.features);
+        vertex.set_arrival(here.p, here.wo, here.frame.n, here.ng, here.n_side, arriving, scene.features);
+        vertex.primitive = at.primitive;
         if (scene.features.anisotropic) vertex.tangent = normal_code(here.frame.s);
         vertex.set_surface(at.shape, at.material, here.bsdf, scene.features);
         return vertex;

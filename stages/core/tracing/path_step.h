@@ -40,7 +40,7 @@ void add_arrived_light(PathState& path, PathRecorder record, const Spectrum& Li,
         // hit point differs.
         light.y = at ? path.from + path.ray.d * dot(at->p - path.from, path.ray.d) : Point3f(path.ray.d);
         if (at) light.n = at->ng;
-        record.add(light_edge(record.last_number(), LightTechnique::bsdf_hit, light, path.pdf_w, path.media.index()));
+        record.add(light_edge(record.last_number(), LightTechnique::bsdf_hit, light, path.pdf_w, path.media.medium()));
     }
 }
 
@@ -48,8 +48,8 @@ void add_arrived_light(PathState& path, PathRecorder record, const Spectrum& Li,
 /// in:      q  survival probability of roulette at the vertex
 /// out:     whether a shadow ray must be traced; then `shadow` is filled
 template <bool recording>
-bool sample_next_event(const Scene& scene, const PathState& path, const ShadingPoint& here, std::uint32_t shape,
-                       float q, const LightQuery& lights, ShadowRequest& shadow, std::uint32_t vertex) {
+bool sample_next_event(const Scene& scene, const PathState& path, const ShadingPoint& here, SurfaceIdx surface, float q,
+                       const LightQuery& lights, ShadowRequest& shadow, std::uint32_t vertex) {
     const LightSample light = sample_light(scene, here.p, lights);
     if (!(light.pdf_w > 0)) return false;
     const BsdfValue<float> value = f_cos_pdf(here, light.wi);
@@ -59,12 +59,12 @@ bool sample_next_event(const Scene& scene, const PathState& path, const ShadingP
     shadow.ray = light.at_infinity ? spawn_ray(here.end(), light.wi) : spawn_segment(here.end(), light.end());
     if constexpr (recording)
         shadow.edge = light_edge(vertex, LightTechnique::next_event, light, pdf_bsdf,
-                                 index_towards(path.media, here, shape, light.wi));
+                                 medium_towards(path.media, here, surface, light.wi));
     return true;
 }
 
 template <bool recording>
-Step leave(const Scene& scene, const PathOptions& options, int depth, const ShadingPoint& here, std::uint32_t shape,
+Step leave(const Scene& scene, const PathOptions& options, int depth, const ShadingPoint& here, SurfaceIdx surface,
            const LightQuery& lights, Point2f u_direction, PathState& path, ShadowRequest& shadow, PathRecorder record);
 
 /// Ends the path's edge number `depth` at `hit`, or at a miss: adds emission, samples a light and the next direction.
@@ -122,12 +122,13 @@ Step arrive(const Scene& scene, const PathOptions& options, int depth, const Hit
     ++path.result.n_vertices;
     const ShadingPoint here = shading_point(scene, at, wo);
     if (depth == 1) path.result.first = first_hit(here, hit.t);
-    if constexpr (recording) record.add(scene, at, here, path.media.index());
+    if constexpr (recording) record.add(scene, at, here, path.media.medium());
     if (last_vertex) {
         if constexpr (recording) record.last().end(Ending::max_depth);
         return Step::ends;
     }
-    return leave<recording>(scene, options, depth, here, at.shape, lights, u_direction, path, shadow, record);
+    return leave<recording>(scene, options, depth, here, {at.shape, at.material}, lights, u_direction, path, shadow,
+                            record);
 }
 
 /// Leaves vertex number `depth` of a path that may continue: samples a light, applies roulette and samples the next
@@ -135,14 +136,14 @@ Step arrive(const Scene& scene, const PathOptions& options, int depth, const Hit
 /// in, out: as arrive()
 template <bool recording>
 [[gnu::always_inline]] inline Step leave(const Scene& scene, const PathOptions& options, int depth,
-                                         const ShadingPoint& here, std::uint32_t shape, const LightQuery& lights,
+                                         const ShadingPoint& here, SurfaceIdx surface, const LightQuery& lights,
                                          Point2f u_direction, PathState& path, ShadowRequest& shadow,
                                          PathRecorder record) {
     const float q = survival(roulette_at(options, depth), here, path);
     Step step = Step::ends;
     const bool next_event = !scene.emitters.empty() && has_smooth_lobe(here.bsdf);
-    if (next_event &&
-        sample_next_event<recording>(scene, path, here, shape, q, lights, shadow, recording ? record.last_number() : 0))
+    if (next_event && sample_next_event<recording>(scene, path, here, surface, q, lights, shadow,
+                                                   recording ? record.last_number() : 0))
         step = Step::needs_shadow_ray;
     else if constexpr (recording)
         if (next_event) record.miss(lights.point.emitter);
@@ -161,7 +162,7 @@ template <bool recording>
         if constexpr (recording) record.last().end(Ending::invalid_sample);
         return step;
     }
-    pass_vertex(path, here.p, *here.bsdf.model, shape, s, q, s.pdf_w * q);
+    pass_vertex(path, here.p, *here.bsdf.model, surface, s, q, s.pdf_w * q);
     path.ray = spawn_ray(here.end(), wi);
     if constexpr (recording) {
         record.last().lobe = s.lobe;

@@ -93,7 +93,7 @@ constexpr bool goes_straight_on(Lobe lobe, BsdfKind kind) {
 ///      q      probability to continue; s.weight is divided by it
 ///      pdf_w  density of the direction, roulette folded in
 [[gnu::always_inline]] inline void pass_vertex(PathState& path, const Point3f& p, const BsdfModel& model,
-                                               std::uint32_t shape, const BsdfSample<float>& s, float q, float pdf_w) {
+                                               SurfaceIdx surface, const BsdfSample<float>& s, float q, float pdf_w) {
     path.lobe = s.lobe;
     path.is_straight &= goes_straight_on(s.lobe, model.kind);
     path.pdf_w = pdf_w;
@@ -101,20 +101,20 @@ constexpr bool goes_straight_on(Lobe lobe, BsdfKind kind) {
     path.beta = continued(path.beta, s.weight, q);
     if (s.lobe == Lobe::delta_transmission || s.lobe == Lobe::glossy_transmission) {
         path.eta_scale *= sqr(s.eta);
-        path.media.pass(shape, s.wi.z < 0, model);
+        path.media.pass(surface, s.wi.z < 0, model);
     }
 }
 
-/// Index of refraction of the segment from a vertex towards wi.
+/// Medium of the segment from a vertex towards wi.
 /// in:  media  of the segment that arrives there
-inline float index_towards(const MediumStack& media, const ShadingPoint& here, std::uint32_t shape,
-                           const Vector3f& wi) {
+inline Medium medium_towards(const MediumStack& media, const ShadingPoint& here, SurfaceIdx surface,
+                             const Vector3f& wi) {
     const BsdfModel& model = *here.bsdf.model;
     const float side = dot(here.n_side, wi);
-    if (!is_interface(model) || side * dot(here.n_side, here.wo) >= 0) return media.index();
+    if (!is_interface(model) || side * dot(here.n_side, here.wo) >= 0) return media.medium();
     MediumStack beyond = media;
-    beyond.pass(shape, side < 0, model);
-    return beyond.index();
+    beyond.pass(surface, side < 0, model);
+    return beyond.medium();
 }
 
 /// Whether a ray that leaves the scene finds the sky black: that of a camera, in a scene that hides its emitters.

@@ -99,7 +99,7 @@ std::optional<TraceCommand> parse(std::string command) {
         *value = *number;
         command.erase(at, end - at);
     }
-    for (const std::string same_paths : {" --passes 1", " --misses"})
+    for (const std::string same_paths : {" --passes 1", " --misses", " --primitives", " --media"})
         if (const auto at = command.find(same_paths); at != std::string::npos) command.erase(at, same_paths.size());
     parsed.rest = std::move(command);
     return parsed;

@@ -44,12 +44,12 @@ ShadingPoint ResumedPaths::repainted(const ShadingPoint& here, std::uint32_t sha
     return there;
 }
 
-bool ResumedPaths::sample_light_again(const ShadingPoint& here, std::uint32_t shape, float q, int depth,
+bool ResumedPaths::sample_light_again(const ShadingPoint& here, SurfaceIdx surface, float q, int depth,
                                       const PathState& path, ShadowRequest& shadow) const {
     LightQuery lights;
     lights.u = path.sampler.pair(dimension(depth, Dimension::light));
     look_up_light(scene_, lights);
-    return sample_next_event<false>(scene_, path, here, shape, q, lights, shadow, 0);
+    return sample_next_event<false>(scene_, path, here, surface, q, lights, shadow, 0);
 }
 
 /// One stored path, followed vertex by vertex in both scenes.
@@ -186,15 +186,15 @@ class ResumedPaths::Walk {
     /// in:      light_seen  whether the old path's light sample was visible
     void step_again(Reached& here, bool light_seen) {
         // Sample a light and the next direction.
-        const std::uint32_t shape = g_.vertices.shape[here.j];
+        const SurfaceIdx surface = surface_of(here.j);
         const ShadingPoint& before = here.vertex.whole();
-        const ShadingPoint now = here.repaint ? owner_.repainted(before, shape) : before;
+        const ShadingPoint now = here.repaint ? owner_.repainted(before, surface.shape) : before;
         if (here.repaint && here.depth == 1) pair_.first.albedo = albedo(now.bsdf, now.wo_local);
         LightQuery lights;
         lights.u = sampler_.pair(dimension(here.depth, Dimension::light));
         look_up_light(owner_.scene_, lights);
         ShadowRequest shadow;
-        const Step step = leave<false>(owner_.scene_, owner_.options_, here.depth, now, shape, lights,
+        const Step step = leave<false>(owner_.scene_, owner_.options_, here.depth, now, surface, lights,
                                        sampler_.pair(dimension(here.depth, Dimension::direction)), path_, shadow, {});
 
         // Test visibility, where the old path did not.
@@ -217,14 +217,16 @@ class ResumedPaths::Walk {
         other_weight_ = true;
     }
 
-    /// in:      s  sample of the BSDF, equal in both scenes
+    SurfaceIdx surface_of(std::size_t j) const { return {g_.vertices.shape[j], g_.vertices.material[j]}; }
+
+    /// in:  s  sample of the BSDF, the same in both scenes
     [[gnu::always_inline]] void step_as_before(Reached& here, const BsdfSample<float>& s) {
         const auto& v = g_.vertices;
         ShadowRequest shadow;
         if (here.ask_again &&
-            owner_.sample_light_again(here.vertex.whole(), v.shape[here.j], here.q, here.depth, path_, shadow))
+            owner_.sample_light_again(here.vertex.whole(), surface_of(here.j), here.q, here.depth, path_, shadow))
             owner_.ask(pair_, shadow);
-        pass_vertex(path_, here.p, paths_.reader().model(v.material[here.j]), v.shape[here.j], s, here.q,
+        pass_vertex(path_, here.p, paths_.reader().model(v.material[here.j]), surface_of(here.j), s, here.q,
                     v.pdf_w[here.j]);
     }
 

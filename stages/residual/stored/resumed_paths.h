@@ -50,7 +50,7 @@ class ResumedPaths {
     void add_light(PathPair& pair, const Spectrum& light, std::uint32_t ray = is_seen);
     void ask(PathPair& pair, const ShadowRequest& shadow);
     ShadingPoint repainted(const ShadingPoint& here, std::uint32_t shape) const;
-    bool sample_light_again(const ShadingPoint& here, std::uint32_t shape, float q, int depth, const PathState& path,
+    bool sample_light_again(const ShadingPoint& here, SurfaceIdx surface, float q, int depth, const PathState& path,
                             ShadowRequest& shadow) const;
 
     const Scene& scene_;
