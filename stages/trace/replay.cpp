@@ -44,18 +44,18 @@ std::string replay(const Scene& scene, const PathOptions& options, const std::st
     for (std::size_t j = 0; j < record.vertices.size(); ++j) {
         const VertexRecord& v = record.vertices[j];
         out += fmt::format("x{}  p {}  n {}  shape {}  material {}\n", j + 1, text(v.p), text(v.ns),
-                           scene.shapes[v.shape].id, scene.materials[v.material].id);
+                           scene.shapes[v.shape_idx].id, scene.materials[v.material_idx].id);
         out +=
             fmt::format("    wo {}  lobe {}  pdf_w {:.6g}  q {:.4g}  eta {:.5g}  {}\n", text(v.wo), lobe_name(v.lobe),
                         v.pdf_w, v.q, v.eta,
                         (v.flags & vertex_flag::continued) ? "continued"
                                                            : fmt::format("ends: {}", ending_name(ending_of(v.flags))));
-        for (; edge < record.light_edges.size() && record.light_edges[edge].vertex == j; ++edge) {
+        for (; edge < record.light_edges.size() && record.light_edges[edge].vertex_idx == j; ++edge) {
             const LightEdgeRecord& e = record.light_edges[edge];
             out += fmt::format("    light {}  y {}{}  Li {}  pdf_nee_w {:.6g}  pdf_bsdf_w {:.6g}  emitter {}\n",
                                e.technique == LightTechnique::next_event ? "by next event" : "by BSDF", text(e.y),
                                e.at_infinity ? " (direction)" : "", text(e.Li), e.pdf_nee_w, e.pdf_bsdf_w,
-                               scene.emitters[e.emitter].id);
+                               scene.emitters[e.emitter_idx].id);
         }
     }
     return out;

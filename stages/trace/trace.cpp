@@ -182,9 +182,9 @@ std::string camera_medium(const Scene& scene) {
     const MediumStack& media = scene.sensor_media.everywhere;
     std::string shapes;
     for (const MediumStack::Entry& entry : media.entries()) {
-        const std::string& id = scene.shapes[entry.shape].id;
+        const std::string& id = scene.shapes[entry.shape_idx].id;
         shapes += fmt::format("{}shape {}", shapes.empty() ? "" : " and ",
-                              id.empty() ? fmt::format("number {}", entry.shape + 1) : "'" + id + "'");
+                              id.empty() ? fmt::format("number {}", entry.shape_idx + 1) : "'" + id + "'");
     }
     return fmt::format("camera {}(index {:.4g})", shapes.empty() ? "in a medium " : "inside of " + shapes + " ",
                        media.medium().ior);
@@ -204,7 +204,7 @@ std::string plan(const Scene& scene, const PathOptions& path, const OptionalColu
             : fmt::format("roulette by {} from depth {}", roulette_name(path.roulette), path.rr_depth).c_str(),
         "");
     say(!scene.emitters.empty(), "next-event estimation", " (no emitter)");
-    say(scene.environment >= 0, "environment", " (no emitter at infinity)");
+    say(scene.environment_idx >= 0, "environment", " (no emitter at infinity)");
     if (scene.nlos) {
         say(scene.nlos->laser_sampling,
             path.laser_spot == LaserSpot::unit_area ? "laser sampling (spot of unit area)"

@@ -63,8 +63,8 @@ Mesh triangles_of(const Shape& s) {
 
 float grey_albedo(const Scene& scene, const Material& m) {
     Bsdf<float> b(m.model);
-    if (m.diffuse >= 0) b.diffuse = scene.textures[m.diffuse].mean();
-    if (m.specular >= 0) b.specular = scene.textures[m.specular].mean();
+    if (m.diffuse_idx >= 0) b.diffuse = scene.textures[m.diffuse_idx].mean();
+    if (m.specular_idx >= 0) b.specular = scene.textures[m.specular_idx].mean();
     return max_channel(albedo(b, Vector3f{0, 0, 1}));
 }
 
@@ -126,9 +126,9 @@ struct BareTracer::Impl {
             rtcCommitGeometry(geometry);
             rtcAttachGeometryByID(scene, geometry, unsigned(i));
             rtcReleaseGeometry(geometry);
-            albedos.push_back(grey_albedo(s, s.materials[shape.material]));
-            emission.push_back(shape.emitter < 0 ? 0.0f : mean_channel(s.emitters[shape.emitter].radiance));
-            if (shape.emitter < 0) continue;
+            albedos.push_back(grey_albedo(s, s.materials[shape.material_idx]));
+            emission.push_back(shape.emitter_idx < 0 ? 0.0f : mean_channel(s.emitters[shape.emitter_idx].radiance));
+            if (shape.emitter_idx < 0) continue;
             lamp_radiance = emission.back();
             for (std::size_t t = 0; t < mesh.indices.size(); t += 3) {
                 const Point3f &a = mesh.positions[mesh.indices[t]], &b = mesh.positions[mesh.indices[t + 1]],
@@ -167,7 +167,7 @@ struct BareTracer::Impl {
             if (!(cos_here > 0) || occluded(p, d, 0.999f)) return 0;
             return lamp_radiance * cos_here * cos_there * lamp_area / (d2 * d2);
         }
-        if (loom_scene.environment >= 0) {
+        if (loom_scene.environment_idx >= 0) {
             const Framef frame(n);
             return occluded(p, frame.to_world(sample_cosine_hemisphere(random.pair())), INFINITY) ? 0.0f : pi<float>;
         }

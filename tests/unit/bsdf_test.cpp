@@ -91,15 +91,15 @@ TEST_P(BsdfInvariants, WeightIsValueOverDensity) {
             EXPECT_EQ(max_channel(s.weight), 0);
             continue;
         }
-        ASSERT_TRUE(all_finite(s.weight) && all_finite(s.wi) && s.pdf_w > 0) << i;
+        ASSERT_TRUE(all_finite(s.weight) && all_finite(s.wi) && s.density() > 0) << i;
         EXPECT_NEAR(length(s.wi), 1, 1e-5);
         const float energy = max_channel(s.weight) * s.eta * s.eta;
         largest = std::max(largest, energy);
         if (is_delta(s.lobe)) {
             // To the bit: a graph stores only the lobe.
             EXPECT_EQ(delta_direction(bsdf, wo, s.lobe), s.wi);
-            EXPECT_EQ(delta_pmf(bsdf, wo, s.lobe), s.pdf_w);
-            EXPECT_EQ(delta_value(bsdf, wo, s.lobe) / s.pdf_w, s.weight);
+            EXPECT_EQ(delta_pmf(bsdf, wo, s.lobe), s.pmf);
+            EXPECT_EQ(delta_value(bsdf, wo, s.lobe) / s.pmf, s.weight);
         } else {
             const BsdfValue<float> v = f_cos_pdf(bsdf, wo, s.wi);
             EXPECT_FLOAT_EQ(v.pdf_w, s.pdf_w);
@@ -174,7 +174,7 @@ TEST(Bsdf, MaskSendsTheRestStraightOn) {
     EXPECT_EQ(s.lobe, Lobe::null);
     EXPECT_EQ(s.wi, -wo);
     EXPECT_EQ(s.weight, Spectrum(1.0f));
-    EXPECT_EQ(s.pdf_w, 0.75f);
+    EXPECT_EQ(s.pmf, 0.75f);
     EXPECT_EQ(sample(bsdf, -wo, 0.24f, {0.5f, 0.5f}).lobe, Lobe::diffuse);
     EXPECT_FLOAT_EQ(albedo(bsdf, -wo).g, 0.25f * 0.5f + 0.75f);
 }

@@ -21,7 +21,7 @@ class Dialect : public SceneFolder {
     /// The model of a sphere's BSDF.
     BsdfModel model(const std::string& bsdf, const char* version) {
         const auto scene = build("<shape type='sphere'>" + bsdf + "</shape>", version);
-        return scene->materials[scene->shapes[0].material].model;
+        return scene->materials[scene->shapes[0].material_idx].model;
     }
 };
 
@@ -53,7 +53,7 @@ TEST_F(Dialect, EmitterWithoutBsdfReflectsNothing) {
         SCOPED_TRACE(version);
         const auto material = [&](const std::string& inside) {
             const auto scene = build("<shape type='rectangle'>" + inside + "</shape>", version);
-            return scene->materials[scene->shapes[0].material];
+            return scene->materials[scene->shapes[0].material_idx];
         };
         EXPECT_TRUE(material(lamp).black());
         EXPECT_EQ(material("").model.diffuse, Spectrum(0.5f));
@@ -68,7 +68,7 @@ TEST_F(Dialect, CheckerboardAsANumberIsTheOtherWayRoundInNewFiles) {
         "<rgb name='color1' value='0.3'/></texture></bsdf>";
     for (const char* version : dialects) {
         const auto scene = build("<shape type='sphere'>" + board + "</shape>", version);
-        const Texture& texture = scene->textures.at(std::size_t(scene->materials[0].alpha_u));
+        const Texture& texture = scene->textures.at(std::size_t(scene->materials[0].alpha_u_idx));
         const bool swapped = version == mitsuba_3;
         EXPECT_NEAR(texture.eval_float({0.25f, 0.25f}), swapped ? 0.3 : 0.1, 1e-6) << version;
         EXPECT_NEAR(texture.eval_float({0.75f, 0.25f}), swapped ? 0.1 : 0.3, 1e-6) << version;

@@ -250,7 +250,7 @@ TEST(PathMapper, JacobianIsThatOfFiniteDifferences) {
                                 const Matrix4d motion =
                                     light || p.places[k] == q->path.places[k]
                                         ? Matrix4d{}
-                                        : scenes.new_scene.to_partner[p.places[k]->hit.shape].matrix;
+                                        : scenes.new_scene.to_partner[p.places[k]->hit.shape_idx].matrix;
                                 std::array<Vector, 2> edges, moved;
                                 for (int e = 0; e < 2; ++e) {
                                     const Vector3f t = frame.to_world(e == 0 ? Vector3f{1, 0, 0} : Vector3f{0, 1, 0});

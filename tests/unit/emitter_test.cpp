@@ -34,7 +34,7 @@ double surface_density(const Scene& scene, const Point3f& from, const Vector3f& 
     return is_black(emitted(scene, at, -d)) ? 0 : pdf_light_w(scene, from, at);
 }
 double environment_density(const Scene& scene, const Vector3f& d) {
-    return scene.environment >= 0 ? pdf_environment_w(scene, d) : 0;
+    return scene.environment_idx >= 0 ? pdf_environment_w(scene, d) : 0;
 }
 
 /// Cells of equal solid angle about an axis that no light here is aligned with.
@@ -75,7 +75,7 @@ class Emitters : public SceneFolder {
         int compared = 0;
         for (int i = 0; i < n; ++i) {
             const LightSample s = sample_light(scene, from, Sampler(SamplerKind::independent, 21, 0, i).pair(0));
-            if (s.pdf_w == 0) {
+            if (s.density() == 0) {
                 ++observed.back();
                 continue;
             }
@@ -126,7 +126,7 @@ TEST_F(Emitters, SphereFromOutsideAndInside) {
 TEST_F(Emitters, SphereFromInsideIsDarkWhenItShinesOutwards) {
     const auto scene = scene_of(lamp("sphere", "<scale value='3'/>"));
     for (int i = 0; i < 100; ++i)
-        EXPECT_EQ(sample_light(*scene, origin, Sampler(SamplerKind::sobol, 1, 0, i).pair(0)).pdf_w, 0);
+        EXPECT_EQ(sample_light(*scene, origin, Sampler(SamplerKind::sobol, 1, 0, i).pair(0)).density(), 0);
 }
 
 TEST_F(Emitters, Disk) {
@@ -181,7 +181,7 @@ TEST_F(Emitters, TextureOfALightSampleIsThatOfTheHit) {
         double smallest = INFINITY, largest = 0;
         for (int i = 0; i < n; ++i) {
             const LightSample s = sample_light(*scene, origin, Sampler(SamplerKind::independent, 5, 0, i).pair(0));
-            if (s.pdf_w == 0) continue;
+            if (s.density() == 0) continue;
             const Ray ray{origin, s.wi};
             const Hit hit = scene->intersect(ray);
             if (!hit) continue;  // at the very edge
@@ -227,12 +227,12 @@ TEST_F(Emitters, DeltaLightsHaveAProbabilityForADensity) {
     const LightSample point = sample_light(*scene, {0, 0, 0}, {0.1f, 0.5f});
     EXPECT_TRUE(point.delta);
     EXPECT_FALSE(point.at_infinity);
-    EXPECT_EQ(point.pdf_w, 0.25f);
+    EXPECT_EQ(point.density(), 0.25f);
     EXPECT_NEAR(point.Li.g, 2, 1e-6);
     const LightSample sun = sample_light(*scene, {0, 0, 0}, {0.9f, 0.5f});
     EXPECT_TRUE(sun.delta);
     EXPECT_TRUE(sun.at_infinity);
-    EXPECT_EQ(sun.pdf_w, 0.75f);
+    EXPECT_EQ(sun.density(), 0.75f);
     EXPECT_EQ(sun.Li.g, 5);
     EXPECT_NEAR(sun.wi.y, 0.6, 1e-6);
     EXPECT_NEAR(sun.wi.z, 0.8, 1e-6);
@@ -265,7 +265,8 @@ TEST_F(Emitters, AMapWithoutLightIsNoLight) {
         queries[2].kind = LightQuery::Kind::point, queries[2].u = {0.9f, 0.5f};
         look_up_lights(*scene, queries);
         EXPECT_EQ(queries[0].Le, Spectrum(0));
-        EXPECT_EQ(sample_light(*scene, {0, 0, 0}, queries[2]).pdf_w + sample_light(*scene, {0, 0, 0}, queries[1]).pdf_w,
+        EXPECT_EQ(sample_light(*scene, {0, 0, 0}, queries[2]).density() +
+                      sample_light(*scene, {0, 0, 0}, queries[1]).density(),
                   0.5f);
     }
 }
@@ -297,7 +298,7 @@ TEST_F(Emitters, WeightsThatAddUpToNothing) {
               }).find("scene.xml:2:63: 'sampling_weight' is 0 for every emitter"),
               std::string::npos);
     const auto dark = scene_of("<emitter type='constant'><rgb name='radiance' value='0'/>" + weight + "</emitter>");
-    EXPECT_EQ(sample_light(*dark, {0, 0, 0}, {0.5f, 0.5f}).pdf_w, 0);
+    EXPECT_EQ(sample_light(*dark, {0, 0, 0}, {0.5f, 0.5f}).density(), 0);
     EXPECT_EQ(dark->notes.back(), "no emitter of the scene emits light: its images are black");
     EXPECT_EQ(scene_of("")->notes.back(), dark->notes.back());
     // The constant light is found by BSDF sampling alone.
@@ -328,7 +329,7 @@ TEST_F(Emitters, ManyQueriesAtOnceEqualOneByOne) {
             LightQuery one = asked[i];
             look_up_light(*scene, one);
             EXPECT_EQ(many[i].placed, one.placed);
-            EXPECT_EQ(many[i].point.emitter, one.point.emitter);
+            EXPECT_EQ(many[i].point.emitter_idx, one.point.emitter_idx);
             EXPECT_EQ(many[i].point.pmf, one.point.pmf);
             EXPECT_EQ(many[i].pdf_w, one.pdf_w);
             EXPECT_EQ(many[i].Le, one.Le);

@@ -1,7 +1,7 @@
 // Geometry over a Dual: surfaces, shading points and light points that move with a parameter, against central
 // differences of the same quantities.
-// Detected mutations: the derivative of a sphere's colatitude negated; texture gradients by u and v exchanged; the
-// spot's fall-off taken as a constant.
+// Detected mutations: the derivative of a sphere's colatitude lost; texture gradients by u and v exchanged; the
+// spot's fall-off taken as a constant; normals of a sphere not rounded; the slope of fdr_int by roughness negated.
 
 #include <gtest/gtest.h>
 
@@ -172,7 +172,7 @@ TEST(GeometryDerivative, LightOfDeltaEmittersWithTextures) {
         Emitter e;
         e.kind = kind;
         e.radiance = {1, 2, 3};
-        e.texture = kind == EmitterKind::point || kind == EmitterKind::directional ? -1 : 0;
+        e.texture_idx = kind == EmitterKind::point || kind == EmitterKind::directional ? -1 : 0;
         e.cutoff_rad = 0.6f, e.beam_rad = 0.1f, e.tan_x = 1, e.tan_y = 0.8f;
         const auto light = [&](const D& x) {
             EmitterPose<D> pose(e);
@@ -186,8 +186,8 @@ TEST(GeometryDerivative, LightOfDeltaEmittersWithTextures) {
             return all;
         };
         // Look-ups are in float: the step is as long as the texture is smooth.
-        expect_derivatives(e.texture < 0 ? "without a texture" : "with a texture", light, 0.03,
-                           e.texture < 0 ? 1e-5 : 1e-3, e.texture < 0 ? 1e-7 : 2e-3);
+        expect_derivatives(e.texture_idx < 0 ? "without a texture" : "with a texture", light, 0.03,
+                           e.texture_idx < 0 ? 1e-5 : 1e-3, e.texture_idx < 0 ? 1e-7 : 2e-3);
     }
 }
 

@@ -69,7 +69,7 @@ TEST_F(MaterialOptions, WardHasThreeNormalisations) {
                 R"(<shape type="rectangle"><bsdf type="ward"><string name="variant" value="{}"/><float name="alpha_u" value="0.3"/><float name="alpha_v" value="0.2"/>
 <rgb name="diffuse_reflectance" value="0.4"/><rgb name="specular_reflectance" value="0.25"/></bsdf></shape>)",
                 name))));
-        const Bsdf<float> bsdf(scene->materials[scene->shapes[0].material].model);
+        const Bsdf<float> bsdf(scene->materials[scene->shapes[0].material_idx].model);
         EXPECT_NEAR(f_cos_pdf(bsdf, wo, wi).f_cos.r, (0.4 / pi_double + 0.25 * spread * normalisation) * wi.z, 1e-5)
             << name;
     }

@@ -105,7 +105,7 @@ TEST(MediaAt, NestedShapesCountFromOutsideIn) {
     const auto scene = testing::load_inline({.sensor = R"(type="perspective">)", .body = both});
     MediumStack media = media_at(*scene, {0, 0.2f, 0});
     ASSERT_EQ(media.entries().size(), 2u);
-    EXPECT_EQ(media.entries()[0].shape, 1u);
+    EXPECT_EQ(media.entries()[0].shape_idx, 1u);
     EXPECT_EQ(media.medium().ior, 1.5f);
     media.cross({0}, false, 1.5f, 1.25f);
     EXPECT_EQ(media.medium().ior, 1.25f);
@@ -162,14 +162,14 @@ TEST(MediaAt, APaneOfTwoShapesSeenFromBothSides) {
 // A ball of one dielectric in a box of another with the same index: the stack names the material.
 TEST(MediumStack, NamesTheMaterialOfTheMedium) {
     MediumStack media;
-    EXPECT_EQ(media.medium().material, Medium::outside);
+    EXPECT_EQ(media.medium().material_idx, Medium::outside);
     media.cross({0, 4}, true, 1.5f, 1.0f);
     media.cross({1, 7}, true, 1.5f, 1.5f);
-    EXPECT_EQ(media.medium().material, 7);
+    EXPECT_EQ(media.medium().material_idx, 7);
     media.cross({1, 7}, false, 1.5f, 1.5f);
-    EXPECT_EQ(media.medium().material, 4);
+    EXPECT_EQ(media.medium().material_idx, 4);
     media.cross({0, 4}, false, 1.5f, 1.0f);
-    EXPECT_EQ(media.medium().material, Medium::outside);
+    EXPECT_EQ(media.medium().material_idx, Medium::outside);
 }
 
 /// A room with a sphere of glass in a box of glass of the same index, all with ids, and a mesh with smooth normals.

@@ -50,7 +50,7 @@ TEST_F(NlosScene, SensorSeesAllPointsOfTheGrid) {
         for (int i = 0; i < 16; ++i) {
             const NlosCapture::Point& at = c.sensor_points[j * 16 + i];
             ASSERT_TRUE(at.hit) << i << ", " << j;
-            EXPECT_EQ(at.hit.shape, c.relay_wall);
+            EXPECT_EQ(at.hit.shape_idx, c.relay_wall);
             EXPECT_NEAR(at.p.x, 2 * (i + 0.5) / 16 - 1, 1e-6);
             EXPECT_NEAR(at.p.y, 2 * (j + 0.5) / 8 - 1, 1e-6);
             EXPECT_NEAR(at.flat.z, 1, 1e-6);
@@ -72,7 +72,7 @@ TEST_F(NlosScene, WallIsSeenByItsOwnCoordinatesAndBehindWhatHidesIt) {
     EXPECT_NEAR(points[0].p.x, 0.875, 1e-6);  // u along y, v along -x
     EXPECT_NEAR(points[0].p.y, -1.875, 1e-6);
     std::size_t screened = 0;
-    for (const auto& at : points) screened += at.hit.shape == 1;
+    for (const auto& at : points) screened += at.hit.shape_idx == 1;
     EXPECT_EQ(screened, 2u);  // its shadow on the wall is five times as large: y of +-1/8 and x of -3/8
 }
 

@@ -170,7 +170,7 @@ TEST(RayOffset, SurfacesAHundredThousandthApartHideEachOther) {
         const RayEnd from{triangle_point(below, at, false).p, below.triangles[0].ng, below.hit_error};
         const RayEnd to{triangle_point(above, facing, false).p, above.triangles[0].ng, above.hit_error};
         const Vector3f up(from.n);
-        EXPECT_EQ(scene->intersect(spawn_ray(from, up)).shape, 1u);
+        EXPECT_EQ(scene->intersect(spawn_ray(from, up)).shape_idx, 1u);
         // A light visible through the gap, and one that the upper square occludes from afar.
         EXPECT_FALSE(scene->occluded(spawn_segment(from, to)));
         EXPECT_TRUE(scene->occluded(spawn_segment({to.p + up * 10.0f}, from)));

@@ -52,8 +52,8 @@ class FindEdit : public SceneFolder {
         check_side(edit.old_shapes, edit.new_shapes, *before, *after);
         check_side(edit.new_shapes, edit.old_shapes, *after, *before);
         for (std::size_t i = 0; i < edit.old_emitters.size(); ++i)
-            if (const std::uint32_t j = edit.old_emitters[i].partner; j != EmitterEdit::none) {
-                EXPECT_EQ(edit.new_emitters.at(j).partner, i);
+            if (const std::uint32_t j = edit.old_emitters[i].partner_idx; j != EmitterEdit::none) {
+                EXPECT_EQ(edit.new_emitters.at(j).partner_idx, i);
                 EXPECT_EQ(edit.new_emitters.at(j).changed, edit.old_emitters[i].changed);
                 EXPECT_EQ(before->emitters[i].kind == EmitterKind::area, after->emitters[j].kind == EmitterKind::area);
             } else {
@@ -71,12 +71,12 @@ class FindEdit : public SceneFolder {
     static void check_side(const std::vector<ShapeEdit>& mine, const std::vector<ShapeEdit>& theirs,
                            const Scene& my_scene, const Scene& their_scene) {
         for (std::size_t i = 0; i < mine.size(); ++i) {
-            const std::uint32_t j = mine[i].partner;
+            const std::uint32_t j = mine[i].partner_idx;
             if (j == ShapeEdit::none) {
                 EXPECT_TRUE(mine[i].changes == shape_change::removed || mine[i].changes == shape_change::added);
                 continue;
             }
-            EXPECT_EQ(theirs.at(j).partner, i);
+            EXPECT_EQ(theirs.at(j).partner_idx, i);
             EXPECT_EQ(theirs[j].changes, mine[i].changes);
             const Shape &a = my_scene.shapes[i], &b = their_scene.shapes[j];
             std::vector<std::pair<Point3f, Point3f>> points{{a.round.center, b.round.center}};
@@ -181,7 +181,7 @@ TEST_F(FindEdit, AddedAndRemoved) {
     Edit edit = found(base, more);
     EXPECT_EQ(edit.changes, Words{"added: plate"});
     EXPECT_EQ(changes_of(edit.new_shapes, 2), shape_change::added);
-    EXPECT_EQ(edit.new_shapes[3].partner, 2u);
+    EXPECT_EQ(edit.new_shapes[3].partner_idx, 2u);
     EXPECT_EQ(edit.n_dynamic(), 1u);
     EXPECT_EQ(edit.n_ghosts(), 0u);
     edit = found(more, base);
@@ -200,7 +200,7 @@ TEST_F(FindEdit, WhatIsNotRigidIsRemovedAndAdded) {
     EXPECT_EQ(edit.changes, Words{"removed and added: box: cube -> disk"});
     EXPECT_EQ(changes_of(edit.old_shapes, 1), shape_change::removed);
     EXPECT_EQ(changes_of(edit.new_shapes, 1), shape_change::added);
-    EXPECT_EQ(edit.new_shapes[1].partner, ShapeEdit::none);
+    EXPECT_EQ(edit.new_shapes[1].partner_idx, ShapeEdit::none);
 }
 
 TEST_F(FindEdit, AnotherMeshUnderTheSameName) {
@@ -297,7 +297,7 @@ TEST_F(FindEdit, Sky) {
         found(base, with({{"<emitter type=\"constant\"><rgb name=\"radiance\" value=\"0.1 0.1 0.1\"/></emitter>",
                            "<emitter type=\"sunsky\" id=\"day\"/>"}}));
     EXPECT_EQ(edit.changes, Words{"sky changed: day: constant -> sunsky"});
-    EXPECT_EQ(edit.new_emitters[2].partner, 2u);
+    EXPECT_EQ(edit.new_emitters[2].partner_idx, 2u);
 }
 
 // Without ids: the same content first, then the same form elsewhere, in order.
@@ -309,13 +309,13 @@ TEST_F(FindEdit, WithoutIds) {
     };
     Edit edit = found(cube(0) + cube(3) + cube(6), cube(-3) + cube(0) + cube(3) + cube(7));
     // The last cube of the old scene is paired with the first that has no partner; one is left over.
-    EXPECT_EQ(edit.new_shapes[1].partner, 0u);
-    EXPECT_EQ(edit.new_shapes[2].partner, 1u);
-    EXPECT_EQ(edit.new_shapes[0].partner, 2u);
+    EXPECT_EQ(edit.new_shapes[1].partner_idx, 0u);
+    EXPECT_EQ(edit.new_shapes[2].partner_idx, 1u);
+    EXPECT_EQ(edit.new_shapes[0].partner_idx, 2u);
     EXPECT_EQ(edit.new_shapes[3].changes, shape_change::added);
     EXPECT_EQ(edit.changes, (Words{"moved: the cube at new.xml:2:1: by (-9, 0, 0)", "added: the cube at new.xml:5:1"}));
     edit = found(cube(0) + cube(3), cube(3, "0.9") + cube(0));
-    EXPECT_EQ(edit.new_shapes[0].partner, 1u);
+    EXPECT_EQ(edit.new_shapes[0].partner_idx, 1u);
     EXPECT_EQ(edit.new_shapes[0].changes, shape_change::repainted);
 }
 

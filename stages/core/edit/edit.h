@@ -24,9 +24,9 @@ inline constexpr unsigned added = 16;
 /// segment that crosses the placement of such a shape in the other scene has a ghost vertex there.
 struct ShapeEdit {
     static constexpr std::uint32_t none = ~0u;
-    unsigned changes = 0;          // bits of shape_change::
-    std::uint32_t partner = none;  // index of the same shape in the other scene
-    Matrix4d to_partner;           // rigid map of its points onto those of the partner; identity unless moved
+    unsigned changes = 0;              // bits of shape_change::
+    std::uint32_t partner_idx = none;  // index of the same shape in the other scene
+    Matrix4d to_partner;               // rigid map of its points onto those of the partner; identity unless moved
 
     /// Whether a vertex on it is dynamic in its own scene; the shape's placement is then a ghost in the other.
     bool dynamic() const {
@@ -40,7 +40,7 @@ struct ShapeEdit {
 struct EmitterEdit {
     static constexpr std::uint32_t none = ~0u;
     bool changed = false;  // emission or position differs; always true without a partner
-    std::uint32_t partner = none;
+    std::uint32_t partner_idx = none;
 };
 
 struct Edit {

@@ -74,10 +74,11 @@ class Comparison {
         const Material &m = old_.materials[std::size_t(a)], &n = new_.materials[std::size_t(b)];
         bool same = same_model(m.model, n.model) && m.bump_scale == n.bump_scale &&
                     m.reflectance_scale == n.reflectance_scale && m.index_scale == n.index_scale &&
-                    m.flips_invalid_normals == n.flips_invalid_normals && same_material(m.back, n.back);
-        for (const auto texture : {&Material::diffuse, &Material::specular, &Material::transmittance,
-                                   &Material::alpha_u, &Material::alpha_v, &Material::opacity, &Material::exponent,
-                                   &Material::eta_c, &Material::k_c, &Material::normal_map, &Material::bump_map})
+                    m.flips_invalid_normals == n.flips_invalid_normals && same_material(m.back_idx, n.back_idx);
+        for (const auto texture :
+             {&Material::diffuse_idx, &Material::specular_idx, &Material::transmittance_idx, &Material::alpha_u_idx,
+              &Material::alpha_v_idx, &Material::opacity_idx, &Material::exponent_idx, &Material::eta_c_idx,
+              &Material::k_c_idx, &Material::normal_map_idx, &Material::bump_map_idx})
             same = same && same_texture(m.*texture, n.*texture);
         return materials_[{a, b}] = same;
     }
@@ -87,7 +88,7 @@ class Comparison {
             return std::tie(e.kind, e.radiance, e.area, e.parallelogram, e.frame.s, e.frame.t, e.frame.n, e.position,
                             e.cutoff_rad, e.beam_rad, e.tan_x, e.tan_y);
         };
-        if (numbers(a) != numbers(b) || !same_texture(a.texture, b.texture) || !a.map != !b.map) return false;
+        if (numbers(a) != numbers(b) || !same_texture(a.texture_idx, b.texture_idx) || !a.map != !b.map) return false;
         return a.map == b.map || same_map(*a.map, *b.map);
     }
 
@@ -115,7 +116,7 @@ bool same_sensor(const Sensor& a, const Sensor& b) {
 template <class Holds>
 bool of_both_sides(const Scene& scene, std::uint32_t material, Holds&& holds) {
     const Material& front = scene.materials[material];
-    return holds(front) && (front.back < 0 || holds(scene.materials[std::size_t(front.back)]));
+    return holds(front) && (front.back_idx < 0 || holds(scene.materials[std::size_t(front.back_idx)]));
 }
 
 /// Returns an enlarged copy with only the members that a ray engine reads.
@@ -176,29 +177,29 @@ EditReach::EditReach(const Scene& old_scene, const Scene& new_scene, const Edit&
     Comparison compare(old_scene, new_scene);
 
     const auto stays = [&](const ShapeEdit& shape, std::uint32_t old_index, std::uint32_t new_index) {
-        return shape.partner != none && !shape.dynamic() &&
+        return shape.partner_idx != none && !shape.dynamic() &&
                same_geometry(old_scene.shapes[old_index], new_scene.shapes[new_index]);
     };
     std::vector<std::uint8_t> scatters_alike;
     for (std::uint32_t i = 0; i < old_scene.shapes.size(); ++i) {
         const ShapeEdit& shape = edit.old_shapes[i];
         const Shape& geometry = old_scene.shapes[i];
-        const bool in_place = stays(shape, i, shape.partner);
+        const bool in_place = stays(shape, i, shape.partner_idx);
         if (!in_place) old_places.add(geometry);
         scatters_alike.push_back(
             in_place && !(shape.changes & shape_change::repainted) &&
-            compare.same_material(int(geometry.material), int(new_scene.shapes[shape.partner].material)));
+            compare.same_material(int(geometry.material_idx), int(new_scene.shapes[shape.partner_idx].material_idx)));
         const bool same = scatters_alike[i] && !shape.dyed();
         shapes.push_back(!same);
         const bool only_repainted =
-            !same && in_place && geometry.emitter < 0 && new_scene.shapes[shape.partner].emitter < 0 &&
-            of_both_sides(old_scene, geometry.material, [](const Material& m) { return !m.perturbed(); }) &&
-            of_both_sides(new_scene, new_scene.shapes[shape.partner].material,
+            !same && in_place && geometry.emitter_idx < 0 && new_scene.shapes[shape.partner_idx].emitter_idx < 0 &&
+            of_both_sides(old_scene, geometry.material_idx, [](const Material& m) { return !m.perturbed(); }) &&
+            of_both_sides(new_scene, new_scene.shapes[shape.partner_idx].material_idx,
                           [](const Material& m) { return !m.needs_uv(); });
-        repainted.push_back(only_repainted ? int(new_scene.shapes[shape.partner].material) : -1);
+        repainted.push_back(only_repainted ? int(new_scene.shapes[shape.partner_idx].material_idx) : -1);
     }
     for (std::uint32_t j = 0; j < new_scene.shapes.size(); ++j)
-        if (const ShapeEdit& shape = edit.new_shapes[j]; !stays(shape, shape.partner, j))
+        if (const ShapeEdit& shape = edit.new_shapes[j]; !stays(shape, shape.partner_idx, j))
             new_places.add(new_scene.shapes[j]);
     const float around = std::max(largest_offset(old_scene), largest_offset(new_scene));
     old_places.finish(around);
@@ -214,21 +215,22 @@ EditReach::EditReach(const Scene& old_scene, const Scene& new_scene, const Edit&
     for (std::uint32_t i = 0; everything.empty() && i < n; ++i) {
         const EmitterEdit& emitter = edit.old_emitters[i];
         const Emitter &before = old_scene.emitters[i], &after = new_scene.emitters[i];
-        if (emitter.partner != none && emitter.partner != i)
+        if (emitter.partner_idx != none && emitter.partner_idx != i)
             everything = "the lights are in another order: the same random number picks another light";
         if (n > 1 && old_scene.emitter_pmf.pmf(i) != new_scene.emitter_pmf.pmf(i))
             everything = "the lights are chosen with other probabilities";
-        bool changed = emitter.changed || emitter.partner == none || !compare.same_emitter(before, after);
+        bool changed = emitter.changed || emitter.partner_idx == none || !compare.same_emitter(before, after);
         if (!changed && before.kind == EmitterKind::area) {
-            const ShapeEdit& shape = edit.old_shapes[before.shape];
-            changed = shape.partner != after.shape || !stays(shape, before.shape, after.shape);
+            const ShapeEdit& shape = edit.old_shapes[before.shape_idx];
+            changed = shape.partner_idx != after.shape_idx || !stays(shape, before.shape_idx, after.shape_idx);
         }
         Emitter as_before = after;
         as_before.radiance = before.radiance;
         const bool even =
-            (before.kind == EmitterKind::area && stays(edit.old_shapes[before.shape], before.shape, after.shape)) ||
-            (before.kind == EmitterKind::constant && old_scene.environment == new_scene.environment);
-        relit.push_back(changed && even && before.texture < 0 && !is_black(before.radiance) &&
+            (before.kind == EmitterKind::area &&
+             stays(edit.old_shapes[before.shape_idx], before.shape_idx, after.shape_idx)) ||
+            (before.kind == EmitterKind::constant && old_scene.environment_idx == new_scene.environment_idx);
+        relit.push_back(changed && even && before.texture_idx < 0 && !is_black(before.radiance) &&
                         compare.same_emitter(before, as_before));
         emitters.push_back(changed && !relit[i]);
         any_emitter |= emitters[i] != 0;
@@ -237,18 +239,18 @@ EditReach::EditReach(const Scene& old_scene, const Scene& new_scene, const Edit&
     if (!everything.empty()) return;
     for (std::uint32_t i = 0; i < shapes.size(); ++i) {
         const Shape& shape = old_scene.shapes[i];
-        if (shape.emitter < 0) continue;
-        const auto emitter = std::size_t(shape.emitter);
+        if (shape.emitter_idx < 0) continue;
+        const auto emitter = std::size_t(shape.emitter_idx);
         shapes[i] = (shapes[i] || emitters[emitter]) && !(scatters_alike[i] && relit[emitter]);
-        dark_light |= shapes[i] && old_scene.materials[shape.material].black();
+        dark_light |= shapes[i] && old_scene.materials[shape.material_idx].black();
     }
-    sky = old_scene.environment != new_scene.environment ||
-          (old_scene.environment >= 0 && emitters[std::size_t(old_scene.environment)]);
+    sky = old_scene.environment_idx != new_scene.environment_idx ||
+          (old_scene.environment_idx >= 0 && emitters[std::size_t(old_scene.environment_idx)]);
 
     for (const Emitter& emitter : old_scene.emitters) {
         if (emitter.is_infinite()) bounded_lights = false;
         if (emitter.kind == EmitterKind::area)
-            lights.add(old_scene.shapes[emitter.shape].bounds());
+            lights.add(old_scene.shapes[emitter.shape_idx].bounds());
         else
             lights.add(emitter.position);
     }

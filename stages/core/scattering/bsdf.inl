@@ -115,7 +115,7 @@ void set_delta_sample(BsdfSample<T>& s, const DeltaLobe<T>& d, Lobe lobe) {
     if (!(d.pmf > T(0))) return;
     s.wi = d.wi;
     s.weight = d.value / d.pmf;
-    s.pdf_w = d.pmf;
+    s.pmf = d.pmf;
     s.lobe = lobe;
     s.eta = d.eta;
 }

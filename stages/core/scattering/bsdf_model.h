@@ -168,9 +168,13 @@ template <class T>
 struct BsdfSample {
     Vector3<T> wi;           // local
     Rgb<T> weight;           // f cos / pdf_w, or the delta lobe's value / pmf
-    T pdf_w{};               // sr^-1; for a delta lobe the pmf of choosing it
+    T pdf_w{};               // of wi, sr^-1; 0 for a delta lobe
+    T pmf{};                 // of choosing the delta lobe; 0 for any other
     Lobe lobe = Lobe::none;  // none: the sample failed (a null event)
     T eta{1};                // index on wi's side over that on wo's side; 1 unless transmitted
+
+    /// Density in the measure of its lobe: pdf_w or pmf.
+    T density() const { return pdf_w + pmf; }
 };
 
 }  // namespace loom

@@ -246,7 +246,7 @@ int textured_spectrum(const Object& o, const char* name, Spectrum& value, Scene&
 
 bool emits_light(const Emitter& e, const Scene& scene) {
     if (e.map) return true;
-    return !is_black(e.radiance) && (e.texture < 0 || !is_black(scene.textures[std::size_t(e.texture)].mean()));
+    return !is_black(e.radiance) && (e.texture_idx < 0 || !is_black(scene.textures[std::size_t(e.texture_idx)].mean()));
 }
 
 /// Fills scene.emitter_pmf. Emitters without light keep their probability, so that switching a light off does not
@@ -285,14 +285,14 @@ void build_emitter(const Object& o, Scene& scene, TextureCache& cache) {
                 o.fail("beam_width", "needs 0 <= beam_width <= cutoff_angle <= 180 degrees");
             e.cutoff_rad = float(cutoff * rad_per_deg);
             e.beam_rad = float(beam * rad_per_deg);
-            if (const ObjectPtr t = o.get_object("texture")) e.texture = add_light_texture(*t, scene, cache);
+            if (const ObjectPtr t = o.get_object("texture")) e.texture_idx = add_light_texture(*t, scene, cache);
         }
     } else if (o.plugin == "projector") {
         e.kind = EmitterKind::projector;
-        e.texture = textured_spectrum(o, "irradiance", e.radiance, scene, cache);
+        e.texture_idx = textured_spectrum(o, "irradiance", e.radiance, scene, cache);
         e.radiance = e.radiance * o.get_float("scale", 1.0f);
         e.position = to_point(world.point({0, 0, 0}));
-        const TextureImage* image = e.texture >= 0 ? scene.textures[e.texture].image.get() : nullptr;
+        const TextureImage* image = e.texture_idx >= 0 ? scene.textures[e.texture_idx].image.get() : nullptr;
         const double aspect = image ? double(image->width) / image->height : 1.0;
         const double tan_x = tan_half_fov(o, aspect);
         e.tan_x = float(tan_x);
@@ -306,8 +306,8 @@ void build_emitter(const Object& o, Scene& scene, TextureCache& cache) {
             e.frame = Framef(Normal3f(normalize(Vector3f(d))));
         }
     } else {
-        if (scene.environment >= 0) o.fail("", "only one environment emitter is possible");
-        scene.environment = index;
+        if (scene.environment_idx >= 0) o.fail("", "only one environment emitter is possible");
+        scene.environment_idx = index;
         e.kind = o.plugin == "constant" ? EmitterKind::constant : EmitterKind::envmap;
         if (e.kind == EmitterKind::constant) {
             e.radiance = o.get_rgb("radiance", Spectrum(1));
@@ -347,9 +347,9 @@ void build_area_light(const Object& o, bool parallelogram, std::uint32_t shape_i
     Emitter e;
     e.id = o.id;
     e.sampling_weight = o.get_float("sampling_weight", 1.0f);
-    e.shape = shape_index;
+    e.shape_idx = shape_index;
     e.parallelogram = parallelogram;
-    e.texture = textured_spectrum(o, "radiance", e.radiance, scene, cache);
+    e.texture_idx = textured_spectrum(o, "radiance", e.radiance, scene, cache);
     std::vector<double> areas;
     Shape& shape = scene.shapes[shape_index];
     e.area = shape_area(shape, &areas);
@@ -359,7 +359,7 @@ void build_area_light(const Object& o, bool parallelogram, std::uint32_t shape_i
         const Normal3f n = shape.triangles[t].normal();
         e.normals.push_back(shape.flip_normals ? -n : n);
     }
-    shape.emitter = int(scene.emitters.size());
+    shape.emitter_idx = int(scene.emitters.size());
     scene.emitters.push_back(std::move(e));
 }
 
@@ -367,26 +367,26 @@ void find_features(Scene& scene) {
     SceneFeatures& f = scene.features;
     std::vector<bool> used(scene.materials.size(), false);
     for (const Shape& s : scene.shapes) {
-        used[s.material] = true;
-        if (scene.materials[s.material].back >= 0) used[scene.materials[s.material].back] = true;
+        used[s.material_idx] = true;
+        if (scene.materials[s.material_idx].back_idx >= 0) used[scene.materials[s.material_idx].back_idx] = true;
         f.smooth_normals |= !s.mesh.normals.empty();
     }
     for (std::size_t i = 0; i < used.size(); ++i) {
         if (!used[i]) continue;
         const Material& m = scene.materials[i];
-        f.textured_diffuse |= m.diffuse >= 0;
-        f.textured_specular |= m.specular >= 0;
-        f.textured_transmittance |= m.transmittance >= 0;
-        f.textured_alpha |= m.alpha_u >= 0 || m.alpha_v >= 0;
-        f.textured_opacity |= m.opacity >= 0;
-        f.textured_exponent |= m.exponent >= 0;
+        f.textured_diffuse |= m.diffuse_idx >= 0;
+        f.textured_specular |= m.specular_idx >= 0;
+        f.textured_transmittance |= m.transmittance_idx >= 0;
+        f.textured_alpha |= m.alpha_u_idx >= 0 || m.alpha_v_idx >= 0;
+        f.textured_opacity |= m.opacity_idx >= 0;
+        f.textured_exponent |= m.exponent_idx >= 0;
         f.textured_index |= m.textured_index();
         f.perturbed_normals |= m.perturbed();
         const BsdfKind k = m.model.kind;
         const bool rough = k == BsdfKind::rough_conductor || k == BsdfKind::rough_dielectric || k == BsdfKind::ward;
-        f.anisotropic |= rough && (m.model.alpha_u != m.model.alpha_v || m.alpha_u != m.alpha_v);
+        f.anisotropic |= rough && (m.model.alpha_u != m.model.alpha_v || m.alpha_u_idx != m.alpha_v_idx);
         f.dielectric |= k == BsdfKind::dielectric || k == BsdfKind::rough_dielectric;
-        f.null_lobes |= k == BsdfKind::null || m.opacity >= 0 || m.model.opacity < 1;
+        f.null_lobes |= k == BsdfKind::null || m.opacity_idx >= 0 || m.model.opacity < 1;
         f.delta_lobes |= k == BsdfKind::conductor || k == BsdfKind::dielectric || k == BsdfKind::thin_dielectric ||
                          k == BsdfKind::plastic;
     }
@@ -459,7 +459,7 @@ std::unique_ptr<Scene> build_scene(SceneDescription description) {
     for (std::size_t i = 0; i < shapes.size(); ++i) {
         Shape& shape = scene->shapes[i];
         shape.id = shapes[i]->id;
-        shape.material = materials.index(shapes[i]->child(Category::bsdf));
+        shape.material_idx = materials.index(shapes[i]->child(Category::bsdf));
         if (const ObjectPtr e = shapes[i]->child(Category::emitter)) {
             build_area_light(*e, is_parallelogram(*shapes[i]), std::uint32_t(i), *scene, cache);
             emitters.push_back(e);
@@ -478,7 +478,7 @@ std::unique_ptr<Scene> build_scene(SceneDescription description) {
     find_bounds(*scene);
     scene->rays = scene->camera_rays = std::make_shared<RayEngine>(scene->shapes);
     const bool has_area_lights =
-        std::any_of(scene->shapes.begin(), scene->shapes.end(), [](const Shape& s) { return s.emitter >= 0; });
+        std::any_of(scene->shapes.begin(), scene->shapes.end(), [](const Shape& s) { return s.emitter_idx >= 0; });
     if (scene->hides_emitters && has_area_lights)
         scene->camera_rays = std::make_shared<RayEngine>(scene->shapes, RayEngine::Use::camera_rays);
     scene->sensor_media = find_sensor_media(*scene);

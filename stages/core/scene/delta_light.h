@@ -28,17 +28,19 @@ Rgb<T> spot_falloff(const Scene& scene, const Emitter& e, const Vector3<T>& loca
     const T angle = acos(clamp(local.z, T(-1), T(1)));
     if (angle >= T(e.cutoff_rad)) return Rgb<T>(T(0));
     const T falloff = angle <= T(e.beam_rad) ? T(1) : (T(e.cutoff_rad) - angle) / T(e.cutoff_rad - e.beam_rad);
-    if (e.texture < 0) return Rgb<T>(falloff);
+    if (e.texture_idx < 0) return Rgb<T>(falloff);
     const T scale = T(0.5f) / (local.z * T(std::tan(e.cutoff_rad)));
-    return scene.textures[e.texture].eval(Point2<T>{T(0.5f) + local.x * scale, T(0.5f) + local.y * scale}) * falloff;
+    return scene.textures[e.texture_idx].eval(Point2<T>{T(0.5f) + local.x * scale, T(0.5f) + local.y * scale}) *
+           falloff;
 }
 
 /// Radiance of a projector's beam at x and y, in units of half its width and height. The image is upright for a viewer
 /// who looks along the beam, like that of a camera at the projector's position.
 template <class T>
 Rgb<T> beam_radiance(const Scene& scene, const Emitter& projector, const Rgb<T>& radiance, const T& x, const T& y) {
-    if (projector.texture < 0) return radiance;
-    return radiance * scene.textures[projector.texture].eval(Point2<T>{T(0.5f) - T(0.5f) * x, T(0.5f) - T(0.5f) * y});
+    if (projector.texture_idx < 0) return radiance;
+    return radiance *
+           scene.textures[projector.texture_idx].eval(Point2<T>{T(0.5f) - T(0.5f) * x, T(0.5f) - T(0.5f) * y});
 }
 
 /// Irradiance of a plane at p that faces the projector, whose beam goes along z of pose.frame.
@@ -54,14 +56,14 @@ Rgb<T> projected(const Scene& scene, const Emitter& projector, const EmitterPose
     return radiance * (pi<T> * length(local) / (local.z * local.z * local.z));
 }
 
-/// Returns the light sample of a delta emitter at a surface point; pdf_w is 1.
+/// Returns the light sample of a delta emitter at a surface point; pmf is 1.
 /// needs:   e.is_delta()
 template <class T>
 LightSampleOf<T> delta_light(const Scene& scene, const Emitter& e, const EmitterPose<T>& pose, const Point3<T>& from) {
     using std::sqrt;
     LightSampleOf<T> s;
     s.delta = true;
-    s.pdf_w = T(1);
+    s.pmf = T(1);
     if (e.kind == EmitterKind::directional) {
         s.at_infinity = true;
         s.wi = -Vector3<T>(pose.frame.n);

@@ -128,7 +128,9 @@ void collect_triangle(const RTCFilterFunctionNArguments* args) {
                       RTCHitN_v(args->hit, args->N, i), RTCHitN_geomID(args->hit, args->N, i),
                       RTCHitN_primID(args->hit, args->N, i)};
         // A triangle that the builder has split is hit once per piece.
-        const auto same = [&](const Hit& h) { return h.shape == hit.shape && h.primitive == hit.primitive; };
+        const auto same = [&](const Hit& h) {
+            return h.shape_idx == hit.shape_idx && h.primitive_idx == hit.primitive_idx;
+        };
         if (std::none_of(hits.begin(), hits.end(), same)) hits.push_back(hit);
     }
 }
@@ -270,7 +272,7 @@ RayEngine::RayEngine(const std::vector<Shape>& shapes, Use use) : impl_(std::mak
     rtcSetSceneBuildQuality(impl_->scene, RTC_BUILD_QUALITY_HIGH);
     for (std::size_t i = 0; i < shapes.size(); ++i) {
         const Shape& shape = shapes[i];
-        if (use == Use::camera_rays && shape.emitter >= 0) continue;
+        if (use == Use::camera_rays && shape.emitter_idx >= 0) continue;
         RTCGeometry geometry;
         if (shape.kind == ShapeKind::mesh) {
             geometry = rtcNewGeometry(impl_->device, RTC_GEOMETRY_TYPE_TRIANGLE);
@@ -312,8 +314,8 @@ Hit RayEngine::intersect(const Ray& ray) const {
     hit.t = rh.ray.tfar;
     hit.u = rh.hit.u;
     hit.v = rh.hit.v;
-    hit.shape = rh.hit.geomID;
-    hit.primitive = rh.hit.primID;
+    hit.shape_idx = rh.hit.geomID;
+    hit.primitive_idx = rh.hit.primID;
     return hit;
 }
 

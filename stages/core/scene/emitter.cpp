@@ -36,7 +36,7 @@ float solid_angle_density(float density, const Vector3f& local) {
 /// shading normal (as in Mitsuba).
 /// out:     y, geometric normal n, uv
 void sample_area(const Scene& scene, const Emitter& e, Point2f u, Point3f& y, Normal3f& n, Point2f& uv) {
-    const Shape& shape = scene.shapes[e.shape];
+    const Shape& shape = scene.shapes[e.shape_idx];
     if (shape.kind == ShapeKind::disk) {
         const Point2f d = sample_concentric_disk(u);
         y = shape.round.disk_point(d.x, d.y);
@@ -48,7 +48,7 @@ void sample_area(const Scene& scene, const Emitter& e, Point2f u, Point3f& y, No
     if (shape.kind == ShapeKind::sphere) {
         n = Normal3f(sample_uniform_sphere(u));
         y = shape.round.sphere_point(Vector3f(n));
-        if (e.texture >= 0) uv = shape.round.sphere_uv(Vector3f(n));
+        if (e.texture_idx >= 0) uv = shape.round.sphere_uv(Vector3f(n));
         if (shape.flip_normals) n = -n;
         return;
     }
@@ -72,7 +72,7 @@ void sample_area(const Scene& scene, const Emitter& e, Point2f u, Point3f& y, No
                             Vector3f(mesh.normals[i[2]]) * b.y;
         if ((dot(ns, n) < 0) != shape.flip_normals) n = -n;
     }
-    if (e.texture >= 0 && !mesh.uvs.empty()) {
+    if (e.texture_idx >= 0 && !mesh.uvs.empty()) {
         const Point2f &t0 = mesh.uvs[i[0]], &t1 = mesh.uvs[i[1]], &t2 = mesh.uvs[i[2]];
         uv = {t0.x + (t1.x - t0.x) * b.x + (t2.x - t0.x) * b.y, t0.y + (t1.y - t0.y) * b.x + (t2.y - t0.y) * b.y};
     } else {
@@ -105,19 +105,19 @@ float one_minus_cos(const Cone& cone, float radius) {
 
 /// Radiance of an area light at its texture coordinates, on its emitting side.
 Spectrum radiance_at(const Scene& scene, const Emitter& e, Point2f uv) {
-    return e.texture < 0 ? e.radiance : e.radiance * scene.textures[e.texture].eval(uv);
+    return e.texture_idx < 0 ? e.radiance : e.radiance * scene.textures[e.texture_idx].eval(uv);
 }
 
 void sample_area_point(const Scene& scene, const Emitter& e, Point2f u, LightPoint& point) {
     Point2f uv;
     sample_area(scene, e, u, point.y, point.n, uv);
-    point.hit_error = scene.shapes[e.shape].hit_error;
+    point.hit_error = scene.shapes[e.shape_idx].hit_error;
     point.area = float(e.area);
     point.Li = radiance_at(scene, e, uv);
 }
 
 void sample_sphere_light(const Scene& scene, const Emitter& e, const Point3f& from, Point2f u, LightSample& s) {
-    const Shape& shape = scene.shapes[e.shape];
+    const Shape& shape = scene.shapes[e.shape_idx];
     const Cone cone = sphere_cone(shape, from);
     if (!cone.valid) {
         LightPoint point;
@@ -139,7 +139,7 @@ void sample_sphere_light(const Scene& scene, const Emitter& e, const Point3f& fr
     s.hit_error = shape.hit_error;
     s.wi = normalize(s.y - from);  // as computed by a reader of the stored point
     s.pdf_w = 1.0f / (two_pi * omc);
-    s.Li = e.texture < 0 ? e.radiance : radiance_at(scene, e, shape.round.sphere_uv(Vector3f(s.n)));
+    s.Li = e.texture_idx < 0 ? e.radiance : radiance_at(scene, e, shape.round.sphere_uv(Vector3f(s.n)));
 }
 
 /// Fills a light point with a direction sampled from the density of an environment map.
@@ -157,7 +157,7 @@ EnvironmentMap::Place place_on_map(const Emitter& e, Point2f st, float density, 
 bool sample_point_on(const Scene& scene, const Emitter& e, Point2f u, LightPoint& point) {
     switch (e.kind) {
         case EmitterKind::area:
-            if (scene.shapes[e.shape].kind == ShapeKind::sphere) return false;
+            if (scene.shapes[e.shape_idx].kind == ShapeKind::sphere) return false;
             sample_area_point(scene, e, u, point);
             return true;
         case EmitterKind::constant:
@@ -192,24 +192,25 @@ std::size_t choose_emitter(const Scene& scene, float& u, float& pmf) {
 void look_up_light(const Scene& scene, LightQuery& query) {
     if (query.kind == LightQuery::Kind::environment) {
         query.Le = environment(scene, query.d);
-        query.pdf_w = scene.environment < 0 ? 0.0f : pdf_environment_w(scene, query.d);
+        query.pdf_w = scene.environment_idx < 0 ? 0.0f : pdf_environment_w(scene, query.d);
     } else if (query.kind == LightQuery::Kind::point && !scene.emitters.empty()) {
         const std::size_t index = choose_emitter(scene, query.u.x, query.point.pmf);
-        query.point.emitter = std::uint16_t(index);
+        query.point.emitter_idx = std::uint16_t(index);
         query.placed = sample_point_on(scene, scene.emitters[index], query.u, query.point);
     }
 }
 
 void look_up_lights(const Scene& scene, std::span<LightQuery> queries) {
     using Kind = LightQuery::Kind;
-    const bool has_map = scene.environment >= 0 && scene.emitters[scene.environment].kind == EmitterKind::envmap;
+    const bool has_map =
+        scene.environment_idx >= 0 && scene.emitters[scene.environment_idx].kind == EmitterKind::envmap;
     if (!has_map) {
         for (LightQuery& query : queries) look_up_light(scene, query);
         return;
     }
-    const Emitter& e = scene.emitters[scene.environment];
+    const Emitter& e = scene.emitters[scene.environment_idx];
     const EnvironmentMap& map = *e.map;
-    const float pmf = scene.emitters.size() > 1 ? scene.emitter_pmf.pmf(scene.environment) : 1.0f;
+    const float pmf = scene.emitters.size() > 1 ? scene.emitter_pmf.pmf(scene.environment_idx) : 1.0f;
     constexpr std::size_t block = 64;
     Distribution2::Search searches[block];
     EnvironmentMap::Place places[block];
@@ -222,8 +223,8 @@ void look_up_lights(const Scene& scene, std::span<LightQuery> queries) {
             if (q[k].kind == Kind::nothing) continue;
             if (q[k].kind == Kind::point) {
                 const std::size_t index = choose_emitter(scene, q[k].u.x, q[k].point.pmf);
-                q[k].point.emitter = std::uint16_t(index);
-                if (int(index) != scene.environment) {
+                q[k].point.emitter_idx = std::uint16_t(index);
+                if (int(index) != scene.environment_idx) {
                     q[k].placed = sample_point_on(scene, scene.emitters[index], q[k].u, q[k].point);
                     continue;
                 }
@@ -269,7 +270,7 @@ LightSample sample_light(const Scene& scene, const Point3f& from, Point2f u) {
 LightSample sample_light(const Scene& scene, const Point3f& from, const LightQuery& query) {
     if (scene.emitters.empty()) return {};
     if (query.placed) return seen_from(query.point, from);
-    const std::size_t index = query.point.emitter;
+    const std::size_t index = query.point.emitter_idx;
     const Emitter& e = scene.emitters[index];
     const Point2f u = query.u;
     LightSample s;
@@ -277,16 +278,17 @@ LightSample sample_light(const Scene& scene, const Point3f& from, const LightQue
         sample_sphere_light(scene, e, from, u, s);
     else
         s = delta_light(scene, e, EmitterPose<float>(e), from);
-    s.emitter = std::uint16_t(index);
+    s.emitter_idx = std::uint16_t(index);
     s.pdf_w *= query.point.pmf;
-    if (is_black(s.Li)) s.pdf_w = 0;
+    s.pmf *= query.point.pmf;
+    if (is_black(s.Li)) s.pdf_w = s.pmf = 0;
     return s;
 }
 
 float pdf_light_w(const Scene& scene, const Point3f& from, const SurfacePoint& at) {
-    const Shape& shape = scene.shapes[at.shape];
-    const Emitter& e = scene.emitters[shape.emitter];
-    const float pmf = scene.emitters.size() > 1 ? scene.emitter_pmf.pmf(shape.emitter) : 1.0f;
+    const Shape& shape = scene.shapes[at.shape_idx];
+    const Emitter& e = scene.emitters[shape.emitter_idx];
+    const float pmf = scene.emitters.size() > 1 ? scene.emitter_pmf.pmf(shape.emitter_idx) : 1.0f;
     if (shape.kind == ShapeKind::sphere) {
         if (const Cone cone = sphere_cone(shape, from); cone.valid)
             return pmf / (two_pi * one_minus_cos(cone, shape.round.radius));
@@ -298,23 +300,23 @@ float pdf_light_w(const Scene& scene, const Point3f& from, const SurfacePoint& a
 }
 
 float pdf_environment_w(const Scene& scene, const Vector3f& d) {
-    const Emitter& e = scene.emitters[scene.environment];
-    const float pmf = scene.emitters.size() > 1 ? scene.emitter_pmf.pmf(scene.environment) : 1.0f;
+    const Emitter& e = scene.emitters[scene.environment_idx];
+    const float pmf = scene.emitters.size() > 1 ? scene.emitter_pmf.pmf(scene.environment_idx) : 1.0f;
     if (e.kind == EmitterKind::constant) return pmf / (2 * two_pi);
     const Vector3f local = e.frame.to_local(d);
     return pmf * solid_angle_density(e.map->density.pdf(cell_point(*e.map, sphere_uv(local))), local);
 }
 
 Spectrum emitted(const Scene& scene, const SurfacePoint& at, const Vector3f& wo) {
-    const Shape& shape = scene.shapes[at.shape];
-    if (shape.emitter < 0 || !(dot(at.ns_smooth, wo) > 0)) return Spectrum(0);
-    const Emitter& e = scene.emitters[shape.emitter];
+    const Shape& shape = scene.shapes[at.shape_idx];
+    if (shape.emitter_idx < 0 || !(dot(at.ns_smooth, wo) > 0)) return Spectrum(0);
+    const Emitter& e = scene.emitters[shape.emitter_idx];
     return radiance_at(scene, e, at.uv);
 }
 
 Spectrum environment(const Scene& scene, const Vector3f& d) {
-    if (scene.environment < 0) return Spectrum(0);
-    const Emitter& e = scene.emitters[scene.environment];
+    if (scene.environment_idx < 0) return Spectrum(0);
+    const Emitter& e = scene.emitters[scene.environment_idx];
     return e.kind == EmitterKind::constant ? e.radiance : e.map->eval(sphere_uv(e.frame.to_local(d)));
 }
 

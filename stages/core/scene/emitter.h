@@ -23,8 +23,8 @@ struct Emitter {
     float sampling_weight = 1;
     Spectrum radiance;              // area, constant: W m^-2 sr^-1; point, spot: intensity; directional: irradiance;
                                     // projector: irradiance of a plane at distance 1, over pi
-    int texture = -1;               // area: factor on radiance by uv; spot, projector: by position in the beam
-    std::uint32_t shape = 0;        // area
+    int texture_idx = -1;           // area: factor on radiance by uv; spot, projector: by position in the beam
+    std::uint32_t shape_idx = 0;    // area
     double area = 0;                // area: m^2
     bool parallelogram = false;     // area on a rectangle: its two triangles are sampled as one
     Distribution1 triangles;        // area on a mesh: by area
@@ -48,15 +48,18 @@ struct Emitter {
 template <class T>
 struct LightSampleOf {
     Vector3<T> wi;        // unit, towards the light
-    Rgb<T> Li;            // f_cos * Li / pdf_w estimates the reflected light
-    T pdf_w{};            // sr^-1 with the choice of the emitter; a pmf for delta lights
+    Rgb<T> Li;            // f_cos * Li / density() estimates the reflected light
+    T pdf_w{};            // sr^-1, choice of the emitter included; 0 for delta lights
+    T pmf{};              // of a delta light, choice of the emitter; 0 for any other
     Point3<T> y;          // light point; meaningless when at_infinity
     Normal3<T> n;         // normal at y (area lights)
     float hit_error = 0;  // Shape::hit_error, m (area lights)
     bool at_infinity = false;
     bool delta = false;
-    std::uint16_t emitter = 0;
+    std::uint16_t emitter_idx = 0;
 
+    /// Density in the measure of the light: pdf_w or pmf.
+    T density() const { return pdf_w + pmf; }
     RayEnd end() const requires std::is_same_v<T, float> { return {y, n, hit_error}; }
 };
 using LightSample = LightSampleOf<float>;
@@ -72,7 +75,7 @@ struct LightPointOf {
     T pdf_w{};            // density of a direction, sr^-1; meaningless for a point
     float pmf = 1;        // probability of the emitter
     bool at_infinity = false;
-    std::uint16_t emitter = 0;
+    std::uint16_t emitter_idx = 0;
 };
 using LightPoint = LightPointOf<float>;
 
@@ -93,7 +96,7 @@ inline LightSampleOf<T> seen_from(const LightPointOf<T>& point, const Point3<T>&
     s.n = point.n;
     s.hit_error = point.hit_error;
     s.at_infinity = point.at_infinity;
-    s.emitter = point.emitter;
+    s.emitter_idx = point.emitter_idx;
     return s;
 }
 

@@ -53,7 +53,7 @@ std::uint32_t MaterialBuilder::index(const ObjectPtr& bsdf) {
     derive(sides.front);
     if (sides.back) {
         derive(*sides.back);
-        sides.front.back = int(scene_.materials.size());
+        sides.front.back_idx = int(scene_.materials.size());
         scene_.materials.push_back(*sides.back);
     }
     const auto index = std::uint32_t(scene_.materials.size());
@@ -89,7 +89,7 @@ MaterialBuilder::Sides MaterialBuilder::build(const Object& o) {
         if (sides.back) o.fail("", "'twosided' inside 'twosided'");
         if (inner.size() == 2) sides.back = build(*inner[1]).front;
         each([&](Material& m) {
-            if (transmits(m.model.kind) || m.opacity >= 0 || m.model.opacity < 1)
+            if (transmits(m.model.kind) || m.opacity_idx >= 0 || m.model.opacity < 1)
                 o.fail("", "'twosided' cannot hold a BSDF that transmits");
             m.model.two_sided = true;
         });
@@ -99,8 +99,8 @@ MaterialBuilder::Sides MaterialBuilder::build(const Object& o) {
         const int index = map ? scalar_texture(*map) : -1;
         const float constant = map ? 1.0f : clamp(std::get<float>(opacity), 0.0f, 1.0f);
         each([&](Material& m) {
-            if (m.opacity >= 0 || m.model.opacity < 1) o.fail("", "'mask' inside 'mask' is not supported yet");
-            m.opacity = index;
+            if (m.opacity_idx >= 0 || m.model.opacity < 1) o.fail("", "'mask' inside 'mask' is not supported yet");
+            m.opacity_idx = index;
             m.model.opacity = constant;
         });
     } else {
@@ -116,7 +116,7 @@ MaterialBuilder::Sides MaterialBuilder::build(const Object& o) {
                    shadows = o.get_bool("use_shadowing_function", true);
         each([&](Material& m) {
             if (m.perturbed()) o.fail("", "a bump or normal map inside another is not supported yet");
-            (o.plugin == "normalmap" ? m.normal_map : m.bump_map) = index;
+            (o.plugin == "normalmap" ? m.normal_map_idx : m.bump_map_idx) = index;
             m.bump_scale = scale;
             m.flips_invalid_normals = flips;
             m.model.bump_shadowing = shadows;
@@ -131,18 +131,18 @@ Material MaterialBuilder::build_plain(const Object& o) {
     model.kind = kind_of(o);
     switch (model.kind) {
         case BsdfKind::diffuse:
-            m.diffuse = base_colour(o, model.diffuse);
+            m.diffuse_idx = base_colour(o, model.diffuse);
             break;
         case BsdfKind::rough_diffuse:
-            m.diffuse = base_colour(o, model.diffuse);
+            m.diffuse_idx = base_colour(o, model.diffuse);
             model.alpha_u = model.alpha_v = 0.2f;
-            m.alpha_u = m.alpha_v = roughness(o, "alpha", model.alpha_u);
+            m.alpha_u_idx = m.alpha_v_idx = roughness(o, "alpha", model.alpha_u);
             model.alpha_v = model.alpha_u;
             break;
         case BsdfKind::conductor:
         case BsdfKind::rough_conductor:
             set_conductor(o, m);
-            m.specular = colour(o, "specular_reflectance", model.specular);
+            m.specular_idx = colour(o, "specular_reflectance", model.specular);
             break;
         case BsdfKind::dielectric:
         case BsdfKind::thin_dielectric:
@@ -154,28 +154,28 @@ Material MaterialBuilder::build_plain(const Object& o) {
                     "int_ior",
                     fmt::format("int_ior and ext_ior are both {:.6g}: a rough dielectric needs two different indices",
                                 model.int_ior));
-            m.specular = colour(o, "specular_reflectance", model.specular);
-            m.transmittance = colour(o, "specular_transmittance", model.transmittance);
+            m.specular_idx = colour(o, "specular_reflectance", model.specular);
+            m.transmittance_idx = colour(o, "specular_transmittance", model.transmittance);
             break;
         case BsdfKind::plastic:
         case BsdfKind::rough_plastic:
             model.int_ior = o.get_ior("int_ior", "polypropylene");
             model.ext_ior = o.get_ior("ext_ior", "air");
             model.nonlinear = o.get_bool("nonlinear", false);
-            m.diffuse = colour(o, "diffuse_reflectance", model.diffuse);
-            m.specular = colour(o, "specular_reflectance", model.specular);
+            m.diffuse_idx = colour(o, "diffuse_reflectance", model.diffuse);
+            m.specular_idx = colour(o, "specular_reflectance", model.specular);
             break;
         case BsdfKind::phong:
-            m.exponent = number(o, "exponent", model.exponent);
+            m.exponent_idx = number(o, "exponent", model.exponent);
             model.specular = Spectrum(0.2f);
-            m.diffuse = colour(o, "diffuse_reflectance", model.diffuse);
-            m.specular = colour(o, "specular_reflectance", model.specular);
+            m.diffuse_idx = colour(o, "diffuse_reflectance", model.diffuse);
+            m.specular_idx = colour(o, "specular_reflectance", model.specular);
             break;
         case BsdfKind::ward:
             model.variant = ward_variant(o.get_string("variant", "balanced"));
             model.specular = Spectrum(0.2f);
-            m.diffuse = colour(o, "diffuse_reflectance", model.diffuse);
-            m.specular = colour(o, "specular_reflectance", model.specular);
+            m.diffuse_idx = colour(o, "diffuse_reflectance", model.diffuse);
+            m.specular_idx = colour(o, "specular_reflectance", model.specular);
             break;
         case BsdfKind::null:
             break;
@@ -183,10 +183,10 @@ Material MaterialBuilder::build_plain(const Object& o) {
     const bool microfacet = model.kind == BsdfKind::rough_conductor || model.kind == BsdfKind::rough_dielectric ||
                             model.kind == BsdfKind::rough_plastic;
     if (microfacet || model.kind == BsdfKind::ward) {
-        m.alpha_u = m.alpha_v = roughness(o, "alpha", model.alpha_u);
+        m.alpha_u_idx = m.alpha_v_idx = roughness(o, "alpha", model.alpha_u);
         model.alpha_v = model.alpha_u;
-        if (o.has("alpha_u")) m.alpha_u = roughness(o, "alpha_u", model.alpha_u);
-        if (o.has("alpha_v")) m.alpha_v = roughness(o, "alpha_v", model.alpha_v);
+        if (o.has("alpha_u")) m.alpha_u_idx = roughness(o, "alpha_u", model.alpha_u);
+        if (o.has("alpha_v")) m.alpha_v_idx = roughness(o, "alpha_v", model.alpha_v);
     }
     if (microfacet) {
         const std::string distribution = o.get_string("distribution", "beckmann");
@@ -208,8 +208,8 @@ void MaterialBuilder::set_conductor(const Object& o, Material& material) {
         m.eta_c = ior->eta;
         m.k_c = ior->k;
     }
-    material.eta_c = colour(o, "eta", m.eta_c);
-    material.k_c = colour(o, "k", m.k_c);
+    material.eta_c_idx = colour(o, "eta", m.eta_c);
+    material.k_c_idx = colour(o, "k", m.k_c);
     if (o.has("ext_eta")) {
         const float outside = o.get_ior("ext_eta", "air");
         m.eta_c = m.eta_c / outside;
@@ -262,19 +262,19 @@ int MaterialBuilder::roughness(const Object& o, const char* name, float& value) 
 void MaterialBuilder::derive(Material& m) {
     BsdfModel& model = m.model;
     const bool two_lobes = model.kind == BsdfKind::phong || model.kind == BsdfKind::ward;
-    if (two_lobes && (m.diffuse >= 0 || m.specular >= 0)) {
+    if (two_lobes && (m.diffuse_idx >= 0 || m.specular_idx >= 0)) {
         // Uses the largest values of the textures, as Mitsuba 0.6; a constant lobe is scaled with them.
         const auto most = [&](int texture, const Spectrum& constant) {
             return texture >= 0 ? scene_.textures[texture].maximum() : constant;
         };
         const BsdfModel before = model;
-        model.diffuse = most(m.diffuse, model.diffuse);
-        model.specular = most(m.specular, model.specular);
+        model.diffuse = most(m.diffuse_idx, model.diffuse);
+        model.specular = most(m.specular_idx, model.specular);
         m.reflectance_scale = conserve_energy(model);
-        if (m.diffuse >= 0) model.diffuse = before.diffuse;
-        if (m.specular >= 0) model.specular = before.specular;
-    } else if (model.kind == BsdfKind::rough_plastic && m.alpha_u >= 0) {
-        const auto [least, most] = scene_.textures[m.alpha_u].float_range();
+        if (m.diffuse_idx >= 0) model.diffuse = before.diffuse;
+        if (m.specular_idx >= 0) model.specular = before.specular;
+    } else if (model.kind == BsdfKind::rough_plastic && m.alpha_u_idx >= 0) {
+        const auto [least, most] = scene_.textures[m.alpha_u_idx].float_range();
         prepare_coats(model, std::max(least, smallest_alpha), std::max(most, smallest_alpha));
     } else {
         prepare(model);

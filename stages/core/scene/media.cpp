@@ -21,7 +21,7 @@ Vector3f direction(int i) {
 
 bool lets_through(const Material& m) {
     return is_interface(m.model) || m.model.kind == BsdfKind::thin_dielectric || m.model.kind == BsdfKind::null ||
-           m.model.opacity < 1 || m.opacity >= 0;
+           m.model.opacity < 1 || m.opacity_idx >= 0;
 }
 
 /// Counts of rays that leave or enter one shape first.
@@ -45,19 +45,19 @@ class Survey {
             const Hit hit = scene_.intersect(ray);
             if (!hit) return;
             const SurfacePoint at = scene_.surface(ray, hit);
-            const Material& material = scene_.materials[at.material];
+            const Material& material = scene_.materials[at.material_idx];
             if (!lets_through(material)) return;
             ray = spawn_ray(at.end(), d);
             const BsdfModel& model = material.model;
             if (!is_interface(model)) continue;
             const bool entering = dot(at.ns_smooth, d) < 0,
-                       first = std::find(seen.begin(), seen.end(), at.shape) == seen.end();
+                       first = std::find(seen.begin(), seen.end(), at.shape_idx) == seen.end();
             if (entering && seen.empty()) ++outer[model.ext_ior];
-            seen.push_back(at.shape);
-            const SurfaceIdx surface{at.shape, at.material};
+            seen.push_back(at.shape_idx);
+            const SurfaceIdx surface{at.shape_idx, at.material_idx};
             const bool entered = media.pass(surface, entering, model);
             if (!first) continue;
-            Votes& votes = shapes[at.shape];
+            Votes& votes = shapes[at.shape_idx];
             votes.surface = surface;
             votes.int_ior = model.int_ior;
             votes.ext_ior = model.ext_ior;
@@ -116,7 +116,7 @@ SensorMedia find_sensor_media(const Scene& scene) {
         media.everywhere = media_at(scene, origins[0]);
         for (const Point3f& origin : origins) media.varies |= !(media_at(scene, origin) == media.everywhere);
         for (const Shape& shape : scene.shapes) {
-            if (!is_interface(scene.materials[shape.material].model)) continue;
+            if (!is_interface(scene.materials[shape.material_idx].model)) continue;
             const Box3f other = shape.bounds();
             bool apart = false;
             for (int k = 0; k < 3; ++k) apart |= other.hi[k] < box.lo[k] || other.lo[k] > box.hi[k];

@@ -24,8 +24,8 @@ struct SurfaceIdx {
 /// Medium of a path segment.
 struct Medium {
     static constexpr std::uint16_t outside = 65535;
-    float ior = 1;                     // absolute index of refraction
-    std::uint16_t material = outside;  // dielectric whose inside it is; outside: outside of all objects
+    float ior = 1;                         // absolute index of refraction
+    std::uint16_t material_idx = outside;  // dielectric whose inside it is; outside: outside of all objects
     bool operator==(const Medium&) const = default;
 };
 
@@ -35,7 +35,7 @@ struct Medium {
 class MediumStack {
   public:
     struct Entry {
-        std::uint32_t shape;
+        std::uint32_t shape_idx;
         Medium medium;
         bool operator==(const Entry&) const = default;
     };
@@ -63,7 +63,7 @@ class MediumStack {
             if (size_ < max_nesting) entries_[size_++] = {surface.shape, {int_ior, std::uint16_t(surface.material)}};
             return true;
         }
-        int i = find([&](const Entry& e) { return e.shape == surface.shape; });
+        int i = find([&](const Entry& e) { return e.shape_idx == surface.shape; });
         // An object may be made of several shapes: entered by one, left by another.
         if (i < 0) i = find([&](const Entry& e) { return e.medium.ior == int_ior; });
         for (int k = i; k >= 0 && k + 1 < size_; ++k) entries_[k] = entries_[k + 1];

@@ -24,7 +24,7 @@ bool point_at_uv(const Mesh& mesh, double u, double v, Hit& hit) {
         const double s = (du * dv2 - dv * du2) / det, r = (du1 * dv - dv1 * du) / det;
         constexpr double rounding = 1e-6;  // tolerance, so that a point on an edge is in one of its triangles
         if (s < -rounding || r < -rounding || s + r > 1 + rounding) continue;
-        hit.primitive = std::uint32_t(t);
+        hit.primitive_idx = std::uint32_t(t);
         hit.u = float(s);
         hit.v = float(r);
         return true;
@@ -41,9 +41,9 @@ NlosCapture::Point describe(const Scene& scene, const Ray& ray, const Hit& hit) 
     at.p = seen.p;
     at.ng = at.flat = seen.ng;
     at.hit_error = seen.hit_error;
-    const Shape& shape = scene.shapes[hit.shape];
+    const Shape& shape = scene.shapes[hit.shape_idx];
     if (shape.kind == ShapeKind::mesh) {
-        const TriangleRecord& triangle = shape.triangles[hit.primitive];
+        const TriangleRecord& triangle = shape.triangles[hit.primitive_idx];
         at.flat = Normal3f(normalize(cross(triangle.e1, triangle.e2)) * (shape.flip_normals ? -1.0f : 1.0f));
     }
     return at;
@@ -64,7 +64,7 @@ void look_at_grid(const Object& wall, const Object& sensor, const Scene& scene, 
                 wall.fail("", fmt::format("the relay wall has no point of texture coordinates ({:.4g}, {:.4g}), where "
                                           "grid point ({}, {}) is",
                                           u, v, i, j));
-            target.shape = capture.relay_wall;
+            target.shape_idx = capture.relay_wall;
             const TrianglePoint point = triangle_point(shape, target, false);
             const Vector3f d = point.p - capture.sensor_origin;
             target.t = length(d);
@@ -241,7 +241,7 @@ HiddenPoint sample_hidden(const Scene& scene, Point2f u) {
 
 float pdf_hidden_w(const Scene& scene, const Point3f& from, const SurfacePoint& at) {
     const NlosCapture& c = *scene.nlos;
-    if (!c.is_hidden[at.shape] || c.hidden.empty()) return 0;
+    if (!c.is_hidden[at.shape_idx] || c.hidden.empty()) return 0;
     const Vector3f d = at.p - from;
     const float d2 = length2(d), cos_d = std::abs(dot(at.ng, d));
     return cos_d > 0 ? d2 * std::sqrt(d2) / (cos_d * float(c.hidden_area)) : 0.0f;
@@ -285,7 +285,7 @@ void build_nlos(const Object& root, const Object* wall, std::uint32_t relay_wall
     if (c.hidden_probability > 0) {
         // For a camera, the wall is the shape that the laser lights.
         const std::uint32_t relay_or_lit = wall                    ? relay_wall
-                                           : c.laser_points[0].hit ? c.laser_points[0].hit.shape
+                                           : c.laser_points[0].hit ? c.laser_points[0].hit.shape_idx
                                                                    : NlosCapture::no_wall;
         list_hidden(scene, includes_wall ? NlosCapture::no_wall : relay_or_lit, c);
         if (c.hidden.empty())

@@ -10,8 +10,8 @@ namespace {
 Tangents<float> triangle_tangents(const Shape& shape, const Hit& hit, const Normal3f& ng) {
     const Mesh& mesh = shape.mesh;
     if (mesh.uvs.empty()) return TriangleRecord::any_tangents(ng);
-    const std::uint32_t* i = &mesh.indices[3 * std::size_t(hit.primitive)];
-    return shape.triangles[hit.primitive].tangents(mesh.uvs[i[0]], mesh.uvs[i[1]], mesh.uvs[i[2]], ng);
+    const std::uint32_t* i = &mesh.indices[3 * std::size_t(hit.primitive_idx)];
+    return shape.triangles[hit.primitive_idx].tangents(mesh.uvs[i[0]], mesh.uvs[i[1]], mesh.uvs[i[2]], ng);
 }
 
 /// Returns the normal of a normal or bump map, in world space. A normal that faces away from the viewer while the
@@ -19,10 +19,10 @@ Tangents<float> triangle_tangents(const Shape& shape, const Hit& hit, const Norm
 Normal3f perturbed_normal(const Scene& scene, const Material& m, const Framef& base, const Tangents<float>& tangents,
                           Point2f uv, const Vector3f& wo) {
     Vector3f local;
-    if (m.normal_map >= 0) {
-        local = mapped_normal(scene.textures[m.normal_map].eval(uv));
+    if (m.normal_map_idx >= 0) {
+        local = mapped_normal(scene.textures[m.normal_map_idx].eval(uv));
     } else {
-        const Point2f gradient = scene.textures[m.bump_map].eval_gradient(uv);
+        const Point2f gradient = scene.textures[m.bump_map_idx].eval_gradient(uv);
         local = bumped_normal(base, tangents, {m.bump_scale * gradient.x, m.bump_scale * gradient.y});
     }
     if (m.flips_invalid_normals && dot(base.n, wo) * dot(local, base.to_local(wo)) <= 0)
@@ -43,16 +43,16 @@ bool Scene::occluded(const Ray& ray) const {
 }
 
 void Scene::prefetch_triangle(const Hit& hit) const {
-    if (!hit || shapes[hit.shape].kind != ShapeKind::mesh) return;
-    const Shape& shape = shapes[hit.shape];
-    __builtin_prefetch(&shape.triangles[hit.primitive]);
-    __builtin_prefetch(&shape.mesh.indices[3 * std::size_t(hit.primitive)]);
+    if (!hit || shapes[hit.shape_idx].kind != ShapeKind::mesh) return;
+    const Shape& shape = shapes[hit.shape_idx];
+    __builtin_prefetch(&shape.triangles[hit.primitive_idx]);
+    __builtin_prefetch(&shape.mesh.indices[3 * std::size_t(hit.primitive_idx)]);
 }
 
 void Scene::prefetch_corners(const Hit& hit) const {
-    if (!hit || shapes[hit.shape].kind != ShapeKind::mesh) return;
-    const Mesh& mesh = shapes[hit.shape].mesh;
-    const std::uint32_t* i = &mesh.indices[3 * std::size_t(hit.primitive)];
+    if (!hit || shapes[hit.shape_idx].kind != ShapeKind::mesh) return;
+    const Mesh& mesh = shapes[hit.shape_idx].mesh;
+    const std::uint32_t* i = &mesh.indices[3 * std::size_t(hit.primitive_idx)];
     for (int corner = 0; corner < 3; ++corner) {
         if (!mesh.normals.empty()) __builtin_prefetch(&mesh.normals[i[corner]]);
         if (!mesh.uvs.empty()) __builtin_prefetch(&mesh.uvs[i[corner]]);
@@ -60,10 +60,10 @@ void Scene::prefetch_corners(const Hit& hit) const {
 }
 
 void Scene::prefetch_texels(const Hit& hit) const {
-    if (!hit || shapes[hit.shape].kind != ShapeKind::mesh) return;
-    const Shape& shape = shapes[hit.shape];
-    const Material& material = materials[shape.material];
-    if (material.diffuse >= 0) textures[material.diffuse].prefetch(triangle_point(shape, hit, true).uv);
+    if (!hit || shapes[hit.shape_idx].kind != ShapeKind::mesh) return;
+    const Shape& shape = shapes[hit.shape_idx];
+    const Material& material = materials[shape.material_idx];
+    if (material.diffuse_idx >= 0) textures[material.diffuse_idx].prefetch(triangle_point(shape, hit, true).uv);
 }
 
 std::size_t Scene::table_bytes() const {
@@ -89,16 +89,16 @@ Box3f Shape::bounds() const {
 }
 
 SurfacePoint Scene::surface(const Ray& ray, const Hit& hit) const {
-    const Shape& shape = shapes[hit.shape];
+    const Shape& shape = shapes[hit.shape_idx];
     SurfacePoint at;
-    at.shape = hit.shape;
-    at.primitive = hit.primitive;
+    at.shape_idx = hit.shape_idx;
+    at.primitive_idx = hit.primitive_idx;
     at.hit_error = shape.hit_error;
-    at.material = shape.material;
+    at.material_idx = shape.material_idx;
     Tangents<float> tangents;
     const Vector3f wo = -ray.d;
-    const Material* material = &materials[shape.material];
-    const bool wants_uv = material->needs_uv() || material->back >= 0 || shape.emitter >= 0;
+    const Material* material = &materials[shape.material_idx];
+    const bool wants_uv = material->needs_uv() || material->back_idx >= 0 || shape.emitter_idx >= 0;
     const bool wants_tangent = features.anisotropic || features.perturbed_normals;
 
     if (shape.kind == ShapeKind::mesh) {
@@ -121,9 +121,9 @@ SurfacePoint Scene::surface(const Ray& ray, const Hit& hit) const {
         tangents = shape.round.disk_tangents(hit.u, hit.v);
     }
     if (shape.kind != ShapeKind::mesh) at.ng = at.ns_smooth = as_stored(shape.flip_normals ? -at.ng : at.ng);
-    if (material->back >= 0 && dot(at.ns_smooth, wo) < 0) {
-        at.material = std::uint32_t(material->back);
-        material = &materials[at.material];
+    if (material->back_idx >= 0 && dot(at.ns_smooth, wo) < 0) {
+        at.material_idx = std::uint32_t(material->back_idx);
+        material = &materials[at.material_idx];
     }
     Normal3f ns = at.ns_smooth;
     if (material->perturbed()) {
@@ -140,31 +140,31 @@ SurfacePoint Scene::surface(const Ray& ray, const Hit& hit) const {
 }
 
 Spectrum Scene::diffuse(const Material& m, Point2f uv) const {
-    return m.diffuse >= 0 ? as_stored(textures[m.diffuse].eval(uv) * m.reflectance_scale) : m.model.diffuse;
+    return m.diffuse_idx >= 0 ? as_stored(textures[m.diffuse_idx].eval(uv) * m.reflectance_scale) : m.model.diffuse;
 }
 
 Bsdf<float> Scene::bsdf(const SurfacePoint& at) const {
-    const Material& m = materials[at.material];
+    const Material& m = materials[at.material_idx];
     Bsdf<float> b(m.model);
     if (!m.textured()) return b;
     b.diffuse = diffuse(m, at.uv);
-    if (m.specular >= 0) b.specular = as_stored(textures[m.specular].eval(at.uv) * m.reflectance_scale);
-    if (m.transmittance >= 0) b.transmittance = as_stored(textures[m.transmittance].eval(at.uv));
-    if (m.alpha_u >= 0 || m.alpha_v >= 0) {
+    if (m.specular_idx >= 0) b.specular = as_stored(textures[m.specular_idx].eval(at.uv) * m.reflectance_scale);
+    if (m.transmittance_idx >= 0) b.transmittance = as_stored(textures[m.transmittance_idx].eval(at.uv));
+    if (m.alpha_u_idx >= 0 || m.alpha_v_idx >= 0) {
         const auto alpha = [&](int texture, float constant) {
             return as_stored(texture >= 0 ? std::max(textures[texture].eval_float(at.uv), smallest_alpha) : constant);
         };
-        b.alpha_u = alpha(m.alpha_u, m.model.alpha_u);
-        b.alpha_v = alpha(m.alpha_v, m.model.alpha_v);
+        b.alpha_u = alpha(m.alpha_u_idx, m.model.alpha_u);
+        b.alpha_v = alpha(m.alpha_v_idx, m.model.alpha_v);
     }
-    if (m.opacity >= 0) b.opacity = as_stored(clamp(textures[m.opacity].eval_float(at.uv), 0.0f, 1.0f));
-    if (m.exponent >= 0) b.exponent = std::max(textures[m.exponent].eval_float(at.uv), 0.0f);
+    if (m.opacity_idx >= 0) b.opacity = as_stored(clamp(textures[m.opacity_idx].eval_float(at.uv), 0.0f, 1.0f));
+    if (m.exponent_idx >= 0) b.exponent = std::max(textures[m.exponent_idx].eval_float(at.uv), 0.0f);
     if (m.textured_index()) {
         const auto index = [&](int texture, const Spectrum& constant) {
             return as_stored(texture >= 0 ? textures[texture].eval(at.uv) * m.index_scale : constant);
         };
-        b.eta_c = index(m.eta_c, m.model.eta_c);
-        b.k_c = index(m.k_c, m.model.k_c);
+        b.eta_c = index(m.eta_c_idx, m.model.eta_c);
+        b.k_c = index(m.k_c_idx, m.model.k_c);
     }
     return b;
 }

@@ -29,39 +29,39 @@ struct NlosCapture;  // nlos.h
 struct Hit {
     float t = INFINITY;
     float u = 0, v = 0;  // barycentric coordinates on a triangle, (u, v) of an analytic shape
-    std::uint32_t shape = no_shape;
-    std::uint32_t primitive = 0;
+    std::uint32_t shape_idx = no_shape;
+    std::uint32_t primitive_idx = 0;
 
     static constexpr std::uint32_t no_shape = ~0u;
-    explicit operator bool() const { return shape != no_shape; }
+    explicit operator bool() const { return shape_idx != no_shape; }
 };
 
 /// A BsdfModel with its textures (index into Scene::textures, -1: the model's constant).
 struct Material {
     std::string id;
-    int diffuse = -1, specular = -1, transmittance = -1;
-    int alpha_u = -1, alpha_v = -1;
-    int opacity = -1;
-    int exponent = -1;
-    int eta_c = -1, k_c = -1;
+    int diffuse_idx = -1, specular_idx = -1, transmittance_idx = -1;
+    int alpha_u_idx = -1, alpha_v_idx = -1;
+    int opacity_idx = -1;
+    int exponent_idx = -1;
+    int eta_c_idx = -1, k_c_idx = -1;
     float reflectance_scale = 1;  // for textured diffuse and specular: keeps the sum of two lobes below 1
     float index_scale = 1;        // for textured eta_c and k_c: 1 / index outside
-    int normal_map = -1, bump_map = -1;
+    int normal_map_idx = -1, bump_map_idx = -1;
     float bump_scale = 1;
     bool flips_invalid_normals = true;  // see perturbed_normal()
-    int back = -1;                      // material of the back; -1: this one
+    int back_idx = -1;                  // material of the back; -1: this one
     BsdfModel model;
     bool textured() const {
-        return diffuse >= 0 || specular >= 0 || transmittance >= 0 || alpha_u >= 0 || alpha_v >= 0 || opacity >= 0 ||
-               exponent >= 0 || textured_index();
+        return diffuse_idx >= 0 || specular_idx >= 0 || transmittance_idx >= 0 || alpha_u_idx >= 0 ||
+               alpha_v_idx >= 0 || opacity_idx >= 0 || exponent_idx >= 0 || textured_index();
     }
-    bool textured_index() const { return eta_c >= 0 || k_c >= 0; }
-    bool perturbed() const { return normal_map >= 0 || bump_map >= 0; }
+    bool textured_index() const { return eta_c_idx >= 0 || k_c_idx >= 0; }
+    bool perturbed() const { return normal_map_idx >= 0 || bump_map_idx >= 0; }
     bool needs_uv() const { return textured() || perturbed(); }
     /// Whether it reflects and transmits nothing for any directions: a path ends there.
     bool black() const {
-        return model.kind == BsdfKind::diffuse && diffuse < 0 && is_black(model.diffuse) && model.opacity == 1 &&
-               opacity < 0;
+        return model.kind == BsdfKind::diffuse && diffuse_idx < 0 && is_black(model.diffuse) && model.opacity == 1 &&
+               opacity_idx < 0;
     }
 };
 
@@ -75,8 +75,8 @@ struct TriangleRecord : TriangleGeometry<float> {
 struct Shape {
     std::string id;
     ShapeKind kind = ShapeKind::mesh;
-    std::uint32_t material = 0;
-    int emitter = -1;
+    std::uint32_t material_idx = 0;
+    int emitter_idx = -1;
     Mesh mesh;                              // world space; empty for analytic shapes
     std::vector<TriangleRecord> triangles;  // [triangle of the mesh]
     RoundGeometry<float> round;             // sphere or disk only
@@ -99,7 +99,7 @@ struct SurfacePoint {
     Normal3f ns_smooth;  // before bump or normal map
     Frame<float> frame;  // of the BSDF
     Point2f uv;
-    std::uint32_t shape = 0, primitive = 0, material = 0;
+    std::uint32_t shape_idx = 0, primitive_idx = 0, material_idx = 0;
     float hit_error = 0;  // Shape::hit_error
     bool perturbed = false;
 
@@ -140,7 +140,7 @@ struct Scene {
     std::vector<Texture> textures;
     std::vector<Emitter> emitters;
     Distribution1 emitter_pmf;
-    int environment = -1;                     // index of the emitter at infinity (environment); -1: none
+    int environment_idx = -1;                 // index of the emitter at infinity (environment); -1: none
     std::shared_ptr<const NlosCapture> nlos;  // null unless the scene is an NLOS capture
     SceneFeatures features;
     SensorMedia sensor_media;
@@ -182,8 +182,8 @@ struct TrianglePoint {
 
 inline TrianglePoint triangle_point(const Shape& shape, const Hit& hit, bool wants_uv) {
     const Mesh& mesh = shape.mesh;
-    const TriangleRecord& triangle = shape.triangles[hit.primitive];
-    const std::uint32_t* i = &mesh.indices[3 * std::size_t(hit.primitive)];
+    const TriangleRecord& triangle = shape.triangles[hit.primitive_idx];
+    const std::uint32_t* i = &mesh.indices[3 * std::size_t(hit.primitive_idx)];
     TrianglePoint at;
     at.p = triangle.point(hit.u, hit.v);
     at.ng = triangle.ng;

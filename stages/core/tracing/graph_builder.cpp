@@ -169,12 +169,13 @@ void describe_scene(const Scene& scene, PathGraphHeader& g) {
     out.fdr_ext = gather<float>(in, [](const M& m) { return std::array{m.coat.fdr_ext}; });
     std::vector<std::uint8_t> textured;
     for (const Material& m : in)
-        textured.push_back(
-            (m.diffuse >= 0 ? textured_parameter::diffuse : 0) | (m.specular >= 0 ? textured_parameter::specular : 0) |
-            (m.transmittance >= 0 ? textured_parameter::transmittance : 0) |
-            (m.alpha_u >= 0 || m.alpha_v >= 0 ? textured_parameter::alpha : 0) |
-            (m.opacity >= 0 ? textured_parameter::opacity : 0) | (m.exponent >= 0 ? textured_parameter::exponent : 0) |
-            (m.textured_index() ? textured_parameter::index : 0));
+        textured.push_back((m.diffuse_idx >= 0 ? textured_parameter::diffuse : 0) |
+                           (m.specular_idx >= 0 ? textured_parameter::specular : 0) |
+                           (m.transmittance_idx >= 0 ? textured_parameter::transmittance : 0) |
+                           (m.alpha_u_idx >= 0 || m.alpha_v_idx >= 0 ? textured_parameter::alpha : 0) |
+                           (m.opacity_idx >= 0 ? textured_parameter::opacity : 0) |
+                           (m.exponent_idx >= 0 ? textured_parameter::exponent : 0) |
+                           (m.textured_index() ? textured_parameter::index : 0));
     out.textured = std::move(textured);
     const bool rough_plastic =
         std::any_of(in.begin(), in.end(), [](const Material& m) { return m.model.kind == BsdfKind::rough_plastic; });
@@ -254,22 +255,22 @@ void GraphBuilder::set(std::size_t i, const PathRecords& records) {
     next_vertex = first_vertex;
     const auto& v = rows.vertices;
     for (const VertexRecord& r : records.vertices) {
-        const std::size_t row = next_vertex[r.path]++;
+        const std::size_t row = next_vertex[r.path_idx]++;
         v.p.put(row, r.p.x, r.p.y, r.p.z);
         v.wo.put(row, r.wo.x, r.wo.y, r.wo.z);
         v.ns.put(row, r.ns);
         v.ng.put(row, r.ng);
         v.n_side.put(row, r.n_side);
         v.tangent.put(row, r.tangent);
-        v.material.put(row, r.material);
-        v.shape.put(row, r.shape);
+        v.material.put(row, r.material_idx);
+        v.shape.put(row, r.shape_idx);
         v.flags.put(row, r.flags);
         v.lobe.put(row, std::uint8_t(r.lobe));
         v.pdf_w.put(row, r.pdf_w);
         v.q.put(row, r.q);
         v.eta.put(row, r.eta);
-        v.medium.put(row, r.medium);
-        v.primitive.put(row, r.primitive);
+        v.medium.put(row, r.medium_idx);
+        v.primitive.put(row, r.primitive_idx);
         v.diffuse.put(row, r.diffuse);
         v.specular.put(row, r.specular);
         v.transmittance.put(row, r.transmittance);
@@ -281,25 +282,25 @@ void GraphBuilder::set(std::size_t i, const PathRecords& records) {
     }
     const auto& e = rows.light_edges;
     for (const LightEdgeRecord& r : records.light_edges) {
-        const std::size_t row = next_edge[r.path]++;
-        e.vertex.put(row, first_vertex[r.path] + r.vertex);
+        const std::size_t row = next_edge[r.path_idx]++;
+        e.vertex.put(row, first_vertex[r.path_idx] + r.vertex_idx);
         e.technique.put(row, std::uint8_t(r.technique));
         e.y.put(row, r.y.x, r.y.y, r.y.z, r.at_infinity ? 0.0f : 1.0f);
         e.n.put(row, r.n);
         e.Li.put(row, r.Li.r, r.Li.g, r.Li.b);
         e.pdf_nee_w.put(row, r.pdf_nee_w);
         e.pdf_bsdf_w.put(row, r.pdf_bsdf_w);
-        e.emitter.put(row, r.emitter);
+        e.emitter.put(row, r.emitter_idx);
         e.eta.put(row, r.medium.ior);
-        e.medium.put(row, r.medium.material);
+        e.medium.put(row, r.medium.material_idx);
     }
     const auto& m = rows.misses;
     for (const MissRecord& r : records.misses) {
-        const std::size_t row = next_miss[r.path]++;
-        m.vertex.put(row, first_vertex[r.path] + r.vertex);
+        const std::size_t row = next_miss[r.path_idx]++;
+        m.vertex.put(row, first_vertex[r.path_idx] + r.vertex_idx);
         m.technique.put(row, std::uint8_t(r.technique));
         m.y.put(row, r.y.x, r.y.y, r.y.z, r.at_infinity ? 0.0f : 1.0f);
-        m.emitter.put(row, r.emitter);
+        m.emitter.put(row, r.emitter_idx);
     }
 }
 

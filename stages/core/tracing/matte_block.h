@@ -14,18 +14,18 @@ class MatteBlock {
   public:
     MatteBlock(const Scene& scene, const PathOptions& options) : scene_(scene), options_(options) {
         for (const Shape& shape : scene.shapes) {
-            const Material& material = scene.materials[shape.material];
+            const Material& material = scene.materials[shape.material_idx];
             const BsdfModel& model = material.model;
             Surface& surface = surfaces_.emplace_back();
-            surface.matte = model.kind == BsdfKind::diffuse && model.opacity == 1 && material.opacity < 0 &&
-                            material.back < 0 && !material.perturbed() && shape.kind == ShapeKind::mesh &&
-                            shape.emitter < 0 && !scene.features.anisotropic;
-            surface.textured = material.diffuse >= 0;
+            surface.matte = model.kind == BsdfKind::diffuse && model.opacity == 1 && material.opacity_idx < 0 &&
+                            material.back_idx < 0 && !material.perturbed() && shape.kind == ShapeKind::mesh &&
+                            shape.emitter_idx < 0 && !scene.features.anisotropic;
+            surface.textured = material.diffuse_idx >= 0;
             surface.two_sided = model.two_sided ? 1.0f : 0.0f;
             surface.side = shape.flip_normals ? -1.0f : 1.0f;
             surface.hit_error = shape.hit_error;
             surface.reflectance = model.diffuse;
-            surface.vertex.set_surface(std::uint32_t(surfaces_.size() - 1), shape.material, Bsdf<float>(model),
+            surface.vertex.set_surface(std::uint32_t(surfaces_.size() - 1), shape.material_idx, Bsdf<float>(model),
                                        scene.features);
             surface.vertex.flags =
                 vertex_flag::attempted_bsdf | (scene.emitters.empty() ? 0 : vertex_flag::attempted_nee);
@@ -42,11 +42,11 @@ class MatteBlock {
     /// that are not diffuse or that emit, and lights that depend on the surface point.
     bool add(std::uint32_t ray, const Hit& hit, const PathState& path, const LightQuery& lights, Point2f u_direction,
              float u_roulette) {
-        if (!hit || !surfaces_[hit.shape].matte) return false;
+        if (!hit || !surfaces_[hit.shape_idx].matte) return false;
         if (!scene_.emitters.empty() && !lights.placed) return false;
         const LightPoint& light = lights.point;
-        const Surface& surface = surfaces_[hit.shape];
-        const Shape& shape = scene_.shapes[hit.shape];
+        const Surface& surface = surfaces_[hit.shape_idx];
+        const Shape& shape = scene_.shapes[hit.shape_idx];
         const TrianglePoint at = triangle_point(shape, hit, surface.textured);
         MatteColumns& c = columns_;
         const std::size_t m = size_++;
@@ -57,7 +57,7 @@ class MatteBlock {
         c.n.set(m, at.n);
         c.side[m] = length2(at.n) > 0 ? surface.side : 0.0f;
         c.reflectance.set(
-            m, surface.textured ? scene_.diffuse(scene_.materials[shape.material], at.uv) : surface.reflectance);
+            m, surface.textured ? scene_.diffuse(scene_.materials[shape.material_idx], at.uv) : surface.reflectance);
         c.two_sided[m] = surface.two_sided;
         c.wo.set(m, -path.ray.d);
         c.beta.set(m, path.beta);
@@ -73,7 +73,7 @@ class MatteBlock {
         c.light_pdf_w[m] = light.pdf_w;
         c.light_pmf[m] = light.pmf;
         c.light_at_infinity[m] = light.at_infinity ? 1.0f : 0.0f;
-        emitters_[m] = light.emitter;
+        emitters_[m] = light.emitter_idx;
         return true;
     }
 
@@ -108,13 +108,13 @@ class MatteBlock {
         }
         path.lobe = Lobe::diffuse;
         path.is_straight = false;
-        path.pdf_w = c.next_pdf_w[m];
+        path.density = c.next_pdf_w[m];
         path.from = c.p.get<Point3f>(m);
         path.beta = c.next_beta.get<Spectrum>(m);
         path.ray = {c.next_o.get<Point3f>(m), c.next_d.get<Vector3f>(m), 0, INFINITY};
         if constexpr (recording) {
             record.last().lobe = path.lobe;
-            record.last().pdf_w = path.pdf_w;
+            record.last().pdf_w = path.density;
         }
         return step | Step::goes_on;
     }
@@ -131,12 +131,12 @@ class MatteBlock {
     void record_vertex(std::size_t m, int depth, const Hit& hit, const PathState& path, PathRecorder record) const {
         const MatteColumns& c = columns_;
         if (depth > 1) record.last().flags |= vertex_flag::continued;
-        VertexRecord& vertex = record.add(surfaces_[hit.shape].vertex);
+        VertexRecord& vertex = record.add(surfaces_[hit.shape_idx].vertex);
         const auto ns = c.ns.get<Normal3f>(m);
         vertex.set_arrival(c.p.get<Point3f>(m), c.wo.get<Vector3f>(m), ns, c.ng.get<Normal3f>(m), ns,
                            path.media.medium(), scene_.features);
         if (scene_.features.textured_diffuse) vertex.diffuse = half_color(c.reflectance.get<Spectrum>(m));
-        vertex.primitive = hit.primitive;
+        vertex.primitive_idx = hit.primitive_idx;
         vertex.q = c.q[m];
     }
 
@@ -149,7 +149,7 @@ class MatteBlock {
         light.y = c.light_y.get<Point3f>(m);
         light.n = c.light_n.get<Normal3f>(m);
         light.at_infinity = c.light_at_infinity[m] != 0;
-        light.emitter = emitters_[m];
+        light.emitter_idx = emitters_[m];
         return light;
     }
 

@@ -50,10 +50,10 @@ class NlosPath {
     }
 
   private:
-    /// Light that reaches a vertex from the projector or the laser spot. pdf_w is 1: the point is not sampled.
+    /// Light that reaches a vertex from the projector or the laser spot. pmf is 1: the point is not sampled.
     struct Light : LightSample {
         RayEnd end;  // end of its shadow ray
-        Light() { pdf_w = 1; }
+        Light() { pmf = 1; }
     };
     static constexpr int no_limit = 1 << 30;
 
@@ -132,17 +132,17 @@ class NlosPath {
         if (delta) {
             if (here.perturbed && s.lobe != Lobe::null) s.weight *= bump_shadowing(here, wi, s.wi.z);
             const float chosen = q * (1 - c);
-            pass_vertex(path_, here.p, model, {at.shape, at.material}, s, chosen, s.pdf_w * chosen);
+            pass_vertex(path_, here.p, model, {at.shape_idx, at.material_idx}, s, chosen, s.pmf * chosen);
         } else {
             const float p_hidden = c > 0 ? pdf_hidden_w(scene_, here.p, scene_.surface(path_.ray, hit_)) : 0.0f;
             const float pdf_w = q * (c * p_hidden + (1 - c) * value.pdf_w);
             if (!(pdf_w > 0)) return end(Ending::invalid_sample);
             s.weight = value.f_cos * (1 / pdf_w);  // roulette included
-            pass_vertex(path_, here.p, model, {at.shape, at.material}, s, 1, pdf_w);
+            pass_vertex(path_, here.p, model, {at.shape_idx, at.material_idx}, s, 1, pdf_w);
         }
         if constexpr (recording) {
             record.last().lobe = s.lobe;
-            record.last().pdf_w = path_.pdf_w;
+            record.last().pdf_w = path_.density;
             record.last().flags |= vertex_flag::continued;
         }
         return true;
@@ -150,10 +150,11 @@ class NlosPath {
 
     /// Whether the ray has hit the point at which it was aimed, and nothing before it.
     bool hit_first(const HiddenPoint& aimed) const {
-        if (!hit_ || hit_.shape != aimed.element.shape || hit_.primitive != aimed.element.primitive) return false;
-        if (scene_.shapes[hit_.shape].kind != ShapeKind::sphere) return true;
+        if (!hit_ || hit_.shape_idx != aimed.element.shape || hit_.primitive_idx != aimed.element.primitive)
+            return false;
+        if (scene_.shapes[hit_.shape_idx].kind != ShapeKind::sphere) return true;
         // A line hits a sphere twice: from outside the ray hits the front point, from inside the only one ahead.
-        const Shape& sphere = scene_.shapes[hit_.shape];
+        const Shape& sphere = scene_.shapes[hit_.shape_idx];
         const bool inside = length2(path_.ray.o - sphere.round.center) < sqr(sphere.round.radius);
         return (dot(aimed.n, path_.ray.d) < 0) != inside;
     }
@@ -169,7 +170,7 @@ class NlosPath {
         path_.result.L += path_.beta * f_cos * light.Li;
         if constexpr (recording)
             record.add(light_edge(record.last_number(), LightTechnique::next_event, light, 0,
-                                  medium_towards(path_.media, here, {at.shape, at.material}, light.wi)));
+                                  medium_towards(path_.media, here, {at.shape_idx, at.material_idx}, light.wi)));
     }
 
     bool light_of_projector(const ShadingPoint& here, Light& light) const {

@@ -35,10 +35,10 @@ struct VertexRecord {
     Half opacity{};
     HalfColor eta_c{}, k_c{};
     float exponent = 0;
-    std::uint16_t material = 0, flags = 0;
+    std::uint16_t material_idx = 0, flags = 0;
     Lobe lobe = Lobe::none;
-    std::uint16_t medium = Medium::outside;  // Medium::material of the segment that arrives here
-    std::uint32_t shape = 0, primitive = 0, path = 0;
+    std::uint16_t medium_idx = Medium::outside;  // Medium::material_idx of the segment that arrives here
+    std::uint32_t shape_idx = 0, primitive_idx = 0, path_idx = 0;
     float pdf_w = 0;  // of the BSDF sample, roulette folded in
     float q = 1;      // survival probability of roulette
     float eta = 1;    // absolute index of the segment that arrives here
@@ -54,13 +54,13 @@ struct VertexRecord {
         if (features.smooth_normals) ng = normal_code(geometric);
         if (features.perturbed_normals) n_side = unperturbed == shading ? ns : normal_code(unperturbed);
         eta = arriving.ior;
-        medium = arriving.material;
+        medium_idx = arriving.material_idx;
     }
     /// Fills what the shape and its material determine.
     void set_surface(std::uint32_t shape_, std::uint32_t material_, const Bsdf<float>& bsdf,
                      const SceneFeatures& features) {
-        shape = shape_;
-        material = std::uint16_t(material_);
+        shape_idx = shape_;
+        material_idx = std::uint16_t(material_);
         if (features.textured_diffuse) diffuse = half_color(bsdf.diffuse);
         if (features.textured_specular) specular = half_color(bsdf.specular);
         if (features.textured_transmittance) transmittance = half_color(bsdf.transmittance);
@@ -72,10 +72,10 @@ struct VertexRecord {
 };
 
 struct LightEdgeRecord {
-    std::uint32_t path = 0, vertex = 0;  // vertex: within the path
+    std::uint32_t path_idx = 0, vertex_idx = 0;  // vertex: within the path
     LightTechnique technique = LightTechnique::next_event;
     bool at_infinity = false;
-    std::uint16_t emitter = 0;
+    std::uint16_t emitter_idx = 0;
     Point3f y;  // or the direction towards it
     NormalCode n{};
     Spectrum Li;
@@ -84,20 +84,20 @@ struct LightEdgeRecord {
 };
 
 /// A light edge of vertex number `vertex` of a path.
-/// in:  light       point, normal, emitter and Li; pdf_w: of next-event estimation, 0 where it does not find the point
+/// in:  light       point, normal, emitter and Li; density() of next-event estimation, 0 where it does not find the point
 ///      pdf_bsdf_w  of BSDF sampling, roulette folded in
 ///      medium      of the edge
 inline LightEdgeRecord light_edge(std::uint32_t vertex, LightTechnique technique, const LightSample& light,
                                   float pdf_bsdf_w, const Medium& medium) {
     LightEdgeRecord edge;
-    edge.vertex = vertex;
+    edge.vertex_idx = vertex;
     edge.technique = technique;
     edge.at_infinity = light.at_infinity;
-    edge.emitter = light.emitter;
+    edge.emitter_idx = light.emitter_idx;
     edge.y = light.y;
     edge.n = normal_code(light.n == Normal3f{} ? Normal3f{0, 0, 1} : light.n);
     edge.Li = light.Li;
-    edge.pdf_nee_w = light.pdf_w;
+    edge.pdf_nee_w = light.density();
     edge.pdf_bsdf_w = pdf_bsdf_w;
     edge.medium = medium;
     return edge;
@@ -105,9 +105,9 @@ inline LightEdgeRecord light_edge(std::uint32_t vertex, LightTechnique technique
 
 /// A sample of a vertex that found no light: an occluded light sample, a BSDF sample that hit no emitter.
 struct MissRecord {
-    std::uint32_t path = 0, vertex = 0;  // vertex: within the path
+    std::uint32_t path_idx = 0, vertex_idx = 0;  // vertex: within the path
     LightTechnique technique = LightTechnique::next_event;
-    std::uint16_t emitter = 0;
+    std::uint16_t emitter_idx = 0;
     bool at_infinity = false;
     // end of the shadow ray, or its direction; direction of the BSDF sample; the vertex itself where no ray was traced
     Point3f y;
@@ -118,7 +118,7 @@ struct PathRecords {
         Point3f origin;
         Spectrum Le;  // of the directly visible emitter
         std::uint32_t n_vertices = 0, n_light_edges = 0, n_misses = 0;
-        std::uint32_t last = 0;  // latest vertex, among those of all paths
+        std::uint32_t last_idx = 0;  // latest vertex, among those of all paths
     };
     std::vector<Path> paths;
     std::vector<VertexRecord> vertices;
@@ -141,7 +141,7 @@ class PathRecorder {
     PathRecorder(PathRecords& records, std::uint32_t path) : records_(&records), path_(path) {}
 
     PathRecords::Path& path() const { return records_->paths[path_]; }
-    VertexRecord& last() const { return records_->vertices[path().last]; }
+    VertexRecord& last() const { return records_->vertices[path().last_idx]; }
     std::uint32_t last_number() const { return path().n_vertices - 1; }
 
     /// Adds a vertex on a surface.
@@ -150,39 +150,45 @@ class PathRecorder {
                       const Medium& arriving) const {
         VertexRecord& vertex = add(VertexRecord{});
         vertex.set_arrival(here.p, here.wo, here.frame.n, here.ng, here.n_side, arriving, scene.features);
-        vertex.primitive = at.primitive;
+        vertex.primitive_idx = at.primitive_idx;
         if (scene.features.anisotropic) vertex.tangent = normal_code(here.frame.s);
-        vertex.set_surface(at.shape, at.material, here.bsdf, scene.features);
+        vertex.set_surface(at.shape_idx, at.material_idx, here.bsdf, scene.features);
         return vertex;
     }
     VertexRecord& add(const VertexRecord& like) const {
         PathRecords::Path& mine = path();
-        mine.last = std::uint32_t(records_->vertices.size());
+        mine.last_idx = std::uint32_t(records_->vertices.size());
         ++mine.n_vertices;
         VertexRecord& vertex = records_->vertices.emplace_back(like);
-        vertex.path = path_;
+        vertex.path_idx = path_;
         return vertex;
     }
     void add(const LightEdgeRecord& edge) const {
         ++path().n_light_edges;
-        records_->light_edges.emplace_back(edge).path = path_;
+        records_->light_edges.emplace_back(edge).path_idx = path_;
     }
     /// A light sample without a shadow ray, as it contributes zero.
-    void miss(std::uint16_t emitter) const { keep({.vertex = last_number(), .emitter = emitter, .y = last().p}); }
+    void miss(std::uint16_t emitter) const {
+        keep({.vertex_idx = last_number(), .emitter_idx = emitter, .y = last().p});
+    }
     /// An occluded light sample.
     void miss(const LightEdgeRecord& edge) const {
-        keep({.vertex = edge.vertex, .emitter = edge.emitter, .at_infinity = edge.at_infinity, .y = edge.y});
+        keep({.vertex_idx = edge.vertex_idx,
+              .emitter_idx = edge.emitter_idx,
+              .at_infinity = edge.at_infinity,
+              .y = edge.y});
     }
     /// A BSDF sample that hit no emitter.
     void miss(const Vector3f& d) const {
-        keep({.vertex = last_number(), .technique = LightTechnique::bsdf_hit, .at_infinity = true, .y = Point3f(d)});
+        keep(
+            {.vertex_idx = last_number(), .technique = LightTechnique::bsdf_hit, .at_infinity = true, .y = Point3f(d)});
     }
 
   private:
     void keep(const MissRecord& miss) const {
         if (!records_->keeps_misses) return;
         ++path().n_misses;
-        records_->misses.emplace_back(miss).path = path_;
+        records_->misses.emplace_back(miss).path_idx = path_;
     }
 
     PathRecords* records_ = nullptr;

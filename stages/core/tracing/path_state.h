@@ -13,7 +13,7 @@ struct alignas(64) PathState {
     Ray ray;
     Spectrum beta{1};     // throughput up to the ray: includes the last BSDF sample and roulette
     float eta_scale = 1;  // product of squared relative indices: undoes radiance scaling for roulette
-    float pdf_w = 0;      // of the ray's direction, roulette folded in; for a delta lobe its pmf
+    float density = 0;    // of the ray's direction, sr^-1, or pmf of its delta lobe; roulette folded in
     Point3f from;         // vertex that it left
     Lobe lobe = Lobe::none;
     bool is_straight = true;  // only lobes that go_straight_on() since the camera

@@ -29,18 +29,19 @@ constexpr Step operator|(Step a, Step b) {
 template <bool recording>
 void add_arrived_light(PathState& path, PathRecorder record, const Spectrum& Li, float pdf_nee, int emitter,
                        const SurfacePoint* at) {
-    path.result.L += light_hit_contribution(path.beta, Li, path.pdf_w, pdf_nee);
+    path.result.L += light_hit_contribution(path.beta, Li, path.density, pdf_nee);
     if constexpr (recording) {
         LightSample light;
         light.Li = Li;
         light.pdf_w = pdf_nee;
-        light.emitter = std::uint16_t(emitter);
+        light.emitter_idx = std::uint16_t(emitter);
         light.at_infinity = at == nullptr;
         // Exactly along the sampled direction from the vertex. The ray started off the surface, so the direction to its
         // hit point differs.
         light.y = at ? path.from + path.ray.d * dot(at->p - path.from, path.ray.d) : Point3f(path.ray.d);
         if (at) light.n = at->ng;
-        record.add(light_edge(record.last_number(), LightTechnique::bsdf_hit, light, path.pdf_w, path.media.medium()));
+        record.add(
+            light_edge(record.last_number(), LightTechnique::bsdf_hit, light, path.density, path.media.medium()));
     }
 }
 
@@ -51,11 +52,11 @@ template <bool recording>
 bool sample_next_event(const Scene& scene, const PathState& path, const ShadingPoint& here, SurfaceIdx surface, float q,
                        const LightQuery& lights, ShadowRequest& shadow, std::uint32_t vertex) {
     const LightSample light = sample_light(scene, here.p, lights);
-    if (!(light.pdf_w > 0)) return false;
+    if (!(light.density() > 0)) return false;
     const BsdfValue<float> value = f_cos_pdf(here, light.wi);
     if (is_black(value.f_cos)) return false;
     const float pdf_bsdf = light.delta ? 0.0f : value.pdf_w * q;
-    shadow.contribution = light_sample_contribution(path.beta, value.f_cos, light.Li, light.pdf_w, pdf_bsdf);
+    shadow.contribution = light_sample_contribution(path.beta, value.f_cos, light.Li, light.density(), pdf_bsdf);
     shadow.ray = light.at_infinity ? spawn_ray(here.end(), light.wi) : spawn_segment(here.end(), light.end());
     if constexpr (recording)
         shadow.edge = light_edge(vertex, LightTechnique::next_event, light, pdf_bsdf,
@@ -84,7 +85,7 @@ Step arrive(const Scene& scene, const PathOptions& options, int depth, const Hit
             return Step::ends;
         }
         if (!is_black(Le))
-            add_arrived_light<recording>(path, record, Le, mis ? lights.pdf_w : 0.0f, scene.environment, nullptr);
+            add_arrived_light<recording>(path, record, Le, mis ? lights.pdf_w : 0.0f, scene.environment_idx, nullptr);
         else if constexpr (recording)
             record.miss(path.ray.d);
         if constexpr (recording) record.last().end(Ending::escaped);
@@ -92,12 +93,12 @@ Step arrive(const Scene& scene, const PathOptions& options, int depth, const Hit
     }
     const bool last_vertex = options.max_depth >= 0 && depth >= options.max_depth;
     if constexpr (!recording)
-        if (last_vertex && depth > 1 && scene.shapes[hit.shape].emitter < 0) {
+        if (last_vertex && depth > 1 && scene.shapes[hit.shape_idx].emitter_idx < 0) {
             ++path.result.n_vertices;  // its position is never used
             return Step::ends;
         }
     const SurfacePoint at = scene.surface(path.ray, hit);
-    if (const int emitter = scene.shapes[at.shape].emitter; emitter >= 0) {
+    if (const int emitter = scene.shapes[at.shape_idx].emitter_idx; emitter >= 0) {
         const Spectrum Le = dark ? Spectrum(0) : emitted(scene, at, wo);
         if (depth == 1) {
             path.result.L = Le;
@@ -107,7 +108,7 @@ Step arrive(const Scene& scene, const PathOptions& options, int depth, const Hit
                 add_arrived_light<recording>(path, record, Le, mis ? pdf_light_w(scene, path.from, at) : 0.0f, emitter,
                                              &at);
             // An emitter that reflects nothing ends the path as a light point.
-            if (scene.materials[at.material].black()) {
+            if (scene.materials[at.material_idx].black()) {
                 if constexpr (recording) {
                     if (is_black(Le)) record.miss(path.ray.d);
                     record.last().end(Ending::hit_emitter);
@@ -127,8 +128,8 @@ Step arrive(const Scene& scene, const PathOptions& options, int depth, const Hit
         if constexpr (recording) record.last().end(Ending::max_depth);
         return Step::ends;
     }
-    return leave<recording>(scene, options, depth, here, {at.shape, at.material}, lights, u_direction, path, shadow,
-                            record);
+    return leave<recording>(scene, options, depth, here, {at.shape_idx, at.material_idx}, lights, u_direction, path,
+                            shadow, record);
 }
 
 /// Leaves vertex number `depth` of a path that may continue: samples a light, applies roulette and samples the next
@@ -146,7 +147,7 @@ template <bool recording>
                                                    recording ? record.last_number() : 0))
         step = Step::needs_shadow_ray;
     else if constexpr (recording)
-        if (next_event) record.miss(lights.point.emitter);
+        if (next_event) record.miss(lights.point.emitter_idx);
     if constexpr (recording) {
         record.last().q = q;
         record.last().flags |= vertex_flag::attempted_bsdf | (next_event ? vertex_flag::attempted_nee : 0);
@@ -162,11 +163,11 @@ template <bool recording>
         if constexpr (recording) record.last().end(Ending::invalid_sample);
         return step;
     }
-    pass_vertex(path, here.p, *here.bsdf.model, surface, s, q, s.pdf_w * q);
+    pass_vertex(path, here.p, *here.bsdf.model, surface, s, q, s.density() * q);
     path.ray = spawn_ray(here.end(), wi);
     if constexpr (recording) {
         record.last().lobe = s.lobe;
-        record.last().pdf_w = path.pdf_w;
+        record.last().pdf_w = path.density;
     }
     return step | Step::goes_on;
 }

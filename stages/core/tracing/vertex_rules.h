@@ -89,14 +89,14 @@ constexpr bool goes_straight_on(Lobe lobe, BsdfKind kind) {
 }
 
 /// Moves the state of a path past a vertex; the caller sets its next ray.
-/// in:  s      direction that continues the path
-///      q      probability to continue; s.weight is divided by it
-///      pdf_w  density of the direction, roulette folded in
+/// in:  s        direction that continues the path
+///      q        probability to continue; s.weight is divided by it
+///      density  of the direction in the measure of its lobe, roulette folded in
 [[gnu::always_inline]] inline void pass_vertex(PathState& path, const Point3f& p, const BsdfModel& model,
-                                               SurfaceIdx surface, const BsdfSample<float>& s, float q, float pdf_w) {
+                                               SurfaceIdx surface, const BsdfSample<float>& s, float q, float density) {
     path.lobe = s.lobe;
     path.is_straight &= goes_straight_on(s.lobe, model.kind);
-    path.pdf_w = pdf_w;
+    path.density = density;
     path.from = p;
     path.beta = continued(path.beta, s.weight, q);
     if (s.lobe == Lobe::delta_transmission || s.lobe == Lobe::glossy_transmission) {

@@ -37,7 +37,7 @@ Segment segment_to_light(const DynamicScene& side, const Vertex& v, const LightE
 
 bool scatters_on_both_sides(const Scene& scene, const ShadingPoint& here, const Vertex& vertex) {
     const BsdfModel& model = *here.bsdf.model;
-    return model.two_sided || scene.materials[scene.shapes[vertex.hit.shape].material].back >= 0 ||
+    return model.two_sided || scene.materials[scene.shapes[vertex.hit.shape_idx].material_idx].back_idx >= 0 ||
            here.bsdf.opacity < 1 || model.kind == BsdfKind::dielectric || model.kind == BsdfKind::thin_dielectric ||
            model.kind == BsdfKind::rough_dielectric || model.kind == BsdfKind::null;
 }
@@ -84,7 +84,7 @@ double light_pdf(const Scene& scene, const LightEnd& light, const Point3f& from)
     SurfacePoint at;
     at.p = light.y;
     at.ng = light.n;
-    at.shape = scene.emitters[light.emitter].shape;
+    at.shape_idx = scene.emitters[light.emitter].shape_idx;
     return pdf_light_w(scene, from, at);
 }
 

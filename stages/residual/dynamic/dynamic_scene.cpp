@@ -9,12 +9,12 @@ namespace {
 /// Returns the part of a shape that a ray engine reads.
 Shape geometry_of(const Shape& shape) {
     Shape copy = shape;
-    copy.emitter = -1;
+    copy.emitter_idx = -1;
     return copy;
 }
 
 Normal3f normal_at(const Shape& shape, const Hit& hit, const Point3f& p) {
-    if (shape.kind == ShapeKind::mesh) return shape.triangles[hit.primitive].ng;
+    if (shape.kind == ShapeKind::mesh) return shape.triangles[hit.primitive_idx].ng;
     if (shape.kind == ShapeKind::sphere) return Normal3f(normalize(p - shape.round.center));
     return shape.round.disk_normal();
 }
@@ -36,12 +36,12 @@ std::vector<Box3f> boxes_around(const std::vector<Shape>& shapes, float grown_by
 }
 
 bool black(const Scene& scene, std::uint32_t shape) {
-    return scene.materials[scene.shapes[shape].material].black();
+    return scene.materials[scene.shapes[shape].material_idx].black();
 }
 
 bool sided(const Scene& scene, const Shape& shape) {
-    const Material& material = scene.materials[shape.material];
-    return material.perturbed() || material.back >= 0;
+    const Material& material = scene.materials[shape.material_idx];
+    return material.perturbed() || material.back_idx >= 0;
 }
 
 }  // namespace
@@ -80,13 +80,13 @@ SitePoint SiteShapes::sample(Start start, float u_choice, Point2f u) const {
     SitePoint point;
     point.member = std::uint32_t(by_area(start).sample(u_choice));
     const Shape& shape = *shapes_[point.member];
-    point.hit.shape = point.member;
+    point.hit.shape_idx = point.member;
     if (shape.kind == ShapeKind::mesh) {
-        point.hit.primitive = std::uint32_t(triangles_[point.member].sample(u_choice));
+        point.hit.primitive_idx = std::uint32_t(triangles_[point.member].sample(u_choice));
         const Point2f b = sample_triangle(u);
         point.hit.u = b.x;
         point.hit.v = b.y;
-        const TriangleRecord& t = shape.triangles[point.hit.primitive];
+        const TriangleRecord& t = shape.triangles[point.hit.primitive_idx];
         point.p = t.point(b.x, b.y);
     } else if (shape.kind == ShapeKind::sphere) {
         point.p = shape.round.sphere_point(sample_uniform_sphere(u));
@@ -105,8 +105,8 @@ Vertex DynamicScene::vertex(const Ray& ray, const Hit& hit) const {
     v.at = scene.surface(ray, hit);
     v.here = shading_point(scene, v.at, -ray.d);
     v.hit = hit;
-    v.site = site_of[hit.shape];
-    v.sided = sided(scene, scene.shapes[hit.shape]);
+    v.site = site_of[hit.shape_idx];
+    v.sided = sided(scene, scene.shapes[hit.shape_idx]);
     return v;
 }
 
@@ -123,7 +123,7 @@ void DynamicScene::aim(const Vertex& v, const Vector3f& wo, ShadingPoint& here) 
 
 Vertex DynamicScene::vertex(const SitePoint& point, std::uint32_t shape, const Vector3f& wo) const {
     Hit hit = point.hit;
-    hit.shape = shape;
+    hit.shape_idx = shape;
     hit.t = 0;
     return vertex(Ray{point.p, -wo}, hit);
 }
@@ -137,7 +137,7 @@ std::uint32_t DynamicScene::cross(const Ray& ray, Crossings& crossings) const {
     ghost_rays->crossings(ray, crossings.scratch);
     for (const Hit& hit : crossings.scratch) {
         const Point3f p = ray.o + ray.d * hit.t;
-        crossings.all.push_back({p, normal_at(ghosts[hit.shape], hit, p), hit.shape, hit.primitive});
+        crossings.all.push_back({p, normal_at(ghosts[hit.shape_idx], hit, p), hit.shape_idx, hit.primitive_idx});
     }
     return std::uint32_t(crossings.scratch.size());
 }
@@ -149,7 +149,7 @@ DynamicScenes::DynamicScenes(const Scene& old_, const Scene& new_, const Edit& e
         const auto& emitters = side->is_new ? edit.new_emitters : edit.old_emitters;
         side->site_of.assign(shapes.size(), no_site);
         for (const ShapeEdit& shape : shapes) {
-            side->partner_of.push_back(shape.partner);
+            side->partner_of.push_back(shape.partner_idx);
             side->to_partner.push_back({shape.to_partner});
         }
         for (std::uint32_t i = 0; i < shapes.size(); ++i) {
@@ -160,10 +160,11 @@ DynamicScenes::DynamicScenes(const Scene& old_, const Scene& new_, const Edit& e
             side->site_of[i] = std::uint8_t(site);
             if (moves) movers.push_back(geometry_of(side->scene.shapes[i]));
             if (!moves && !side->is_new) continue;
-            const bool scatters = !black(side->scene, i) || (!moves && !black(old_, shape.partner));
+            const bool scatters = !black(side->scene, i) || (!moves && !black(old_, shape.partner_idx));
             sites[std::size_t(site)].add(
                 side->scene, i,
-                side->is_new ? SiteShapes::Member{i, shape.partner} : SiteShapes::Member{shape.partner, i}, scatters);
+                side->is_new ? SiteShapes::Member{i, shape.partner_idx} : SiteShapes::Member{shape.partner_idx, i},
+                scatters);
         }
         for (const EmitterEdit& emitter : emitters) {
             side->changed_emitter.push_back(emitter.changed);
@@ -172,8 +173,8 @@ DynamicScenes::DynamicScenes(const Scene& old_, const Scene& new_, const Edit& e
     }
     same_choice_of_lights = old_.emitters.size() == new_.emitters.size();
     for (std::size_t i = 0; same_choice_of_lights && i < new_.emitters.size(); ++i)
-        same_choice_of_lights =
-            edit.new_emitters[i].partner == i && old_.emitters[i].sampling_weight == new_.emitters[i].sampling_weight;
+        same_choice_of_lights = edit.new_emitters[i].partner_idx == i &&
+                                old_.emitters[i].sampling_weight == new_.emitters[i].sampling_weight;
     for (SiteShapes& site : sites) site.finish();
     for (DynamicScene* side : {&old_scene, &new_scene}) {
         const Scene& other = side->is_new ? old_ : new_;
@@ -192,7 +193,8 @@ EditTargets DynamicScenes::targets(const DynamicScene& side) const {
     targets.boxes = boxes_around(movers, 1e-4f * side.scene.radius);
     for (const std::uint8_t site : side.site_of) targets.shapes.push_back(site != no_site);
     targets.emitters.assign(side.changed_emitter.begin(), side.changed_emitter.end());
-    targets.environment = side.scene.environment >= 0 && side.changed_emitter[std::size_t(side.scene.environment)];
+    targets.environment =
+        side.scene.environment_idx >= 0 && side.changed_emitter[std::size_t(side.scene.environment_idx)];
     return targets;
 }
 

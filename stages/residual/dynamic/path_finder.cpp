@@ -31,7 +31,7 @@ Hit PathFinder::intersect(const Ray& ray, bool from_camera) {
 }
 
 bool PathFinder::scatters(const Hit& hit) const {
-    return hit && !side_.scene.materials[side_.scene.shapes[hit.shape].material].black();
+    return hit && !side_.scene.materials[side_.scene.shapes[hit.shape_idx].material_idx].black();
 }
 
 Segment PathFinder::segment_to_sensor(const Vertex& v, const FilmPoint& film) {
@@ -60,11 +60,11 @@ LightEnd PathFinder::light_end(const LightSample& s) const {
     light.y = s.at_infinity ? Point3f(s.wi) : s.y;
     light.n = s.n;
     light.hit_error = s.hit_error;
-    light.pdf = s.pdf_w;
-    light.emitter = s.emitter;
+    light.pdf = s.density();
+    light.emitter = s.emitter_idx;
     light.at_infinity = s.at_infinity;
     light.delta = s.delta;
-    light.changed = side_.changed_emitter[s.emitter];
+    light.changed = side_.changed_emitter[s.emitter_idx];
     return light;
 }
 
@@ -74,7 +74,7 @@ bool PathFinder::relocate(const Segment& segment, const SitePoint& point, std::u
     for (std::uint32_t c = segment.first; c < segment.first + segment.n; ++c) {
         const Crossing& crossing = crossings_.all[c];
         const float distance2 = length2(crossing.p - point.p);
-        if (crossing.member != point.member || crossing.primitive != point.hit.primitive || !(distance2 < nearest))
+        if (crossing.member != point.member || crossing.primitive != point.hit.primitive_idx || !(distance2 < nearest))
             continue;
         nearest = distance2;
         place = c;
@@ -112,7 +112,7 @@ void PathFinder::join_sensor(Stop& stop) {
 void PathFinder::join_light(Stop& stop, Point2f u) {
     if (side_.scene.emitters.empty()) return;
     const LightSample light = sample_light(side_.scene, stop.v.at.p, u);
-    if (!(light.pdf_w > 0)) return;
+    if (!(light.density() > 0)) return;
     stop.end = interact(side_, stop.v, stop.back, light.wi, Lobe::none);
     stop.light = light_end(light);
     if (!(max_channel(stop.end.f_cos) > 0) || occluded(shadow_ray(stop.v, stop.light))) return;
@@ -237,7 +237,7 @@ void PathFinder::dynamic_from_emitter(const SiteSample& from) {
     // Sample a light.
     if (side_.scene.emitters.empty()) return;
     const LightSample s = sample_light(side_.scene, from.point.p, from.u_light);
-    if (!(s.pdf_w > 0)) return;
+    if (!(s.density() > 0)) return;
 
     // Make the point the vertex next to it.
     Stop first;
@@ -270,7 +270,7 @@ void PathFinder::ghost_from_emitter(const SiteSample& from) {
     LightEnd light;
     if (query.placed || seen.delta) {
         const LightSample s = sample_light(scene, p, query);
-        if (!(s.pdf_w > 0)) return;
+        if (!(s.density() > 0)) return;
         light = light_end(s);
     } else {
         light = light_end(seen);
@@ -436,7 +436,7 @@ PathFinder::CameraPath PathFinder::trace_from_camera(PathId id, const Sampler& n
         if (!hit) {
             path.escaped = true;
             path.touched = path.touched || scenes_.lights_changed;
-            if (scene.environment >= 0 && !hides_sky(scene, is_straight)) path.sky = sky_end(ray.d);
+            if (scene.environment_idx >= 0 && !hides_sky(scene, is_straight)) path.sky = sky_end(ray.d);
             return path;
         }
 
@@ -446,7 +446,7 @@ PathFinder::CameraPath PathFinder::trace_from_camera(PathId id, const Sampler& n
         stop.back = -ray.d;
         path.touched = path.touched || stop.v.site != no_site;
         if (depth == 1) first_hit = loom::first_hit(stop.v.here, hit.t);
-        if (const int emitter = scene.shapes[hit.shape].emitter; emitter >= 0) {
+        if (const int emitter = scene.shapes[hit.shape_idx].emitter_idx; emitter >= 0) {
             stop.met = emitted_end(stop, emitter);
             stop.met.pdf = depth > 1 ? pdf_light_w(scene, y_[y_.size() - 2].v.at.p, stop.v.at) : 0.0f;
             path.touched = path.touched || stop.met.changed;
@@ -472,8 +472,8 @@ LightEnd PathFinder::sky_end(const Vector3f& d) const {
     sky.Le = Radiance(environment(scene, d));
     sky.y = Point3f(d);
     sky.at_infinity = true;
-    sky.emitter = std::uint16_t(scene.environment);
-    sky.changed = side_.changed_emitter[std::size_t(scene.environment)];
+    sky.emitter = std::uint16_t(scene.environment_idx);
+    sky.changed = side_.changed_emitter[std::size_t(scene.environment_idx)];
     sky.pdf = pdf_environment_w(scene, d);
     return sky;
 }
@@ -493,8 +493,8 @@ void PathFinder::join_sampled_light(Stop& stop, const Sampler& numbers, int dept
     const ShadingPoint& here = stop.v.here;
     if (side_.scene.emitters.empty() || !has_smooth_lobe(here.bsdf)) return;
     const LightSample s = sample_light(side_.scene, here.p, numbers.pair(dimension(depth, Dimension::light)));
-    touched = touched || side_.changed_emitter[s.emitter];
-    if (!(s.pdf_w > 0) || is_black(f_cos_pdf(here, s.wi).f_cos)) return;
+    touched = touched || side_.changed_emitter[s.emitter_idx];
+    if (!(s.density() > 0) || is_black(f_cos_pdf(here, s.wi).f_cos)) return;
     stop.light = light_end(s);
     const Ray shadow = shadow_ray(stop.v, stop.light);
     stop.joined = !occluded(shadow);

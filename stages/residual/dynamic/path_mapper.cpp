@@ -41,13 +41,13 @@ void PathMapper::reconnect(const FullPath& path, std::size_t j) {
     r.next = next;
     crossings_.all.clear();
     r.why = [&] {
-        const std::uint32_t shape = from_.partner_of[base.hit.shape];
+        const std::uint32_t shape = from_.partner_of[base.hit.shape_idx];
         if (shape == ShapeEdit::none) return Rejection::moved;
         // A vertex that is smooth enough in one scene may not be in the other.
         if (before.site != no_site || (next && next->site != no_site)) return Rejection::moved;
         SitePoint point;
         point.hit = base.hit;
-        point.p = from_.to_partner[base.hit.shape](base.at.p);
+        point.p = from_.to_partner[base.hit.shape_idx](base.at.p);
         const Vector3f to_before = normalize(before.at.p - point.p);
         r.moved = to_.vertex(point, shape, to_before);
         if (!smooth_enough(base) || !smooth_enough(r.moved) || !smooth_enough(before) ||
@@ -82,10 +82,10 @@ void PathMapper::reconnect(const FullPath& path, std::size_t j) {
             to_light = direction_to(light, r.moved.at.p);
             if (light.delta) {
                 LightQuery query;
-                query.point.emitter = light.emitter;
+                query.point.emitter_idx = light.emitter;
                 query.point.pmf = to_.scene.emitters.size() > 1 ? to_.scene.emitter_pmf.pmf(light.emitter) : 1.0f;
                 const LightSample s = sample_light(to_.scene, r.moved.at.p, query);
-                if (!(s.pdf_w > 0)) return Rejection::light;
+                if (!(s.density() > 0)) return Rejection::light;
                 light.Le = Radiance(s.Li);
             } else if (!light.at_infinity) {
                 const double cos_before = -dot(light.n, direction_to(path.light, base.at.p)),
@@ -165,7 +165,7 @@ const MappedPath* PathMapper::map(const FullPath& path, const Found& found, Reje
         point.hit = base.hit;
         point.p = base.at.p;
         const Vector3f s = to_sensor_of(i), l = to_light_of(i);
-        places_.push_back(to_.vertex(point, from_.partner_of[base.hit.shape], s));
+        places_.push_back(to_.vertex(point, from_.partner_of[base.hit.shape_idx], s));
         q.places[i] = &places_.back();
         q.vertices[i] = interact(to_, places_.back(), s, l, Lobe::none);
     }

@@ -21,10 +21,10 @@ void TouchObserver::start(std::size_t n) {
 
 bool TouchObserver::is_target(const Hit& hit, const LightQuery& light) const {
     if (!hit) return targets_.environment;
-    const int emitter = scene_.shapes[hit.shape].emitter;
-    return targets_.shapes[hit.shape] || (emitter >= 0 && targets_.emitters[std::size_t(emitter)]) ||
+    const int emitter = scene_.shapes[hit.shape_idx].emitter_idx;
+    return targets_.shapes[hit.shape_idx] || (emitter >= 0 && targets_.emitters[std::size_t(emitter)]) ||
            (light.kind == LightQuery::Kind::point && !scene_.emitters.empty() &&
-            targets_.emitters[light.point.emitter]);
+            targets_.emitters[light.point.emitter_idx]);
 }
 
 void TouchObserver::add_segment(std::uint32_t path, const Ray& segment) {

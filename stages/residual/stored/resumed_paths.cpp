@@ -37,8 +37,8 @@ void ResumedPaths::ask(PathPair& pair, const ShadowRequest& shadow) {
 
 ShadingPoint ResumedPaths::repainted(const ShadingPoint& here, std::uint32_t shape) const {
     const Material* material = &scene_.materials[std::size_t(reach_.repainted[shape])];
-    if (material->back >= 0 && dot(here.frame.n, here.wo) < 0)
-        material = &scene_.materials[std::size_t(material->back)];
+    if (material->back_idx >= 0 && dot(here.frame.n, here.wo) < 0)
+        material = &scene_.materials[std::size_t(material->back_idx)];
     ShadingPoint there = here;
     there.bsdf = Bsdf<float>(material->model);
     return there;
@@ -172,7 +172,7 @@ class ResumedPaths::Walk {
             const Spectrum Li = rgb(e.Li, k);
             pair_.before += light_hit_contribution(beta_, Li, e.pdf_bsdf_w[k], e.pdf_nee_w[k]);
             if (along_)
-                owner_.add_light(pair_, light_hit_contribution(path_.beta, new_light(e.emitter[k], Li), path_.pdf_w,
+                owner_.add_light(pair_, light_hit_contribution(path_.beta, new_light(e.emitter[k], Li), path_.density,
                                                                e.pdf_nee_w[k]));
         }
     }

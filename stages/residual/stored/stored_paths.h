@@ -42,7 +42,8 @@ class StoredPaths {
         const PathGraph& g = graph();
         if (is_black(rgb(g.paths.Le, path))) return -1;
         const std::size_t j = g.paths.first_vertex[path];
-        return j == g.paths.first_vertex[path + 1] ? scene_.environment : scene_.shapes[g.vertices.shape[j]].emitter;
+        return j == g.paths.first_vertex[path + 1] ? scene_.environment_idx
+                                                   : scene_.shapes[g.vertices.shape[j]].emitter_idx;
     }
     /// Returns the index of a vertex in its path, from 1; also the index of the edge that leads to it.
     int depth(std::size_t path, std::size_t vertex) const { return int(vertex - graph().paths.first_vertex[path]) + 1; }

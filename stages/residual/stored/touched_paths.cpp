@@ -48,7 +48,7 @@ TouchedPaths::FailedLight TouchedPaths::failed_light(std::size_t path, std::size
     }
     const LightSample light =
         sample_light(paths_.scene(), p, paths_.sampler(path).pair(dimension(paths_.depth(path, j), Dimension::light)));
-    return {light.emitter, light.at_infinity ? Point3f(light.wi) : light.y, light.at_infinity, light.pdf_w > 0};
+    return {light.emitter_idx, light.at_infinity ? Point3f(light.wi) : light.y, light.at_infinity, light.density() > 0};
 }
 
 void TouchedPaths::look_at(std::size_t path) {
@@ -98,7 +98,7 @@ void TouchedPaths::look_at_lights(const Rows& of) {
         if (reach_.relit[emitter]) touched_[of.in_block] = 1;
         if (e.technique[k] == std::uint8_t(LightTechnique::bsdf_hit)) {
             // A ray may have ended on a shape that emits but reflects nothing.
-            if (reach_.emitters[emitter] || (e.y[4 * k + 3] == 1 && reach_.shapes[emitters[emitter].shape]))
+            if (reach_.emitters[emitter] || (e.y[4 * k + 3] == 1 && reach_.shapes[emitters[emitter].shape_idx]))
                 cut(of.in_block, std::uint32_t(e.vertex[k] - of.first + 1));
         } else if (reach_.emitters[emitter]) {
             sample_again(of.in_block, std::uint32_t(e.vertex[k] - first_vertex_));
