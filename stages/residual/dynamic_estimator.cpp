@@ -143,7 +143,7 @@ struct CameraWorker {
     CameraPaths cameras;
     PathPairs pairs;
     std::vector<Spectrum> values;
-    NonfiniteLog& log;
+    tracing::NonfiniteLog& log;
     Film& film;
     std::span<double> new_var;  // [pixel] variance of one new path, sum over channels
     ControlSums* control;
@@ -196,7 +196,7 @@ Film Estimator::from_camera(std::uint64_t first_sample, ControlSums* control, Dy
     std::uint64_t n = 0;
     for (const std::uint32_t of_pixel : effort_.per_pixel) n += of_pixel;
     Film film(sensor.width, sensor.height, n / sensor.n_pixels());
-    NonfiniteLog log(report, sensor.width, path_.seed, " of the difference");
+    tracing::NonfiniteLog log(report, sensor.width, path_.seed, " of the difference");
     std::vector<double> new_var(sensor.n_pixels());
     const bool alone = effort_.cameras_alone() && options_.only_family < 0;
     tbb::enumerable_thread_specific<CameraWorker> workers([&] {
@@ -216,10 +216,10 @@ Film Estimator::from_camera(std::uint64_t first_sample, ControlSums* control, Dy
                             {},
                             {}};
     });
-    trace_pixels(
+    tracing::trace_pixels(
         workers, sensor.n_pixels(), double(n) / double(sensor.n_pixels()), threads_,
         [&](std::uint64_t pixel) {
-            return SampleRange{first_sample, effort_.per_pixel[pixel]};
+            return tracing::SampleRange{first_sample, effort_.per_pixel[pixel]};
         },
         progress);
     for (const CameraWorker& w : workers) {

@@ -22,14 +22,14 @@ PathOptions with_seed(PathOptions path, std::uint64_t seed) {
 struct Worker {
     PathBatch old_batch, new_batch;
     std::vector<PathResult> old_results, new_results;
-    NonfiniteLog &old_nonfinite, &new_nonfinite;
+    tracing::NonfiniteLog &old_nonfinite, &new_nonfinite;
     Film& film;
     PixelSums sums;
     PathVariance new_L;
     std::span<double> new_var;  // [pixel] of one path of the new scene, sum over R, G, B
     Counts counts;
-    Worker(const ScenePair& scenes, const PathOptions& path, const Seeds& seeds, NonfiniteLog& old_log,
-           NonfiniteLog& new_log, Film& onto, std::span<double> variances)
+    Worker(const ScenePair& scenes, const PathOptions& path, const Seeds& seeds, tracing::NonfiniteLog& old_log,
+           tracing::NonfiniteLog& new_log, Film& onto, std::span<double> variances)
         : old_batch(scenes.old_scene, with_seed(path, seeds.old_scene)),
           new_batch(scenes.new_scene, with_seed(path, seeds.new_scene)),
           old_nonfinite(old_log),
@@ -85,16 +85,16 @@ Image render_residual(const ScenePair& scenes, Method method, const PathOptions&
     const Sensor& sensor = scenes.new_scene.sensor;
     const Seeds seeds = seeds_of(method, path.seed);
     Film film(sensor.width, sensor.height, work.spp);
-    NonfiniteLog old_log(report, sensor.width, seeds.old_scene, " of the old scene"),
+    tracing::NonfiniteLog old_log(report, sensor.width, seeds.old_scene, " of the old scene"),
         new_log(report, sensor.width, seeds.new_scene, " of the new scene");
     app::Progress progress(report, "tracing", sensor.n_pixels() * work.spp);
     std::vector<double> new_var(sensor.n_pixels());
     tbb::enumerable_thread_specific<Worker> workers(
         [&] { return Worker(scenes, path, seeds, old_log, new_log, film, new_var); });
-    trace_pixels(
+    tracing::trace_pixels(
         workers, sensor.n_pixels(), double(work.spp), work.threads,
         [&](std::uint64_t) {
-            return SampleRange{work.first_sample, work.spp};
+            return tracing::SampleRange{work.first_sample, work.spp};
         },
         progress);
     counts = {0, 0, old_log.count() + new_log.count()};

@@ -20,8 +20,8 @@ enum class Method : std::uint8_t { automatic, correlated, independent, dynamic }
 
 const char* method_name(Method method);
 
-using loom::Counts;
-using loom::Work;
+using tracing::Counts;
+using tracing::Work;
 
 /// Variance of one path of a pixel, summed over channels; channels with non-finite values are left out.
 class PathVariance {

@@ -41,10 +41,10 @@ struct Worker {
 };
 
 struct PictureWorker : Worker {
-    NonfiniteLog& nonfinite;
+    tracing::NonfiniteLog& nonfinite;
     Film& film;
     PixelSums sums;
-    PictureWorker(const Scene& scene, const PathOptions& path, NonfiniteLog& log, Film& onto)
+    PictureWorker(const Scene& scene, const PathOptions& path, tracing::NonfiniteLog& log, Film& onto)
         : Worker(scene, path), nonfinite(log), film(onto) {}
 
     void trace(std::span<const PathId> ids) {
@@ -90,13 +90,13 @@ std::string command_of_pass(const Options& options, std::string command, std::ui
 
 Image render_image(const Scene& scene, const PathOptions& path, const Work& work, app::Report& report, Counts& counts) {
     Film film(scene.sensor.width, scene.sensor.height, work.spp);
-    NonfiniteLog nonfinite(report, scene.sensor.width, path.seed);
+    tracing::NonfiniteLog nonfinite(report, scene.sensor.width, path.seed);
     app::Progress progress(report, "tracing", scene.sensor.n_pixels() * work.spp);
     tbb::enumerable_thread_specific<PictureWorker> workers([&] { return PictureWorker(scene, path, nonfinite, film); });
-    trace_pixels(
+    tracing::trace_pixels(
         workers, scene.sensor.n_pixels(), double(work.spp), work.threads,
         [&](std::uint64_t) {
-            return SampleRange{work.first_sample, work.spp};
+            return tracing::SampleRange{work.first_sample, work.spp};
         },
         progress);
     counts = {0, 0, nonfinite.count()};
@@ -109,7 +109,7 @@ PathGraphInPieces render_graph(const Scene& scene, const PathOptions& path, cons
     const std::uint64_t n_pixels = scene.sensor.n_pixels(), n_paths = n_pixels * work.spp;
     GraphBuilder builder(scene, path, (n_paths + PathBatch::capacity - 1) / PathBatch::capacity, std::move(memory),
                          columns);
-    NonfiniteLog nonfinite(report, scene.sensor.width, path.seed);
+    tracing::NonfiniteLog nonfinite(report, scene.sensor.width, path.seed);
     counts = {};
     {
         app::Progress progress(report, "tracing", n_paths);

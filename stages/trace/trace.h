@@ -38,8 +38,8 @@ struct Options {
     std::string replay;       // x,y,sample: trace that one path and print it
 };
 
-using loom::Counts;
-using loom::Work;
+using tracing::Counts;
+using tracing::Work;
 
 /// Renders a path-traced image with auxiliary layers; stores nothing but the film. Equal values for any number of
 /// threads.

@@ -33,17 +33,17 @@ std::vector<PathState> states_of(const Scene& scene, const PathOptions& options,
         lights.u = sampler.pair(dimension(depth, Dimension::light));
         lights.d = path.ray.d;
         look_up_light(scene, lights);
-        ShadowRequest shadow;
-        const Step step = arrive<false>(scene, options, depth, hit, lights,
-                                        sampler.pair(dimension(depth, Dimension::direction)), path, shadow, {});
-        if (has(step, Step::needs_shadow_ray)) {
+        tracing::ShadowRequest shadow;
+        const tracing::Step step = tracing::arrive<false>(
+            scene, options, depth, hit, lights, sampler.pair(dimension(depth, Dimension::direction)), path, shadow, {});
+        if (tracing::has(step, tracing::Step::needs_shadow_ray)) {
             const Ray* segment = &shadow.ray;
             bool blocked = false;
             scene.rays->occluded(&segment, 1, &blocked);
             ++path.result.n_rays;
-            end_next_event<false>(path, shadow, blocked, {});
+            tracing::end_next_event<false>(path, shadow, blocked, {});
         }
-        if (!has(step, Step::goes_on)) return states;
+        if (!tracing::has(step, tracing::Step::goes_on)) return states;
     }
 }
 

@@ -14,6 +14,8 @@
 namespace loom {
 namespace {
 
+using namespace description;
+
 std::optional<Category> category_of(std::string_view tag) {
     for (int i = 1; i < n_categories; ++i)
         if (name(Category(i)) == tag && Category(i) != Category::spectrum) return Category(i);

@@ -16,7 +16,7 @@
 #include "stages/core/description/spectrum.h"
 #include "stages/core/math/frame.h"
 
-namespace loom {
+namespace loom::description {
 namespace {
 
 constexpr double rad_per_deg = pi_double / 180;
@@ -453,4 +453,4 @@ Value read_value(const Element& e, const Parameter& parameter, const PluginSchem
     return value;
 }
 
-}  // namespace loom
+}  // namespace loom::description

@@ -9,7 +9,7 @@
 #include "stages/core/description/schema.h"
 #include "stages/core/description/xml_document.h"
 
-namespace loom {
+namespace loom::description {
 
 using Folders = std::vector<std::filesystem::path>;
 
@@ -68,4 +68,4 @@ std::filesystem::path find_folder(const Text& name, const Folders& folders);
 /// Adds `file` to `files` unless it is there already.
 void add_file(std::vector<std::string>& files, const std::filesystem::path& file);
 
-}  // namespace loom
+}  // namespace loom::description

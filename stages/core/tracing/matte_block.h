@@ -8,7 +8,7 @@
 #include "stages/core/tracing/matte_columns.h"
 #include "stages/core/tracing/path_step.h"
 
-namespace loom {
+namespace loom::tracing {
 
 class MatteBlock {
   public:
@@ -162,4 +162,4 @@ class MatteBlock {
     std::size_t size_ = 0;
 };
 
-}  // namespace loom
+}  // namespace loom::tracing

@@ -6,7 +6,7 @@
 
 #include "stages/core/tracing/vertex_rules.h"
 
-namespace loom {
+namespace loom::tracing {
 
 /// A shadow ray of next-event estimation, and its contribution if it is not occluded.
 struct alignas(64) ShadowRequest {
@@ -179,4 +179,4 @@ void end_next_event(PathState& path, const ShadowRequest& shadow, bool blocked, 
     if constexpr (recording) blocked ? record.miss(shadow.edge) : record.add(shadow.edge);
 }
 
-}  // namespace loom
+}  // namespace loom::tracing

@@ -11,6 +11,8 @@
 
 namespace loom {
 
+using namespace tracing;
+
 namespace {
 
 /// in:      last  no light is sampled at this hit

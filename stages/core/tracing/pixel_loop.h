@@ -14,7 +14,7 @@
 #include "stages/core/compute/parallel.h"
 #include "stages/core/tracing/path_tracer.h"
 
-namespace loom {
+namespace loom::tracing {
 
 /// Which samples of each pixel to trace, on how many threads (0: all).
 struct Work {
@@ -103,4 +103,4 @@ void trace_pixels(tbb::enumerable_thread_specific<Worker>& workers, std::uint64_
     });
 }
 
-}  // namespace loom
+}  // namespace loom::tracing

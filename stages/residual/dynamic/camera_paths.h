@@ -27,7 +27,7 @@ class CameraPaths {
     Spectrum difference(std::size_t k) const { return touched(k) ? new_[k].L - old_[old_of_[k]].L : Spectrum(); }
     std::uint32_t rays(std::size_t k) const { return new_[k].n_rays + (touched(k) ? old_[old_of_[k]].n_rays : 0); }
 
-    Counts counts_new, counts_old;
+    tracing::Counts counts_new, counts_old;
     std::uint64_t n_touched = 0;
 
   private:

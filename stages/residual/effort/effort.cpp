@@ -117,7 +117,7 @@ class PilotRun {
     std::uint64_t n_recorded = 0;  // pixels whose camera paths are recorded
 
     PilotRun(const DynamicScenes& scenes, const std::vector<Family>& families, const PathPairs::Options& pairs,
-             const PathOptions& path, const Work& work)
+             const PathOptions& path, const tracing::Work& work)
         : per_family(std::clamp<std::uint64_t>(scenes.new_scene.scene.sensor.n_pixels() * work.spp / 1024, 256,
                                                most_pilot_samples)),
           per_pixel(std::max<std::uint64_t>(work.spp / 32, 2)),
@@ -136,7 +136,7 @@ class PilotRun {
         sample_pixels();
     }
 
-    void count(Counts& counts) const {
+    void count(tracing::Counts& counts) const {
         for (const PilotWorker& w : workers_) {
             counts.add(w.cameras.counts_new);
             counts.add(w.cameras.counts_old);
@@ -253,7 +253,7 @@ Effort camera_effort(const std::vector<Family>& families, const Sensor& sensor, 
 }
 
 Effort effort_by_pilot(const DynamicScenes& scenes, const std::vector<Family>& families, const PilotOptions& options,
-                       const PathOptions& path, const Work& work, Counts& counts) {
+                       const PathOptions& path, const tracing::Work& work, tracing::Counts& counts) {
     const Sensor& sensor = scenes.new_scene.scene.sensor;
     const std::size_t K = families.size();
     PilotRun run(scenes, families, options.pairs, path, work);

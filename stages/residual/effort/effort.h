@@ -43,7 +43,7 @@ struct PilotOptions {
 /// out:     counts  of the pilot are added
 /// needs:   spp >= least_spp
 Effort effort_by_pilot(const DynamicScenes& scenes, const std::vector<Family>& families, const PilotOptions& options,
-                       const PathOptions& path, const Work& work, Counts& counts);
+                       const PathOptions& path, const tracing::Work& work, tracing::Counts& counts);
 /// A pilot traces two camera paths in every pixel.
 inline constexpr std::uint64_t least_spp = 16;
 

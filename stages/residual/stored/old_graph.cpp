@@ -108,14 +108,14 @@ std::optional<TraceCommand> parse(std::string command) {
 /// State of one thread, reused between chunks.
 class Worker {
   public:
-    Counts counts;
+    tracing::Counts counts;
     std::uint64_t touched = 0, probed = 0, others = 0;  // probed paths that differ from the graph's
     std::string other;                                  // name of one of them
 
     /// in:  passes  of the graph
     Worker(const ScenePair& scenes, const OldGraph& graph, const EditReach& reach,
-           const std::vector<StoredPaths>& passes, const Image* old_picture, NonfiniteLog& old_log,
-           NonfiniteLog& new_log, Film& film, GraphResidual& out)
+           const std::vector<StoredPaths>& passes, const Image* old_picture, tracing::NonfiniteLog& old_log,
+           tracing::NonfiniteLog& new_log, Film& film, GraphResidual& out)
         : graph_(graph),
           passes_(passes),
           old_batch_(scenes.old_scene, graph.path),
@@ -242,7 +242,7 @@ class Worker {
     ResumedPaths resumed_;
     std::vector<TouchedPaths> finders_;  // [pass]
     std::vector<FirstHits> first_hits_;  // [pass]
-    NonfiniteLog &old_nonfinite_, &new_nonfinite_;
+    tracing::NonfiniteLog &old_nonfinite_, &new_nonfinite_;
     Film& film_;
     GraphResidual& out_;
     std::uint64_t n_pixels_;
@@ -326,7 +326,7 @@ GraphResidual render_residual(const ScenePair& scenes, const Edit& edit, const O
     for (auto& squares : out.squares) squares.resize(old_picture ? n_pixels : 0);
 
     Film film(sensor.width, sensor.height, graph.spp);
-    NonfiniteLog old_log(report, sensor.width, graph.path.seed, " of the old scene"),
+    tracing::NonfiniteLog old_log(report, sensor.width, graph.path.seed, " of the old scene"),
         new_log(report, sensor.width, graph.path.seed, " of the new scene");
     app::Progress progress(report, "tracing", n_pixels * graph.spp);
     tbb::enumerable_thread_specific<Worker> workers(

@@ -36,7 +36,7 @@ bool same_samples(const Image& old_picture, const std::string& file, const OldGr
 
 struct GraphResidual {
     Image image;
-    Counts counts;  // of the new tracing only
+    tracing::Counts counts;  // of the new tracing only
     std::uint64_t paths = 0, touched = 0;
     std::string why_all;  // reason why all paths count as touched; else empty
     // [channel][pixel] sum of (L_new - m)^2 - (L_old - m)^2, m the old image's mean.

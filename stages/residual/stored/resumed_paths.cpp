@@ -30,7 +30,7 @@ void ResumedPaths::add_light(PathPair& pair, const Spectrum& light, std::uint32_
         terms_.push_back({&pair, light, ray});
 }
 
-void ResumedPaths::ask(PathPair& pair, const ShadowRequest& shadow) {
+void ResumedPaths::ask(PathPair& pair, const tracing::ShadowRequest& shadow) {
     add_light(pair, shadow.contribution, std::uint32_t(shadow_rays_.size()));
     shadow_rays_.push_back(shadow.ray);
 }
@@ -45,11 +45,11 @@ ShadingPoint ResumedPaths::repainted(const ShadingPoint& here, std::uint32_t sha
 }
 
 bool ResumedPaths::sample_light_again(const ShadingPoint& here, SurfaceIdx surface, float q, int depth,
-                                      const PathState& path, ShadowRequest& shadow) const {
+                                      const PathState& path, tracing::ShadowRequest& shadow) const {
     LightQuery lights;
     lights.u = path.sampler.pair(dimension(depth, Dimension::light));
     look_up_light(scene_, lights);
-    return sample_next_event<false>(scene_, path, here, surface, q, lights, shadow, 0);
+    return tracing::sample_next_event<false>(scene_, path, here, surface, q, lights, shadow, 0);
 }
 
 /// One stored path, followed vertex by vertex in both scenes.
@@ -193,12 +193,13 @@ class ResumedPaths::Walk {
         LightQuery lights;
         lights.u = sampler_.pair(dimension(here.depth, Dimension::light));
         look_up_light(owner_.scene_, lights);
-        ShadowRequest shadow;
-        const Step step = leave<false>(owner_.scene_, owner_.options_, here.depth, now, surface, lights,
-                                       sampler_.pair(dimension(here.depth, Dimension::direction)), path_, shadow, {});
+        tracing::ShadowRequest shadow;
+        const tracing::Step step =
+            tracing::leave<false>(owner_.scene_, owner_.options_, here.depth, now, surface, lights,
+                                  sampler_.pair(dimension(here.depth, Dimension::direction)), path_, shadow, {});
 
         // Test visibility, where the old path did not.
-        if (has(step, Step::needs_shadow_ray)) {
+        if (tracing::has(step, tracing::Step::needs_shadow_ray)) {
             const auto was_asked = [&] {
                 return !is_black(f_cos_pdf(before, sample_light(owner_.scene_, before.p, lights).wi).f_cos);
             };
@@ -211,7 +212,7 @@ class ResumedPaths::Walk {
         }
 
         // Follow the old path as long as the directions are equal.
-        const bool goes_on = has(step, Step::goes_on);
+        const bool goes_on = tracing::has(step, tracing::Step::goes_on);
         along_ = goes_on && path_.lobe == Lobe(g_.vertices.lobe[here.j]) && same_bits(path_.ray.d, direction(here));
         resumes_ = goes_on && !along_;
         other_weight_ = true;
@@ -222,7 +223,7 @@ class ResumedPaths::Walk {
     /// in:  s  sample of the BSDF, the same in both scenes
     [[gnu::always_inline]] void step_as_before(Reached& here, const BsdfSample<float>& s) {
         const auto& v = g_.vertices;
-        ShadowRequest shadow;
+        tracing::ShadowRequest shadow;
         if (here.ask_again &&
             owner_.sample_light_again(here.vertex.whole(), surface_of(here.j), here.q, here.depth, path_, shadow))
             owner_.ask(pair_, shadow);

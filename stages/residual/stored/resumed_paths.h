@@ -36,7 +36,7 @@ class ResumedPaths {
     /// Traces the shadow rays that add() has queued, and continues the paths that it has deferred.
     void finish();
 
-    Counts counts;  // of the traced rays, repeated shadow rays included
+    tracing::Counts counts;  // of the traced rays, repeated shadow rays included
 
   private:
     class Walk;
@@ -48,10 +48,10 @@ class ResumedPaths {
         std::uint32_t ray;
     };
     void add_light(PathPair& pair, const Spectrum& light, std::uint32_t ray = is_seen);
-    void ask(PathPair& pair, const ShadowRequest& shadow);
+    void ask(PathPair& pair, const tracing::ShadowRequest& shadow);
     ShadingPoint repainted(const ShadingPoint& here, std::uint32_t shape) const;
     bool sample_light_again(const ShadingPoint& here, SurfaceIdx surface, float q, int depth, const PathState& path,
-                            ShadowRequest& shadow) const;
+                            tracing::ShadowRequest& shadow) const;
 
     const Scene& scene_;
     const EditReach& reach_;
