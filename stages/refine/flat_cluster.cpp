@@ -15,7 +15,7 @@ bool FlatCluster::load(std::span<const VertexRow> rows) {
     c.n = int(rows.size());
     const std::uint32_t code = rows[0].ns;
     for (const VertexRow& row : rows)
-        if (!(row.bits & vertex_bit::matte) || row.ns != code) return false;
+        if (!(row.bits & vertex_bit::diffuse) || row.ns != code) return false;
     const auto unit = unit_from_octahedral(std::int16_t(code & 0xffffu), std::int16_t(code >> 16));
     const Normal3f n{unit[0], unit[1], unit[2]};
     const float side = dot(rows[0].wo, n) > 0 ? 1.0f : -1.0f;

@@ -28,8 +28,8 @@ V triple(const Column<float>& column, std::size_t j, std::size_t width = 3) {
 RowMaker::RowMaker(const GraphReader& reader) : graph_(reader.graph()) {
     const auto& m = graph_.materials;
     for (std::size_t i = 0; i < m.kind.size(); ++i)
-        matte_.push_back(BsdfKind(m.kind[i]) == BsdfKind::diffuse && m.opacity[i] == 1 &&
-                         !(m.textured[i] & textured_parameter::opacity));
+        diffuse_.push_back(BsdfKind(m.kind[i]) == BsdfKind::diffuse && m.opacity[i] == 1 &&
+                           !(m.textured[i] & textured_parameter::opacity));
 }
 
 VertexRow RowMaker::vertex(std::size_t j) const {
@@ -47,7 +47,7 @@ VertexRow RowMaker::vertex(std::size_t j) const {
         std::copy_n(v.diffuse.data() + 3 * j, 3, row.diffuse);
     const bool perturbed = !v.n_side.empty() && packed(v.n_side, j) != row.ns;
     if (perturbed) row.bits |= vertex_bit::perturbed;
-    if (matte_[row.material] && !perturbed) row.bits |= vertex_bit::matte;
+    if (diffuse_[row.material] && !perturbed) row.bits |= vertex_bit::diffuse;
     if (is_delta(Lobe(v.lobe[j]))) row.bits |= vertex_bit::delta;
     if (row.bits & vertex_flag::continued) {
         row.next = continuation_direction(graph_, j);

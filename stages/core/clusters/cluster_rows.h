@@ -12,7 +12,7 @@ namespace loom {
 
 /// Bits of VertexRow::bits in addition to the graph's own flags.
 namespace vertex_bit {
-inline constexpr std::uint16_t matte = 8;          // plain Lambertian material, without a bump or normal map
+inline constexpr std::uint16_t diffuse = 8;        // plain Lambertian material, without a bump or normal map
 inline constexpr std::uint16_t perturbed = 16;     // shading normal changed by a bump or normal map
 inline constexpr std::uint16_t delta = 32;         // the path continues by a delta lobe
 inline constexpr std::uint16_t other_medium = 64;  // the path continues in a medium of another index
@@ -57,7 +57,7 @@ class RowMaker {
 
   private:
     const PathGraph& graph_;
-    std::vector<std::uint8_t> matte_;  // [material]
+    std::vector<std::uint8_t> diffuse_;  // [material]
 };
 
 /// Rows in the order of clusters, for sequential reading: all vertices, and the light edges of some.

@@ -4,7 +4,7 @@
 #include <vector>
 
 #include "stages/core/scene/embree.h"
-#include "stages/core/tracing/matte_block.h"
+#include "stages/core/tracing/diffuse_block.h"
 #include "stages/core/tracing/nlos_tracer.h"
 #include "stages/core/tracing/path_observer.h"
 #include "stages/core/tracing/path_step.h"
@@ -71,14 +71,14 @@ struct PathBatch::Impl {
     std::vector<std::uint32_t> key_lo, key_hi, index;
     std::vector<float> light_x, light_y, direction_x, direction_y, roulette_x, unused;
     std::vector<Step> steps;
-    MatteBlock matte;
+    DiffuseBlock diffuse;
     bool prefetches;
     PathObserver* observer;
 
     static constexpr std::size_t cache_bytes = std::size_t(1) << 20;  // size of the L2 cache
 
     Impl(const Scene& s, const PathOptions& o, PathObserver* path_observer)
-        : scene(s), options(o), matte(s, o), prefetches(s.table_bytes() > cache_bytes), observer(path_observer) {
+        : scene(s), options(o), diffuse(s, o), prefetches(s.table_bytes() > cache_bytes), observer(path_observer) {
         samplers.reserve(capacity);
         started.reserve(capacity);
         shadows.resize(capacity);
@@ -168,20 +168,20 @@ struct PathBatch::Impl {
             // Diffuse surfaces as a structure of arrays, block by block; all others vertex by vertex.
             const bool by_column = options.max_depth < 0 || depth < options.max_depth;
             const auto shade = [&] {
-                matte.shade(depth);
-                for (std::size_t m = 0; m < matte.size(); ++m) {
-                    const std::uint32_t k = matte.ray(m), i = active[k];
-                    steps[k] = matte.finish<recording>(m, depth, hits[k], paths[i], shadows[i], recorder(i));
+                diffuse.shade(depth);
+                for (std::size_t m = 0; m < diffuse.size(); ++m) {
+                    const std::uint32_t k = diffuse.ray(m), i = active[k];
+                    steps[k] = diffuse.finish<recording>(m, depth, hits[k], paths[i], shadows[i], recorder(i));
                 }
-                matte.clear();
+                diffuse.clear();
             };
             for (std::size_t k = 0; k < n; ++k) {
                 const std::uint32_t i = active[k];
                 PathState& path = paths[i];
                 ++path.result.n_rays;
                 const Point2f u_direction{direction_x[k], direction_y[k]};
-                if (by_column && matte.add(std::uint32_t(k), hits[k], path, lights[k], u_direction, roulette_x[k])) {
-                    if (matte.full()) shade();
+                if (by_column && diffuse.add(std::uint32_t(k), hits[k], path, lights[k], u_direction, roulette_x[k])) {
+                    if (diffuse.full()) shade();
                 } else {
                     steps[k] = arrive<recording>(scene, options, depth, hits[k], lights[k], u_direction, path,
                                                  shadows[i], recorder(i));

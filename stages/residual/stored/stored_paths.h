@@ -84,9 +84,9 @@ class StoredVertex {
         const std::size_t material = g.vertices.material[vertex];
         const BsdfModel& model = paths.reader().model(material);
         const std::uint8_t textured = g.materials.textured[material];
-        matte_ = model.kind == BsdfKind::diffuse && model.opacity == 1 && !(textured & textured_parameter::opacity) &&
-                 g.vertices.n_side.empty();
-        if (!matte_) return;
+        diffuse_ = model.kind == BsdfKind::diffuse && model.opacity == 1 && !(textured & textured_parameter::opacity) &&
+                   g.vertices.n_side.empty();
+        if (!diffuse_) return;
         bsdf_.diffuse = textured & textured_parameter::diffuse ? paths.reader().bsdf(vertex).diffuse : model.diffuse;
         n_ = shading_normal(g, vertex);
         wo_.z = dot(-paths.arrival(vertex), n_);
@@ -99,14 +99,15 @@ class StoredVertex {
         return *whole_;
     }
     Spectrum f_cos(const Vector3f& wi) {
-        return matte_ ? DiffuseFamily::f_cos_pdf(bsdf_, wo_, {0, 0, dot(wi, n_)}).f_cos : f_cos_pdf(whole(), wi).f_cos;
+        return diffuse_ ? DiffuseFamily::f_cos_pdf(bsdf_, wo_, {0, 0, dot(wi, n_)}).f_cos
+                        : f_cos_pdf(whole(), wi).f_cos;
     }
     /// Draws the tracer's sample again.
     /// in:  depth  index of the vertex in its path
     /// out: of a diffuse vertex only weight and lobe
     BsdfSample<float> redraw(const Sampler& sampler, int depth) {
         const Point2f u = sampler.pair(dimension(depth, Dimension::direction));
-        if (!matte_) return draw(whole(), sampler, depth, u);
+        if (!diffuse_) return draw(whole(), sampler, depth, u);
         const BsdfValue<float> value = DiffuseFamily::f_cos_pdf(bsdf_, wo_, sample_cosine_hemisphere(u));
         BsdfSample<float> s;
         if (value.pdf_w > 0) s.weight = value.f_cos / value.pdf_w, s.lobe = Lobe::diffuse;
@@ -120,7 +121,7 @@ class StoredVertex {
   private:
     const StoredPaths& paths_;
     std::size_t vertex_;
-    bool matte_ = false;
+    bool diffuse_ = false;
     Bsdf<float> bsdf_;  // diffuse: albedo only
     Normal3f n_;        // diffuse: on the side of wo
     Vector3f wo_;       // diffuse: z only
@@ -133,7 +134,7 @@ class FirstHits {
     explicit FirstHits(const StoredPaths& paths) : paths_(paths) {
         for (std::size_t i = 0; i < paths.graph().materials.kind.size(); ++i)
             for (const float side : {1.0f, -1.0f})
-                matte_.push_back(albedo(Bsdf<float>(paths.reader().model(i)), {0, 0, side}));
+                diffuse_.push_back(albedo(Bsdf<float>(paths.reader().model(i)), {0, 0, side}));
     }
 
     FirstHit of(std::size_t path) {
@@ -147,17 +148,17 @@ class FirstHits {
         }
         const Vector3f v = paths_.position(j) - paths_.camera(path);
         const std::size_t material = g.vertices.material[j];
-        const bool matte =
+        const bool diffuse =
             paths_.reader().model(material).kind == BsdfKind::diffuse && g.materials.textured[material] == 0;
         // An albedo depends on the angle to the normal only, a diffuse one on the side only.
-        return {matte ? matte_[2 * material + (dot(v, last_normal_) > 0)]
-                      : albedo(paths_.reader().bsdf(j), {0, 0, dot(-paths_.arrival(j), last_normal_)}),
+        return {diffuse ? diffuse_[2 * material + (dot(v, last_normal_) > 0)]
+                        : albedo(paths_.reader().bsdf(j), {0, 0, dot(-paths_.arrival(j), last_normal_)}),
                 last_normal_, length(v)};
     }
 
   private:
     const StoredPaths& paths_;
-    std::vector<Spectrum> matte_;  // [material and side] albedo of diffuse materials without texture
+    std::vector<Spectrum> diffuse_;  // [material and side] albedo of diffuse materials without texture
     // Code of the last normal, and that normal; consecutive first hits often lie on one surface.
     std::int16_t last_code_[2] = {0, 0};
     Normal3f last_normal_{0, 0, 1};

@@ -5,13 +5,13 @@
 
 #include "stages/core/sampling/sampler.h"
 #include "stages/core/scene/shading.h"
-#include "stages/core/tracing/matte_levels.h"
+#include "stages/core/tracing/diffuse_levels.h"
 
 namespace loom::test {
 namespace {
 
 /// Columns with surfaces, paths and lights of all sorts; some lights are black or behind, some normals flat.
-void fill(MatteColumns& c, std::size_t n) {
+void fill(DiffuseColumns& c, std::size_t n) {
     std::memset(static_cast<void*>(&c), 0, sizeof c);
     for (std::size_t i = 0; i < n; ++i) {
         const Sampler sampler(SamplerKind::independent, 5, 0, i);
@@ -47,7 +47,7 @@ void fill(MatteColumns& c, std::size_t n) {
 }
 
 /// The functions of a single path, against the columns.
-void expect_plain(const MatteColumns& c, std::size_t n, Roulette roulette, const char* level) {
+void expect_plain(const DiffuseColumns& c, std::size_t n, Roulette roulette, const char* level) {
     std::size_t asked = 0, went_on = 0;
     for (std::size_t i = 0; i < n; ++i) {
         SCOPED_TRACE(std::string(level) + ", path " + std::to_string(i));
@@ -118,19 +118,19 @@ void expect_plain(const MatteColumns& c, std::size_t n, Roulette roulette, const
     EXPECT_GT(went_on, n / 10);
 }
 
-TEST(MatteColumns, EveryLevelEqualsTheSinglePath) {
-    const auto columns = std::make_unique<MatteColumns>();
+TEST(DiffuseColumns, EveryLevelEqualsTheSinglePath) {
+    const auto columns = std::make_unique<DiffuseColumns>();
     for (const Roulette roulette : {Roulette::off, Roulette::albedo, Roulette::throughput})
-        for (const std::size_t n : {MatteColumns::capacity, std::size_t(101)}) {
+        for (const std::size_t n : {DiffuseColumns::capacity, std::size_t(101)}) {
             const auto expect = [&](auto* shade, const char* level) {
                 fill(*columns, n);
                 shade(*columns, n, roulette);
                 expect_plain(*columns, n, roulette, level);
             };
-            expect(shade_matte, "chosen");
-            expect(v2::shade_matte, "v2");
-            if (__builtin_cpu_supports("x86-64-v3")) expect(v3::shade_matte, "v3");
-            if (__builtin_cpu_supports("x86-64-v4")) expect(v4::shade_matte, "v4");
+            expect(shade_diffuse, "chosen");
+            expect(v2::shade_diffuse, "v2");
+            if (__builtin_cpu_supports("x86-64-v3")) expect(v3::shade_diffuse, "v3");
+            if (__builtin_cpu_supports("x86-64-v4")) expect(v4::shade_diffuse, "v4");
         }
 }
 

@@ -5,21 +5,21 @@
 #include <array>
 #include <vector>
 
-#include "stages/core/tracing/matte_columns.h"
+#include "stages/core/tracing/diffuse_columns.h"
 #include "stages/core/tracing/path_step.h"
 
 namespace loom::tracing {
 
-class MatteBlock {
+class DiffuseBlock {
   public:
-    MatteBlock(const Scene& scene, const PathOptions& options) : scene_(scene), options_(options) {
+    DiffuseBlock(const Scene& scene, const PathOptions& options) : scene_(scene), options_(options) {
         for (const Shape& shape : scene.shapes) {
             const Material& material = scene.materials[shape.material_idx];
             const BsdfModel& model = material.model;
             Surface& surface = surfaces_.emplace_back();
-            surface.matte = model.kind == BsdfKind::diffuse && model.opacity == 1 && material.opacity_idx < 0 &&
-                            material.back_idx < 0 && !material.perturbed() && shape.kind == ShapeKind::mesh &&
-                            shape.emitter_idx < 0 && !scene.features.anisotropic;
+            surface.is_diffuse = model.kind == BsdfKind::diffuse && model.opacity == 1 && material.opacity_idx < 0 &&
+                                 material.back_idx < 0 && !material.perturbed() && shape.kind == ShapeKind::mesh &&
+                                 shape.emitter_idx < 0 && !scene.features.anisotropic;
             surface.textured = material.diffuse_idx >= 0;
             surface.two_sided = model.two_sided ? 1.0f : 0.0f;
             surface.side = shape.flip_normals ? -1.0f : 1.0f;
@@ -33,7 +33,7 @@ class MatteBlock {
     }
 
     std::size_t size() const { return size_; }
-    bool full() const { return size_ == MatteColumns::capacity; }
+    bool full() const { return size_ == DiffuseColumns::capacity; }
     void clear() { size_ = 0; }
     /// Returns the ray index that `add` received for path m of the block.
     std::uint32_t ray(std::size_t m) const { return rays_[m]; }
@@ -42,13 +42,13 @@ class MatteBlock {
     /// that are not diffuse or that emit, and lights that depend on the surface point.
     bool add(std::uint32_t ray, const Hit& hit, const PathState& path, const LightQuery& lights, Point2f u_direction,
              float u_roulette) {
-        if (!hit || !surfaces_[hit.shape_idx].matte) return false;
+        if (!hit || !surfaces_[hit.shape_idx].is_diffuse) return false;
         if (!scene_.emitters.empty() && !lights.placed) return false;
         const LightPoint& light = lights.point;
         const Surface& surface = surfaces_[hit.shape_idx];
         const Shape& shape = scene_.shapes[hit.shape_idx];
         const TrianglePoint at = triangle_point(shape, hit, surface.textured);
-        MatteColumns& c = columns_;
+        DiffuseColumns& c = columns_;
         const std::size_t m = size_++;
         rays_[m] = ray;
         c.p.set(m, at.p);
@@ -77,13 +77,13 @@ class MatteBlock {
         return true;
     }
 
-    void shade(int depth) { shade_matte(columns_, size_, roulette_at(options_, depth)); }
+    void shade(int depth) { shade_diffuse(columns_, size_, roulette_at(options_, depth)); }
 
     /// Stores the results of shade() for path m of the block, as arrive() does.
     template <bool recording>
     Step finish(std::size_t m, int depth, const Hit& hit, PathState& path, ShadowRequest& shadow,
                 PathRecorder record) const {
-        const MatteColumns& c = columns_;
+        const DiffuseColumns& c = columns_;
         ++path.result.n_vertices;
         if (depth == 1) path.result.first = {c.albedo.get<Spectrum>(m), c.ns.get<Normal3f>(m), hit.t};
         if constexpr (recording) record_vertex(m, depth, hit, path, record);
@@ -122,14 +122,14 @@ class MatteBlock {
   private:
     /// Properties of a shape that `add` reads, in one record, and the values that all its vertices share.
     struct Surface {
-        bool matte = false, textured = false;
+        bool is_diffuse = false, textured = false;
         float two_sided = 0, side = 1, hit_error = 0;
         Spectrum reflectance;
         VertexRecord vertex;
     };
 
     void record_vertex(std::size_t m, int depth, const Hit& hit, const PathState& path, PathRecorder record) const {
-        const MatteColumns& c = columns_;
+        const DiffuseColumns& c = columns_;
         if (depth > 1) record.last().flags |= vertex_flag::continued;
         VertexRecord& vertex = record.add(surfaces_[hit.shape_idx].vertex);
         const auto ns = c.ns.get<Normal3f>(m);
@@ -142,7 +142,7 @@ class MatteBlock {
 
     /// Returns the values of the light edge for the light point of path m.
     LightSample light(std::size_t m) const {
-        const MatteColumns& c = columns_;
+        const DiffuseColumns& c = columns_;
         LightSample light;
         light.Li = c.light_Li.get<Spectrum>(m);
         light.pdf_w = c.shadow_pdf_w[m];
@@ -156,9 +156,9 @@ class MatteBlock {
     const Scene& scene_;
     PathOptions options_;
     std::vector<Surface> surfaces_;  // [shape]
-    MatteColumns columns_;
-    std::array<std::uint32_t, MatteColumns::capacity> rays_;
-    std::array<std::uint16_t, MatteColumns::capacity> emitters_;
+    DiffuseColumns columns_;
+    std::array<std::uint32_t, DiffuseColumns::capacity> rays_;
+    std::array<std::uint16_t, DiffuseColumns::capacity> emitters_;
     std::size_t size_ = 0;
 };
 

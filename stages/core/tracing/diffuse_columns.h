@@ -12,7 +12,7 @@
 namespace loom {
 
 /// Columns of one block of paths; small enough for the L1 cache.
-struct MatteColumns {
+struct DiffuseColumns {
     static constexpr std::size_t capacity = 128;
 
     struct alignas(64) Numbers {
@@ -68,6 +68,6 @@ struct MatteColumns {
 
 /// Fills the columns marked `out`, for the first n paths; bit-identical on every x86-64 level.
 /// in:      roulette  how paths end at this depth; off before rr_depth
-void shade_matte(MatteColumns& columns, std::size_t n, Roulette roulette);
+void shade_diffuse(DiffuseColumns& columns, std::size_t n, Roulette roulette);
 
 }  // namespace loom

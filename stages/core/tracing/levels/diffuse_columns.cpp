@@ -1,6 +1,6 @@
 // The step at a diffuse surface, compiled once per x86-64 level (LOOM_LEVEL is v2, v3 or v4). `flatten` inlines all
 // callees, so no other code of a level enters the program.
-#include "stages/core/tracing/matte_levels.h"
+#include "stages/core/tracing/diffuse_levels.h"
 #include "stages/core/tracing/vertex_rules.h"
 
 namespace loom::LOOM_LEVEL {
@@ -16,35 +16,35 @@ Vector3f times_z(const Vector3f& w, float sign) {
 float sum(const Spectrum& s) {
     return s.r + s.g + s.b;
 }
-Bsdf<float> matte(const MatteColumns& c, std::size_t i) {
+Bsdf<float> diffuse_bsdf(const DiffuseColumns& c, std::size_t i) {
     Bsdf<float> bsdf;
     bsdf.diffuse = c.reflectance.get<Spectrum>(i);
     return bsdf;
 }
 
-void find_normal(MatteColumns& c, std::size_t i) {
+void find_normal(DiffuseColumns& c, std::size_t i) {
     const Normal3f smooth = smooth_normal(c.n.get<Vector3f>(i), c.side[i]);
     c.ns.set(i, select(c.side[i] != 0, smooth, c.ng.get<Normal3f>(i)));
 }
 
-void turn_to_front(MatteColumns& c, std::size_t i) {
+void turn_to_front(DiffuseColumns& c, std::size_t i) {
     const Vector3f wo_local = Framef(c.ns.get<Normal3f>(i)).to_local(c.wo.get<Vector3f>(i));
     const float turn = select((c.two_sided[i] != 0) & (wo_local.z < 0), -1.0f, 1.0f);
     c.turn[i] = turn;
     c.wo_local.set(i, times_z(wo_local, turn));
 }
 
-void find_albedo(MatteColumns& c, std::size_t i) {
-    const Spectrum a = DiffuseFamily::albedo(matte(c, i), c.wo_local.get<Vector3f>(i));
+void find_albedo(DiffuseColumns& c, std::size_t i) {
+    const Spectrum a = DiffuseFamily::albedo(diffuse_bsdf(c, i), c.wo_local.get<Vector3f>(i));
     c.albedo.set(i, Spectrum(clamp(a.r, 0.0f, 1.0f), clamp(a.g, 0.0f, 1.0f), clamp(a.b, 0.0f, 1.0f)));
 }
 
-void find_survival(MatteColumns& c, std::size_t i, bool may_end, bool by_throughput) {
+void find_survival(DiffuseColumns& c, std::size_t i, bool may_end, bool by_throughput) {
     const Spectrum beta = c.beta.get<Spectrum>(i) * c.eta_scale[i];
     c.q[i] = select(may_end, survival(c.albedo.get<Spectrum>(i), select(by_throughput, beta, Spectrum(1))), 1.0f);
 }
 
-void see_light(MatteColumns& c, std::size_t i) {
+void see_light(DiffuseColumns& c, std::size_t i) {
     LightPoint point;
     point.Li = c.light_Li.get<Spectrum>(i);
     point.y = c.light_y.get<Point3f>(i);
@@ -58,10 +58,10 @@ void see_light(MatteColumns& c, std::size_t i) {
     c.shadow_pdf_w[i] = light.pdf_w;
 }
 
-void reflect_light(MatteColumns& c, std::size_t i) {
+void reflect_light(DiffuseColumns& c, std::size_t i) {
     const Framef frame(c.ns.get<Normal3f>(i));
     const Vector3f wi = times_z(frame.to_local(c.light_wi.get<Vector3f>(i)), c.turn[i]);
-    const BsdfValue<float> value = DiffuseFamily::f_cos_pdf(matte(c, i), c.wo_local.get<Vector3f>(i), wi);
+    const BsdfValue<float> value = DiffuseFamily::f_cos_pdf(diffuse_bsdf(c, i), c.wo_local.get<Vector3f>(i), wi);
     const float pdf = c.shadow_pdf_w[i], pdf_bsdf = value.pdf_w * c.q[i];
     c.contribution.set(
         i, light_sample_contribution(c.beta.get<Spectrum>(i), value.f_cos, c.light_Li.get<Spectrum>(i), pdf, pdf_bsdf));
@@ -70,7 +70,7 @@ void reflect_light(MatteColumns& c, std::size_t i) {
 }
 
 /// Computes spawn_ray() or spawn_segment() without a Ray, because the vectoriser does not optimise copies of it.
-void aim_at_light(MatteColumns& c, std::size_t i) {
+void aim_at_light(DiffuseColumns& c, std::size_t i) {
     const auto p = c.p.get<Point3f>(i), y = c.light_y.get<Point3f>(i);
     const auto wi = c.light_wi.get<Vector3f>(i);
     const bool at_infinity = c.light_at_infinity[i] != 0;
@@ -82,13 +82,13 @@ void aim_at_light(MatteColumns& c, std::size_t i) {
     c.shadow_t_max[i] = select(at_infinity, float(INFINITY), distance * (1 - surface_epsilon));
 }
 
-void choose_direction(MatteColumns& c, std::size_t i) {
+void choose_direction(DiffuseColumns& c, std::size_t i) {
     c.next_d.set(i, sample_cosine_hemisphere({c.u_direction_x[i], c.u_direction_y[i]}));
 }
 
-void scatter(MatteColumns& c, std::size_t i) {
+void scatter(DiffuseColumns& c, std::size_t i) {
     const auto wi = c.next_d.get<Vector3f>(i);
-    const BsdfValue<float> value = DiffuseFamily::f_cos_pdf(matte(c, i), c.wo_local.get<Vector3f>(i), wi);
+    const BsdfValue<float> value = DiffuseFamily::f_cos_pdf(diffuse_bsdf(c, i), c.wo_local.get<Vector3f>(i), wi);
     const Spectrum weight = value.f_cos / value.pdf_w;
     const float q = c.q[i];
     c.next_d.set(i, Framef(c.ns.get<Normal3f>(i)).to_world(times_z(wi, c.turn[i])));
@@ -97,14 +97,14 @@ void scatter(MatteColumns& c, std::size_t i) {
     c.next_weight[i] = sum(weight);
 }
 
-void leave_surface(MatteColumns& c, std::size_t i) {
+void leave_surface(DiffuseColumns& c, std::size_t i) {
     c.next_o.set(i,
                  offset_origin(c.p.get<Point3f>(i), c.ng.get<Normal3f>(i), c.hit_error[i], c.next_d.get<Vector3f>(i)));
 }
 
 }  // namespace
 
-[[gnu::flatten]] void shade_matte(MatteColumns& columns, std::size_t n, Roulette roulette) {
+[[gnu::flatten]] void shade_diffuse(DiffuseColumns& columns, std::size_t n, Roulette roulette) {
     const bool may_end = roulette != Roulette::off, by_throughput = roulette == Roulette::throughput;
     const auto each = [&](auto&& step) {
         for (std::size_t i = 0; i < n; ++i) step(columns, i);
@@ -112,7 +112,7 @@ void leave_surface(MatteColumns& c, std::size_t i) {
     each(find_normal);
     each(turn_to_front);
     each(find_albedo);
-    each([=](MatteColumns& c, std::size_t i) { find_survival(c, i, may_end, by_throughput); });
+    each([=](DiffuseColumns& c, std::size_t i) { find_survival(c, i, may_end, by_throughput); });
     each(see_light);
     each(reflect_light);
     each(aim_at_light);
