@@ -1,10 +1,10 @@
 #pragma once
-// path_graph: paths as they were traced, with what a neighbour needs to reuse them.
+// path_graph: paths as they were traced, with the data that a neighbour needs to reuse them.
 //
-// A path is one camera sample. Its vertices lie behind one another, and so the continuation of vertex j is
-// vertex j + 1 when its flag `continued` is set. Light edges join a vertex to a light point that next-event
-// estimation or its own BSDF ray found. Techniques that were attempted and failed are flags of the vertex:
-// estimators that pool densities over neighbours must count them too.
+// A path is one camera sample. Its vertices are consecutive rows: the continuation of vertex j is vertex j + 1 when its
+// flag `continued` is set. A light edge joins a vertex to a light point found by next-event estimation or by the BSDF
+// ray. Techniques that were attempted and failed are flags of the vertex: estimators that pool densities over neighbours
+// must count them, too.
 
 #include <array>
 #include <cstdint>
@@ -31,7 +31,7 @@ inline constexpr std::uint16_t attempted_bsdf = 2;
 inline constexpr std::uint16_t continued = 4;
 }  // namespace vertex_flag
 
-/// Bits of `materials/textured`: parameters that vertices hold for themselves.
+/// Bits of `materials/textured`: parameters that are stored per vertex.
 namespace textured_parameter {
 inline constexpr std::uint8_t diffuse = 1;
 inline constexpr std::uint8_t specular = 2;
@@ -42,9 +42,9 @@ inline constexpr std::uint8_t exponent = 32;
 inline constexpr std::uint8_t index = 64;  // eta_c and k_c
 }  // namespace textured_parameter
 
-/// Why a path has no vertex after this one.
+/// Reason why a path ends at a vertex.
 enum class Ending : std::uint8_t {
-    none = 0,  // it has one
+    none = 0,  // it does not end here
     escaped = 1,
     roulette = 2,
     invalid_sample = 3,
@@ -61,10 +61,10 @@ constexpr Ending ending_of(std::uint16_t flags) {
     return static_cast<Ending>((flags >> 8) & 7u);
 }
 
-/// What found a light point; the value is what `light_edges/technique` holds.
+/// Technique that found a light point; value of `light_edges/technique`.
 enum class LightTechnique : std::uint8_t { next_event = 0, bsdf_hit = 1 };
 
-/// The value is what `emitters/kind` holds. Append only.
+/// Value of `emitters/kind`. Append only.
 enum class EmitterKind : std::uint8_t {
     area = 0,
     point = 1,
@@ -78,7 +78,7 @@ enum class EmitterKind : std::uint8_t {
 inline constexpr int n_emitter_kinds = 8;
 std::string_view emitter_kind_name(std::uint8_t kind);
 
-/// What a graph keeps of each path; ColumnOf says how its columns lie in memory.
+/// Rows of paths, vertices, light edges and misses. ColumnOf is the memory layout of a column.
 template <template <class> class ColumnOf>
 struct PathRows {
     struct Paths {
@@ -123,7 +123,7 @@ struct PathRows {
     static void row_fields(Self& g, Visitor& v);
 };
 
-/// What a graph says of the scene and of how it was traced.
+/// Scene and settings of a graph.
 struct PathGraphHeader {
     struct Sensor {
         std::string kind = "perspective";  // or "orthographic", "nlos_capture_meter"
@@ -145,14 +145,14 @@ struct PathGraphHeader {
         std::string sampler = "independent";
     } tracing;
 
-    /// What a time-resolved film asks for; empty columns for any other.
+    /// Settings of a time-resolved film; empty columns for any other.
     struct Transient {
         Column<std::uint32_t> n_bins;
         Column<double> start_opl, bin_width_opl, sigma_opl;
         Column<std::uint8_t> camera_segment;
     } transient;
 
-    /// A capture around a corner: a sensor and a laser look at points of a relay wall; empty columns for any other.
+    /// An NLOS capture: a sensor and a laser aim at points of a relay wall; empty columns for any other.
     struct Nlos {
         Column<std::uint8_t> capture, true_area;
         Column<std::uint32_t> grids;
@@ -169,7 +169,7 @@ struct PathGraphHeader {
         Column<float> fdr_int, fdr_ext, external_transmittance;
     } materials;
 
-    /// Rough plastics with textured alpha: their interface over alpha; empty columns without such materials.
+    /// Interfaces of rough plastics with textured alpha, over alpha; empty columns without such materials.
     struct Coats {
         Column<std::uint16_t> material;
         Column<float> alpha, fdr_int, fdr_ext, external_transmittance;
@@ -190,7 +190,7 @@ struct PathGraphHeader {
     std::size_t n_pixels() const { return std::size_t{sensor.width} * sensor.height; }
 };
 
-/// The declaration of the format; the same for every way in which the columns can lie in memory.
+/// Declaration of the format, for every memory layout of the columns.
 template <template <class> class ColumnOf>
 struct PathGraphOf : PathGraphHeader, PathRows<ColumnOf> {
     static constexpr FormatId format{"path_graph", 2, 1, 1};
@@ -202,29 +202,29 @@ struct PathGraphOf : PathGraphHeader, PathRows<ColumnOf> {
 };
 
 struct PathGraph : PathGraphOf<Column> {
-    std::shared_ptr<const MappedFile> storage;  // what the columns are borrowed from, if from a file
+    std::shared_ptr<const MappedFile> storage;  // file that the columns are borrowed from, if any
 
-    /// The invariants that go beyond types, lengths and finite floats; empty when all hold.
+    /// Returns the first violated invariant beyond types, lengths and finite floats; empty: none.
     std::string problem(Check check = Check::everything) const;
 };
 
-/// A graph as it was traced, to be written: its columns lie in the pieces in which they were filled.
+/// A traced graph to be written. Its columns are the pieces in which they were filled.
 struct PathGraphInPieces : PathGraphOf<PiecedColumn> {
-    std::shared_ptr<const Arena> storage;  // of the pieces
+    std::shared_ptr<const Arena> storage;  // memory of the pieces
 };
 
 /// needs:   columns of one axis of one length
 void write_path_graph(const PathGraph& graph, const std::filesystem::path& path, Sync sync = Sync::yes);
-/// The same bytes as from the joined columns.
+/// Writes the same bytes as for joined columns.
 void write_path_graph(const PathGraphInPieces& graph, const std::filesystem::path& path, Sync sync = Sync::yes);
-/// Reads, maps and checks the file.
-/// throws:  InputError naming the file and the dataset
+/// Maps and checks a file.
+/// throws:  InputError that names the file and the dataset
 PathGraph read_path_graph(const std::filesystem::path& path, Check check = Check::everything);
-/// A graph by name, and by a hash of what it says of itself: command, seed, build, scene, numbers of rows. The same
-/// paths have the same, and reading all of them would cost more than some of their readers do.
+/// Identifies a graph by file name and by a hash of its header: command, seed, build, scene, numbers of rows. Equal paths
+/// have equal headers, and hashing all columns would cost more than some stages that read them.
 InputId identify_by_header(const PathGraph& graph, const std::filesystem::path& path);
 
-/// Bytes of each column that is there.
+/// Bytes of each column that is present.
 std::vector<ColumnBytes> column_bytes(const PathGraph& graph);
 std::vector<ColumnBytes> column_bytes(const PathGraphInPieces& graph);
 

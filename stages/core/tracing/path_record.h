@@ -1,6 +1,6 @@
 #pragma once
-// Paths as the tracer records them: vertices and light edges in the order in which they come to be, which for many
-// paths side by side is depth by depth. GraphBuilder sorts them by path, into columns.
+// Paths as the tracer records them: vertices and light edges in the order of tracing, which for a batch of paths is depth
+// by depth. GraphBuilder sorts them by path, into columns.
 
 #include <array>
 #include <cstdint>
@@ -13,7 +13,7 @@
 
 namespace loom {
 
-/// Unit vector and colour as columns hold them.
+/// Unit vector and colour in the types of their columns.
 using NormalCode = std::array<std::int16_t, 2>;
 using HalfColor = std::array<Half, 3>;
 
@@ -25,7 +25,7 @@ inline HalfColor half_color(const Spectrum& v) {
     return {half_from_float(v.r), half_from_float(v.g), half_from_float(v.b)};
 }
 
-/// A vertex in the types of the columns; those that the scene does not need keep their defaults.
+/// A vertex in the types of the columns. Values that the scene does not need keep their defaults.
 struct VertexRecord {
     Point3f p;
     Vector3f wo;
@@ -37,15 +37,15 @@ struct VertexRecord {
     float exponent = 0;
     std::uint16_t material_idx = 0, flags = 0;
     Lobe lobe = Lobe::none;
-    std::uint16_t medium_idx = Medium::outside;  // Medium::material_idx of the segment that arrives here
+    std::uint16_t medium_idx = Medium::outside;  // Medium::material_idx of the arriving segment
     std::uint32_t shape_idx = 0, primitive_idx = 0, path_idx = 0;
-    float pdf_w = 0;  // of the BSDF sample, roulette folded in
+    float pdf_w = 0;  // density of the BSDF sample, roulette folded in
     float q = 1;      // survival probability of roulette
-    float eta = 1;    // absolute index of the segment that arrives here
+    float eta = 1;    // absolute refractive index of the arriving segment
 
     void end(Ending ending) { flags = flags_with_ending(flags, ending); }
-    /// Fills what depends on the ray that arrives, apart from textures.
-    /// in:  arriving  medium of the segment that arrives
+    /// Fills the values that depend on the arriving ray, apart from textures.
+    /// in:  arriving  medium of the arriving segment
     void set_arrival(const Point3f& p_, const Vector3f& wo_, const Normal3f& shading, const Normal3f& geometric,
                      const Normal3f& unperturbed, const Medium& arriving, const SceneFeatures& features) {
         p = p_;
@@ -56,7 +56,7 @@ struct VertexRecord {
         eta = arriving.ior;
         medium_idx = arriving.material_idx;
     }
-    /// Fills what the shape and its material determine.
+    /// Fills the values that the shape and its material determine.
     void set_surface(std::uint32_t shape_, std::uint32_t material_, const Bsdf<float>& bsdf,
                      const SceneFeatures& features) {
         shape_idx = shape_;
@@ -103,7 +103,7 @@ inline LightEdgeRecord light_edge(std::uint32_t vertex, LightTechnique technique
     return edge;
 }
 
-/// A sample of a vertex that found no light: an occluded light sample, a BSDF sample that hit no emitter.
+/// A sample of a vertex that found no light: an occluded light sample or a BSDF sample that hit no emitter.
 struct MissRecord {
     std::uint32_t path_idx = 0, vertex_idx = 0;  // vertex: within the path
     LightTechnique technique = LightTechnique::next_event;
@@ -145,7 +145,7 @@ class PathRecorder {
     std::uint32_t last_number() const { return path().n_vertices - 1; }
 
     /// Adds a vertex on a surface.
-    /// in:  arriving  medium of the segment that arrives
+    /// in:  arriving  medium of the arriving segment
     VertexRecord& add(const Scene& scene, const SurfacePoint& at, const ShadingPoint& here,
                       const Medium& arriving) const {
         VertexRecord& vertex = add(VertexRecord{});

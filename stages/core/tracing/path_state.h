@@ -7,16 +7,16 @@
 
 namespace loom {
 
-/// The ray that is about to arrive, and all that led to it. What every step touches comes first; what only dielectrics
-/// touch comes last.
+/// The ray that is about to hit, and the state of the path behind it. Members that every step reads come first, those of
+/// dielectrics last.
 struct alignas(64) PathState {
     Ray ray;
     Spectrum beta{1};     // throughput up to the ray: includes the last BSDF sample and roulette
     float eta_scale = 1;  // product of squared relative indices: undoes radiance scaling for roulette
     float density = 0;    // of the ray's direction, sr^-1, or pmf of its delta lobe; roulette folded in
-    Point3f from;         // vertex that it left
+    Point3f from;         // vertex that the ray left
     Lobe lobe = Lobe::none;
-    bool is_straight = true;  // only lobes that go_straight_on() since the camera
+    bool is_straight = true;  // all lobes since the camera keep the direction: goes_straight_on()
     PathResult result;
     Sampler sampler;
     MediumStack media;
@@ -32,7 +32,7 @@ struct alignas(64) PathState {
     /// An empty state; the caller fills it in.
     explicit PathState(const Sampler& sampler_) : sampler(sampler_) {}
 
-    /// Number of the edge that its ray is about to make.
+    /// Number of the edge that the ray is about to make, from 1.
     int depth() const { return int(result.n_vertices) + 1; }
 };
 
