@@ -256,7 +256,7 @@ void PathFinder::ghost_from_emitter(const SiteSample& from) {
     query.u = from.u_light;
     look_up_light(scene, query);
     const LightSample seen = sample_light(scene, from.point.p, query);
-    if (!(seen.pdf_w > 0)) return;
+    if (!(seen.density() > 0)) return;
 
     // Find the vertex behind the ghost.
     const Ray away{from.point.p, -seen.wi};
