@@ -172,88 +172,138 @@ bool Obstacles::may_meet(const Point3f& a, const Vector3f& d) const {
     return may_meet(a, a + d * (2 * beyond));
 }
 
-EditReach::EditReach(const Scene& old_scene, const Scene& new_scene, const Edit& edit) {
-    constexpr std::uint32_t none = ShapeEdit::none;
-    Comparison compare(old_scene, new_scene);
+namespace {
 
-    const auto stays = [&](const ShapeEdit& shape, std::uint32_t old_index, std::uint32_t new_index) {
+/// Fills an EditReach in steps.
+class ReachFinder {
+  public:
+    ReachFinder(EditReach& out, const Scene& old_scene, const Scene& new_scene, const Edit& edit)
+        : out_(out), old_(old_scene), new_(new_scene), edit_(edit), compare_(old_scene, new_scene) {}
+
+    void find() {
+        compare_shapes();
+        out_.everything = reason_for_everything();
+        if (!out_.everything.empty()) return;
+        compare_emitters();
+        mark_shapes_of_emitters();
+        const int sky = old_.environment_idx;
+        out_.sky = sky != new_.environment_idx || (sky >= 0 && out_.emitters[std::size_t(sky)]);
+        bound_emitters();
+    }
+
+  private:
+    static constexpr std::uint32_t none = ShapeEdit::none;
+
+    bool stays(const ShapeEdit& shape, std::uint32_t old_idx, std::uint32_t new_idx) const {
         return shape.partner_idx != none && !shape.dynamic() &&
-               same_geometry(old_scene.shapes[old_index], new_scene.shapes[new_index]);
-    };
-    std::vector<std::uint8_t> scatters_alike;
-    for (std::uint32_t i = 0; i < old_scene.shapes.size(); ++i) {
-        const ShapeEdit& shape = edit.old_shapes[i];
-        const Shape& geometry = old_scene.shapes[i];
+               same_geometry(old_.shapes[old_idx], new_.shapes[new_idx]);
+    }
+
+    void compare_shapes() {
+        for (std::uint32_t i = 0; i < old_.shapes.size(); ++i) compare_shape(i);
+        for (std::uint32_t j = 0; j < new_.shapes.size(); ++j)
+            if (const ShapeEdit& shape = edit_.new_shapes[j]; !stays(shape, shape.partner_idx, j))
+                out_.new_places.add(new_.shapes[j]);
+        const float around = std::max(largest_offset(old_), largest_offset(new_));
+        out_.old_places.finish(around);
+        out_.new_places.finish(around);
+    }
+
+    void compare_shape(std::uint32_t i) {
+        const ShapeEdit& shape = edit_.old_shapes[i];
+        const Shape& before = old_.shapes[i];
         const bool in_place = stays(shape, i, shape.partner_idx);
-        if (!in_place) old_places.add(geometry);
-        scatters_alike.push_back(
-            in_place && !(shape.changes & shape_change::repainted) &&
-            compare.same_material(int(geometry.material_idx), int(new_scene.shapes[shape.partner_idx].material_idx)));
-        const bool same = scatters_alike[i] && !shape.dyed();
-        shapes.push_back(!same);
-        const bool only_repainted =
-            !same && in_place && geometry.emitter_idx < 0 && new_scene.shapes[shape.partner_idx].emitter_idx < 0 &&
-            of_both_sides(old_scene, geometry.material_idx, [](const Material& m) { return !m.perturbed(); }) &&
-            of_both_sides(new_scene, new_scene.shapes[shape.partner_idx].material_idx,
-                          [](const Material& m) { return !m.needs_uv(); });
-        repainted.push_back(only_repainted ? int(new_scene.shapes[shape.partner_idx].material_idx) : -1);
-    }
-    for (std::uint32_t j = 0; j < new_scene.shapes.size(); ++j)
-        if (const ShapeEdit& shape = edit.new_shapes[j]; !stays(shape, shape.partner_idx, j))
-            new_places.add(new_scene.shapes[j]);
-    const float around = std::max(largest_offset(old_scene), largest_offset(new_scene));
-    old_places.finish(around);
-    new_places.finish(around);
-
-    if (!same_sensor(old_scene.sensor, new_scene.sensor)) everything = "the cameras differ in their last digits";
-    if (old_scene.features.anisotropic != new_scene.features.anisotropic)
-        everything = "only one of the scenes has an anisotropic surface, which turns all shading frames";
-    const std::size_t n = old_scene.emitters.size();
-    if (n != new_scene.emitters.size())
-        everything =
-            fmt::format("{} lights, now {}: the same random number picks another light", n, new_scene.emitters.size());
-    for (std::uint32_t i = 0; everything.empty() && i < n; ++i) {
-        const EmitterEdit& emitter = edit.old_emitters[i];
-        const Emitter &before = old_scene.emitters[i], &after = new_scene.emitters[i];
-        if (emitter.partner_idx != none && emitter.partner_idx != i)
-            everything = "the lights are in another order: the same random number picks another light";
-        if (n > 1 && old_scene.emitter_pmf.pmf(i) != new_scene.emitter_pmf.pmf(i))
-            everything = "the lights are chosen with other probabilities";
-        bool changed = emitter.changed || emitter.partner_idx == none || !compare.same_emitter(before, after);
-        if (!changed && before.kind == EmitterKind::area) {
-            const ShapeEdit& shape = edit.old_shapes[before.shape_idx];
-            changed = shape.partner_idx != after.shape_idx || !stays(shape, before.shape_idx, after.shape_idx);
+        if (!in_place) {
+            out_.old_places.add(before);
+            scatters_alike_.push_back(false);
+            out_.shapes.push_back(true);
+            out_.repainted.push_back(-1);
+            return;
         }
-        Emitter as_before = after;
-        as_before.radiance = before.radiance;
-        const bool even =
-            (before.kind == EmitterKind::area &&
-             stays(edit.old_shapes[before.shape_idx], before.shape_idx, after.shape_idx)) ||
-            (before.kind == EmitterKind::constant && old_scene.environment_idx == new_scene.environment_idx);
-        relit.push_back(changed && even && before.texture_idx < 0 && !is_black(before.radiance) &&
-                        compare.same_emitter(before, as_before));
-        emitters.push_back(changed && !relit[i]);
-        any_emitter |= emitters[i] != 0;
-        any_relit |= relit[i] != 0;
+        const Shape& after = new_.shapes[shape.partner_idx];
+        scatters_alike_.push_back(!(shape.changes & shape_change::repainted) &&
+                                  compare_.same_material(int(before.material_idx), int(after.material_idx)));
+        const bool same = scatters_alike_[i] && !shape.dyed();
+        out_.shapes.push_back(!same);
+        const bool only_repainted =
+            !same && before.emitter_idx < 0 && after.emitter_idx < 0 &&
+            of_both_sides(old_, before.material_idx, [](const Material& m) { return !m.perturbed(); }) &&
+            of_both_sides(new_, after.material_idx, [](const Material& m) { return !m.needs_uv(); });
+        out_.repainted.push_back(only_repainted ? int(after.material_idx) : -1);
     }
-    if (!everything.empty()) return;
-    for (std::uint32_t i = 0; i < shapes.size(); ++i) {
-        const Shape& shape = old_scene.shapes[i];
-        if (shape.emitter_idx < 0) continue;
-        const auto emitter = std::size_t(shape.emitter_idx);
-        shapes[i] = (shapes[i] || emitters[emitter]) && !(scatters_alike[i] && relit[emitter]);
-        dark_light |= shapes[i] && old_scene.materials[shape.material_idx].black();
-    }
-    sky = old_scene.environment_idx != new_scene.environment_idx ||
-          (old_scene.environment_idx >= 0 && emitters[std::size_t(old_scene.environment_idx)]);
 
-    for (const Emitter& emitter : old_scene.emitters) {
-        if (emitter.is_infinite()) bounded_lights = false;
-        if (emitter.kind == EmitterKind::area)
-            lights.add(old_scene.shapes[emitter.shape_idx].bounds());
-        else
-            lights.add(emitter.position);
+    /// Returns why every path may have changed; empty: some may be unchanged.
+    std::string reason_for_everything() const {
+        std::string reason;
+        if (!same_sensor(old_.sensor, new_.sensor)) reason = "the cameras differ in their last digits";
+        if (old_.features.anisotropic != new_.features.anisotropic)
+            reason = "only one of the scenes has an anisotropic surface, which turns all shading frames";
+        const std::size_t n = old_.emitters.size();
+        if (n != new_.emitters.size())
+            reason =
+                fmt::format("{} lights, now {}: the same random number picks another light", n, new_.emitters.size());
+        for (std::uint32_t i = 0; reason.empty() && i < n; ++i) {
+            const std::uint32_t partner_idx = edit_.old_emitters[i].partner_idx;
+            if (partner_idx != none && partner_idx != i)
+                reason = "the lights are in another order: the same random number picks another light";
+            if (n > 1 && old_.emitter_pmf.pmf(i) != new_.emitter_pmf.pmf(i))
+                reason = "the lights are chosen with other probabilities";
+        }
+        return reason;
     }
+
+    void compare_emitters() {
+        for (std::uint32_t i = 0; i < old_.emitters.size(); ++i) {
+            const Emitter &before = old_.emitters[i], &after = new_.emitters[i];
+            const bool area = before.kind == EmitterKind::area;
+            const ShapeEdit* shape = area ? &edit_.old_shapes[before.shape_idx] : nullptr;
+            const bool in_place = area && stays(*shape, before.shape_idx, after.shape_idx);
+            const bool changed = edit_.old_emitters[i].changed || edit_.old_emitters[i].partner_idx == none ||
+                                 !compare_.same_emitter(before, after) ||
+                                 (area && (shape->partner_idx != after.shape_idx || !in_place));
+            Emitter as_before = after;
+            as_before.radiance = before.radiance;
+            const bool even =
+                in_place || (before.kind == EmitterKind::constant && old_.environment_idx == new_.environment_idx);
+            out_.relit.push_back(changed && even && before.texture_idx < 0 && !is_black(before.radiance) &&
+                                 compare_.same_emitter(before, as_before));
+            out_.emitters.push_back(changed && !out_.relit[i]);
+            out_.any_emitter |= out_.emitters[i] != 0;
+            out_.any_relit |= out_.relit[i] != 0;
+        }
+    }
+
+    void mark_shapes_of_emitters() {
+        for (std::uint32_t i = 0; i < out_.shapes.size(); ++i) {
+            const Shape& shape = old_.shapes[i];
+            if (shape.emitter_idx < 0) continue;
+            const auto emitter = std::size_t(shape.emitter_idx);
+            out_.shapes[i] = (out_.shapes[i] || out_.emitters[emitter]) && !(scatters_alike_[i] && out_.relit[emitter]);
+            out_.dark_light |= out_.shapes[i] && old_.materials[shape.material_idx].black();
+        }
+    }
+
+    void bound_emitters() {
+        for (const Emitter& emitter : old_.emitters) {
+            if (emitter.is_infinite()) out_.bounded_lights = false;
+            if (emitter.kind == EmitterKind::area)
+                out_.lights.add(old_.shapes[emitter.shape_idx].bounds());
+            else
+                out_.lights.add(emitter.position);
+        }
+    }
+
+    EditReach& out_;
+    const Scene &old_, &new_;
+    const Edit& edit_;
+    Comparison compare_;
+    std::vector<std::uint8_t> scatters_alike_;  // [shape of the old scene]
+};
+
+}  // namespace
+
+EditReach::EditReach(const Scene& old_scene, const Scene& new_scene, const Edit& edit) {
+    ReachFinder(*this, old_scene, new_scene, edit).find();
 }
 
 }  // namespace loom

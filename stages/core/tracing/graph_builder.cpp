@@ -111,34 +111,48 @@ void describe_coats(const std::vector<Material>& materials, PathGraphHeader::Coa
     out.external_transmittance = std::move(transmittance);
 }
 
-void describe_scene(const Scene& scene, PathGraphHeader& g) {
-    const Sensor& s = scene.sensor;
+void describe_sensor(const Sensor& s, PathGraphHeader::Sensor& out) {
     const bool perspective = s.kind == SensorKind::perspective;
-    g.sensor.kind = s.kind == SensorKind::nlos_capture_meter ? "nlos_capture_meter"
-                    : perspective                            ? "perspective"
-                                                             : "orthographic";
-    g.sensor.width = s.width;
-    g.sensor.height = s.height;
+    out.kind = s.kind == SensorKind::nlos_capture_meter ? "nlos_capture_meter"
+               : perspective                            ? "perspective"
+                                                        : "orthographic";
+    out.width = s.width;
+    out.height = s.height;
     for (int row = 0; row < 4; ++row)
-        for (int k = 0; k < 4; ++k) g.sensor.world_from_camera[row][k] = s.world_from_camera[4 * row + k];
-    for (int k = 0; k < 3; ++k) g.sensor.origin[k] = s.world_from_camera[4 * k + 3];
-    g.sensor.fov_x_deg = perspective ? 2 * std::atan(s.tan_half_fov_x) * 180 / pi_double : 0;
-    g.sensor.principal_point = {s.principal_x, s.principal_y};
-    g.sensor.near_clip = s.near_clip;
-    g.sensor.far_clip = s.far_clip;
-    g.sensor.rfilter = s.filter == Filter::box ? "box" : s.filter == Filter::tent ? "tent" : "gaussian";
-    g.sensor.rfilter_radius = s.filter_radius;
+        for (int k = 0; k < 4; ++k) out.world_from_camera[row][k] = s.world_from_camera[4 * row + k];
+    for (int k = 0; k < 3; ++k) out.origin[k] = s.world_from_camera[4 * k + 3];
+    out.fov_x_deg = perspective ? 2 * std::atan(s.tan_half_fov_x) * 180 / pi_double : 0;
+    out.principal_point = {s.principal_x, s.principal_y};
+    out.near_clip = s.near_clip;
+    out.far_clip = s.far_clip;
+    out.rfilter = s.filter == Filter::box ? "box" : s.filter == Filter::tent ? "tent" : "gaussian";
+    out.rfilter_radius = s.filter_radius;
+}
 
-    if (const TransientFilm& film = scene.transient; film.n_bins > 0) {
-        g.transient.n_bins = {film.n_bins};
-        g.transient.start_opl = {film.start_opl};
-        g.transient.bin_width_opl = {film.bin_width_opl};
-        g.transient.sigma_opl = {film.sigma_opl};
-        g.transient.camera_segment = {std::uint8_t(film.camera_segment)};
-    }
+void describe_film(const TransientFilm& film, PathGraphHeader::Transient& out) {
+    if (film.n_bins == 0) return;
+    out.n_bins = {film.n_bins};
+    out.start_opl = {film.start_opl};
+    out.bin_width_opl = {film.bin_width_opl};
+    out.sigma_opl = {film.sigma_opl};
+    out.camera_segment = {std::uint8_t(film.camera_segment)};
+}
 
-    auto& out = g.materials;
-    const auto& in = scene.materials;
+/// Bits of textured_parameter, by material.
+std::vector<std::uint8_t> textured_parameters(const std::vector<Material>& in) {
+    std::vector<std::uint8_t> textured;
+    for (const Material& m : in)
+        textured.push_back((m.diffuse_idx >= 0 ? textured_parameter::diffuse : 0) |
+                           (m.specular_idx >= 0 ? textured_parameter::specular : 0) |
+                           (m.transmittance_idx >= 0 ? textured_parameter::transmittance : 0) |
+                           (m.alpha_u_idx >= 0 || m.alpha_v_idx >= 0 ? textured_parameter::alpha : 0) |
+                           (m.opacity_idx >= 0 ? textured_parameter::opacity : 0) |
+                           (m.exponent_idx >= 0 ? textured_parameter::exponent : 0) |
+                           (m.textured_index() ? textured_parameter::index : 0));
+    return textured;
+}
+
+void describe_materials(const std::vector<Material>& in, PathGraphHeader::Materials& out) {
     using M = BsdfModel;
     for (const Material& m : in) out.id.push_back(m.id);
     const auto one = [](auto member) { return [member](const M& m) { return std::array{m.*member}; }; };
@@ -167,22 +181,14 @@ void describe_scene(const Scene& scene, PathGraphHeader& g) {
     out.k_c = gather<float>(in, three(&M::k_c));
     out.fdr_int = gather<float>(in, [](const M& m) { return std::array{m.coat.fdr_int}; });
     out.fdr_ext = gather<float>(in, [](const M& m) { return std::array{m.coat.fdr_ext}; });
-    std::vector<std::uint8_t> textured;
-    for (const Material& m : in)
-        textured.push_back((m.diffuse_idx >= 0 ? textured_parameter::diffuse : 0) |
-                           (m.specular_idx >= 0 ? textured_parameter::specular : 0) |
-                           (m.transmittance_idx >= 0 ? textured_parameter::transmittance : 0) |
-                           (m.alpha_u_idx >= 0 || m.alpha_v_idx >= 0 ? textured_parameter::alpha : 0) |
-                           (m.opacity_idx >= 0 ? textured_parameter::opacity : 0) |
-                           (m.exponent_idx >= 0 ? textured_parameter::exponent : 0) |
-                           (m.textured_index() ? textured_parameter::index : 0));
-    out.textured = std::move(textured);
+    out.textured = textured_parameters(in);
     const bool rough_plastic =
         std::any_of(in.begin(), in.end(), [](const Material& m) { return m.model.kind == BsdfKind::rough_plastic; });
     if (rough_plastic)
         out.external_transmittance = gather<float>(in, [](const M& m) { return m.coat.external_transmittance; });
-    describe_coats(in, g.coats);
+}
 
+void describe_emitters(const Scene& scene, PathGraphHeader::Emitters& out) {
     std::vector<std::uint8_t> kinds;
     std::vector<float> pmfs, positions;
     bool has_projector = false;
@@ -190,15 +196,23 @@ void describe_scene(const Scene& scene, PathGraphHeader& g) {
         const Emitter& e = scene.emitters[i];
         const bool projector = e.kind == EmitterKind::projector;
         has_projector |= projector;
-        g.emitters.id.push_back(e.id);
+        out.id.push_back(e.id);
         kinds.push_back(
             std::uint8_t(projector && scene.nlos && scene.nlos->laser_sampling ? EmitterKind::laser_spot : e.kind));
         pmfs.push_back(scene.emitter_pmf.pmf(i));
         for (int k = 0; k < 3; ++k) positions.push_back(projector ? e.position[k] : 0.0f);
     }
-    if (has_projector) g.emitters.position = std::move(positions);
-    g.emitters.kind = std::move(kinds);
-    g.emitters.pmf = std::move(pmfs);
+    if (has_projector) out.position = std::move(positions);
+    out.kind = std::move(kinds);
+    out.pmf = std::move(pmfs);
+}
+
+void describe_scene(const Scene& scene, PathGraphHeader& g) {
+    describe_sensor(scene.sensor, g.sensor);
+    describe_film(scene.transient, g.transient);
+    describe_materials(scene.materials, g.materials);
+    describe_coats(scene.materials, g.coats);
+    describe_emitters(scene, g.emitters);
     for (const Shape& shape : scene.shapes) g.shapes.id.push_back(shape.id);
 }
 
