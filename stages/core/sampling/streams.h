@@ -22,6 +22,17 @@ constexpr std::uint32_t dimension(int depth, Dimension of) {
     return std::uint32_t(depth - 1) * 4 + std::uint32_t(of);
 }
 
+/// Pairs of dimensions of a path that starts from a site of an edit. Each bounce has its own pairs, so that both scenes
+/// of the edit use the same ones.
+namespace site_dimension {
+inline constexpr std::uint32_t choice = 0, point = 1, light = 2, lobe = 3, first_walk = 8;
+/// in: k     number of the bounce, from 0
+///     what  decision at the bounce, 0 to 3
+constexpr std::uint32_t walk(int k, bool to_light, std::uint32_t what) {
+    return first_walk + std::uint32_t(k) * 8 + (to_light ? 4 : 0) + what;
+}
+}  // namespace site_dimension
+
 namespace streams {
 
 /// 2^64 over the golden ratio: consecutive multiples differ in about half of their bits.   [Steele2014] "Fast Splittable

@@ -1,19 +1,10 @@
 #include "stages/residual/dynamic/path_finder.h"
 
+#include "stages/core/sampling/streams.h"
 #include "stages/core/sampling/warp.h"
 #include "stages/core/scene/embree.h"
 
 namespace loom::residual {
-namespace {
-
-// Pairs of a random stream for a sample that starts from a site. Each bounce has its own pairs, so that both scenes of
-// an edit use the same ones.
-enum : std::uint32_t { choice_pair = 0, point_pair = 1, light_pair = 2, lobe_pair = 3, first_walk_pair = 8 };
-constexpr std::uint32_t walk_pair(int k, bool to_light, std::uint32_t what) {
-    return first_walk_pair + std::uint32_t(k) * 8 + (to_light ? 4 : 0) + what;
-}
-
-}  // namespace
 
 PathFinder::PathFinder(const DynamicScenes& scenes, const DynamicScene& side, const PathOptions& options)
     : scenes_(scenes), side_(side), options_(options) {
@@ -126,14 +117,15 @@ void PathFinder::walk(std::vector<Stop>& stops, Towards towards, const Numbers& 
         ++n_vertices;
         if (k > 0 || join_first) {
             if (lit)
-                join_light(stops.back(), numbers.pair(walk_pair(k, lit, 2)));
+                join_light(stops.back(), numbers.pair(site_dimension::walk(k, lit, 2)));
             else
                 join_sensor(stops.back());
         }
         if (int(stops.size()) >= n_max) return;
         stops.emplace_back();
         Stop &here = stops[stops.size() - 2], &next = stops.back();
-        if (!step(here, numbers.pair(walk_pair(k, lit, 0)), numbers.pair(walk_pair(k, lit, 1)), next)) {
+        if (!step(here, numbers.pair(site_dimension::walk(k, lit, 0)), numbers.pair(site_dimension::walk(k, lit, 1)),
+                  next)) {
             stops.pop_back();
             return;
         }
@@ -206,8 +198,8 @@ void PathFinder::find(Technique technique, Site site, const Numbers& numbers, co
     const SiteShapes& shapes = scenes_.at(site);
     const Start start = start_of(technique);
     if (!(shapes.area(start) > 0)) return;
-    const Point2f u_choice = numbers.pair(choice_pair), u_light = numbers.pair(light_pair);
-    const SitePoint point = shapes.sample(start, u_choice.x, numbers.pair(point_pair));
+    const Point2f u_choice = numbers.pair(site_dimension::choice), u_light = numbers.pair(site_dimension::light);
+    const SitePoint point = shapes.sample(start, u_choice.x, numbers.pair(site_dimension::point));
     const SiteShapes::Member& member = shapes.members()[point.member];
     const SiteSample from{point, side_.is_new ? member.new_shape : member.old_shape, u_choice.y, u_light, numbers,
                           visit};
@@ -362,7 +354,8 @@ void PathFinder::dynamic_two_ends(const SiteSample& from) {
     // Sample the BSDF towards the sensor, and find that vertex.
     middle.back = to_light_d;
     Stop z, y;
-    if (!step(middle, from.numbers.pair(walk_pair(0, false, 3)), from.numbers.pair(lobe_pair), z)) return;
+    if (!step(middle, from.numbers.pair(site_dimension::walk(0, false, 3)), from.numbers.pair(site_dimension::lobe), z))
+        return;
     const Interaction x = interact(side_, middle.v, middle.ahead, to_light_d, middle.lobe);
     y.v = side_.vertex(ray, hit);
     y.back = -to_light_d;
