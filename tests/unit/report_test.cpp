@@ -225,6 +225,7 @@ TEST_F(Page, WrongInputsAreRefused) {
 }
 
 // Two figures of one section share a heading and a command; times are those of all ancestors, each once.
+// Detected mutations: an ancestor of two outputs counted twice; text that is not escaped.
 TEST(Tour, ShowsFiguresWithWhatTheyTook) {
     const fs::path folder = fs::temp_directory_path() / "loom-tour";
     fs::remove_all(folder);
