@@ -48,7 +48,7 @@ struct Alone {
             const auto& p = shape.mesh.positions;
             const Vector3f e1 = p[1] - p[0], e2 = p[2] - p[0];
             const Vector3<double> n = normalize(cross(Vector3<double>(e1), Vector3<double>(e2)));
-            shape.triangles.push_back({p[0], e1, e2, as_stored(Normal3f(n))});
+            shape.triangles.push_back({{p[0], e1, e2}, as_stored(Normal3f(n))});
         }
         shape.hit_error = hit_error(shape);
         scene.rays = std::make_shared<RayEngine>(scene.shapes);
