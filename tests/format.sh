@@ -8,4 +8,4 @@ case $(clang-format --version 2>/dev/null) in
 esac
 action='--dry-run -Werror'
 [ "$1" = --fix ] && action=-i
-find formats stages tests -name '*.cpp' -o -name '*.h' | LC_ALL=C sort | xargs clang-format $action
+find formats stages tests -name '*.cpp' -o -name '*.h' -o -name '*.inl' | LC_ALL=C sort | xargs clang-format $action

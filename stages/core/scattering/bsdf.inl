@@ -148,8 +148,7 @@ BsdfSample<T> sample(const Bsdf<T>& b, const Vector3<T>& wo, float u_lobe, Point
                 s.weight = v.f_cos / v.pdf_w;
                 s.pdf_w = v.pdf_w * b.opacity;
                 s.lobe = chosen.lobe;
-                if (chosen.lobe == Lobe::glossy_transmission)
-                    s.eta = select(wo.z > T(0), b.eta, T(1) / b.eta);
+                if (chosen.lobe == Lobe::glossy_transmission) s.eta = select(wo.z > T(0), b.eta, T(1) / b.eta);
             }
         });
     return s;
@@ -180,10 +179,9 @@ Rgb<T> albedo(const Bsdf<T>& b, const Vector3<T>& wo) {
 
 template <class T>
 bool has_smooth_lobe(const Bsdf<T>& b) {
-    return b.opacity > T(0) && with_family(
-                                   b.model->kind, []<class Family>(Family) __attribute__((always_inline)) {
-                                       return Family::smooth;
-                                   });
+    return b.opacity > T(0) &&
+           with_family(
+               b.model->kind, []<class Family>(Family) __attribute__((always_inline)) { return Family::smooth; });
 }
 
 }  // namespace loom
