@@ -216,15 +216,14 @@ bool misread_by_1_2(const PathGraphHeader& g) {
            std::any_of(textured.begin(), textured.end(), [](std::uint8_t bits) { return (bits & newer) != 0; });
 }
 
-/// Rows of materials, or 65535.
+/// Rows of materials, or no_medium.
 std::string bad_media(std::string_view name, const Column<std::uint16_t>& medium, const PathGraph& g) {
-    constexpr std::uint16_t outside = 65535;
     const std::size_t n_materials = g.materials.id.size();
     const std::size_t row =
-        first_bad(medium.size(), [&](std::size_t i) { return medium[i] < n_materials || medium[i] == outside; });
+        first_bad(medium.size(), [&](std::size_t i) { return medium[i] < n_materials || medium[i] == no_medium; });
     if (row == medium.size()) return {};
-    return fmt::format("{}: row {} is {}, but there are {} materials (65535: outside)", name, row, medium[row],
-                       n_materials);
+    return fmt::format("{}: row {} is {}, but there are {} materials ({}: outside)", name, row, medium[row],
+                       n_materials, no_medium);
 }
 
 /// Oldest version whose readers understand a graph: 1.2, 2.0 if a reader of 1.2 would misread it, and the next minor

@@ -42,6 +42,9 @@ inline constexpr std::uint8_t exponent = 32;
 inline constexpr std::uint8_t index = 64;  // eta_c and k_c
 }  // namespace textured_parameter
 
+/// Value of `vertices/medium` and `light_edges/medium` outside of all objects.
+inline constexpr std::uint16_t no_medium = 65535;
+
 /// Reason why a path ends at a vertex.
 enum class Ending : std::uint8_t {
     none = 0,  // it does not end here

@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <span>
 
+#include "formats/path_graph.h"  // no_medium
 #include "stages/core/math/vector.h"
 #include "stages/core/scattering/bsdf_model.h"
 
@@ -23,7 +24,7 @@ struct SurfaceIdx {
 
 /// Medium of a path segment.
 struct Medium {
-    static constexpr std::uint16_t outside = 65535;
+    static constexpr std::uint16_t outside = no_medium;
     float ior = 1;                         // absolute index of refraction
     std::uint16_t material_idx = outside;  // dielectric whose inside it is; outside: outside of all objects
     bool operator==(const Medium&) const = default;
