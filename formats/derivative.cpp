@@ -1,0 +1,93 @@
+#include "formats/derivative.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <functional>
+
+#include "formats/io/error.h"
+#include "formats/io/hdf5_format.h"
+#include "formats/path_graph.h"
+
+namespace loom {
+namespace {
+
+/// Returns the first row whose number is not above the one before, or not below `end`; the size when all are.
+std::size_t first_unsorted(const Column<std::uint32_t>& rows, std::uint64_t end) {
+    for (std::size_t i = 0; i < rows.size(); ++i)
+        if (rows[i] >= end || (i > 0 && rows[i] <= rows[i - 1])) return i;
+    return rows.size();
+}
+
+}  // namespace
+
+std::string_view boundary_family_name(BoundaryFamily family) {
+    switch (family) {
+        case BoundaryFamily::primary:
+            return "primary";
+        case BoundaryFamily::vertex_light:
+            return "vertex-light";
+        case BoundaryFamily::edge_light:
+            return "edge-light";
+        case BoundaryFamily::indirect:
+            break;
+    }
+    return "indirect";
+}
+
+std::string Derivative::problem() const {
+    const std::size_t n = n_parameters();
+    if (n == 0) return "parameters/name: has no rows";
+    if (parameters.unit.size() != n || parameters.value.size() != n)
+        return fmt::format("parameters: {} names, {} units and {} values", n, parameters.unit.size(),
+                           parameters.value.size());
+    if (boundary_samples.size() != n_boundary_families)
+        return fmt::format("boundary/samples: has {} rows, expected {}", boundary_samples.size(), n_boundary_families);
+    if (const std::size_t i = first_unsorted(interior.edge, n_light_edges); i < interior.edge.size())
+        return fmt::format("interior/edge: row {} is {}, not increasing or not below graph/n_light_edges", i,
+                           interior.edge[i]);
+    if (const std::size_t i = first_unsorted(seen.path, n_paths); i < seen.path.size())
+        return fmt::format("seen/path: row {} is {}, not increasing or not below graph/n_paths", i, seen.path[i]);
+    if (!std::is_sorted(boundary.pixel.begin(), boundary.pixel.end())) return "boundary/pixel: is not sorted";
+    for (std::size_t i = 0; i < boundary.family.size(); ++i) {
+        const std::uint8_t family = boundary.family[i];
+        if (family >= n_boundary_families)
+            return fmt::format("boundary/family: row {} is {}, expected 0 to {}", i, family, n_boundary_families - 1);
+        const bool of_path = BoundaryFamily(family) == BoundaryFamily::vertex_light ||
+                             BoundaryFamily(family) == BoundaryFamily::indirect;
+        if (const std::uint64_t end = of_path ? n_paths : boundary_samples[family]; boundary.sample[i] >= end)
+            return fmt::format("boundary/sample: row {} is {}, but family {} has {}", i, boundary.sample[i], family,
+                               end);
+    }
+    return {};
+}
+
+void write_derivative(const Derivative& derivative, const std::filesystem::path& path, Sync sync) {
+    write_format(derivative, path, sync);
+}
+
+Derivative read_derivative(const std::filesystem::path& path) {
+    return read_format<Derivative>(path);
+}
+
+void require_derivative_of(const PathGraph& graph, const InputId& graph_id, const Derivative& derivative,
+                           const std::filesystem::path& derivative_path) {
+    if (derivative.graph == graph_id.hash && derivative.n_light_edges == graph.n_light_edges() &&
+        derivative.n_paths == graph.n_paths()) {
+        if (derivative.boundary.pixel.empty() ||
+            derivative.boundary.pixel[derivative.boundary.pixel.size() - 1] < graph.n_pixels())
+            return;
+        throw InputError(
+            fmt::format("{}: boundary/pixel goes to {}, but the graph has {} pixels", derivative_path.native(),
+                        derivative.boundary.pixel[derivative.boundary.pixel.size() - 1], graph.n_pixels()));
+    }
+    const std::string made_from =
+        derivative.provenance.inputs.size() < 2 ? "another graph" : derivative.provenance.inputs[1].name;
+    throw InputError(
+        fmt::format("{}: made from {} (content {}), not from {} (content {}); run: loom-derive SCENE {} --wrt NAME "
+                    "-o {}",
+                    derivative_path.native(), made_from, derivative.graph, graph_id.name, graph_id.hash, graph_id.name,
+                    derivative_path.native()));
+}
+
+}  // namespace loom

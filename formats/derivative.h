@@ -1,0 +1,144 @@
+#pragma once
+// derivative: derivatives of the light of every stored path, and light that appears or disappears at moving boundaries.
+//
+// Derivatives are with respect to the parameters of a scene, at the values for which the graph was traced. Interior rows
+// belong to light edges of the graph; boundary rows are samples of their own. Neither depends on the response of a
+// sensor, so that loom-transient turns both into bins without tracing.
+
+#include <cstdint>
+#include <filesystem>
+#include <memory>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "formats/io/documenter.h"
+#include "formats/io/field.h"
+#include "formats/io/mapped_file.h"
+#include "formats/io/output_file.h"
+#include "formats/io/provenance.h"
+
+namespace loom {
+
+struct PathGraph;
+
+/// Estimator of a boundary row; value of `boundary/family`. Append only.
+enum class BoundaryFamily : std::uint8_t {
+    primary = 0,       // edges as the camera sees them
+    vertex_light = 1,  // edges between a stored vertex and an emitter
+    edge_light = 2,    // edges seen from a light point
+    indirect = 3,      // edges between a stored vertex and a surface
+};
+inline constexpr int n_boundary_families = 4;
+std::string_view boundary_family_name(BoundaryFamily family);
+
+struct DerivativeHeader {
+    std::string graph;                // content hash of the path graph, as in Provenance::inputs
+    std::uint64_t n_light_edges = 0;  // of that graph
+    std::uint64_t n_paths = 0;        // of that graph
+
+    struct Parameters {
+        std::vector<std::string> name, unit;
+        Column<double> value;
+    } parameters;
+
+    Column<std::uint64_t> boundary_samples;  // [family]
+
+    Provenance provenance;
+
+    std::size_t n_parameters() const { return parameters.name.size(); }
+};
+
+template <template <class> class ColumnOf>
+struct DerivativeOf : DerivativeHeader {
+    static constexpr FormatId format{"derivative", 1, 0};
+
+    struct Interior {
+        ColumnOf<std::uint32_t> edge;
+        ColumnOf<float> dL, dopl;
+    } interior;
+
+    struct Seen {
+        ColumnOf<std::uint32_t> path;
+        ColumnOf<float> dLe, dopl;
+    } seen;
+
+    struct Boundary {
+        ColumnOf<std::uint32_t> pixel;
+        ColumnOf<double> opl;
+        ColumnOf<float> dL;
+        ColumnOf<std::uint8_t> family;
+        ColumnOf<std::uint64_t> sample;
+    } boundary;
+
+    template <class Self, class Visitor>
+    static void fields(Self& d, Visitor& v);
+};
+
+struct Derivative : DerivativeOf<Column> {
+    std::shared_ptr<const MappedFile> storage;
+
+    /// Returns the first violated invariant beyond types, lengths and finite floats; empty: none.
+    std::string problem() const;
+};
+
+/// needs:   columns that share an axis have the same length
+void write_derivative(const Derivative& derivative, const std::filesystem::path& path, Sync sync = Sync::yes);
+/// Reads, maps and checks the whole file.
+/// throws:  InputError naming the file and the dataset
+Derivative read_derivative(const std::filesystem::path& path);
+/// Refuses derivatives of another graph than `graph`, whose content is `graph_id`.
+/// throws:  InputError naming both files and the command that makes matching derivatives
+void require_derivative_of(const PathGraph& graph, const InputId& graph_id, const Derivative& derivative,
+                           const std::filesystem::path& derivative_path);
+
+template <template <class> class ColumnOf>
+template <class Self, class Visitor>
+void DerivativeOf<ColumnOf>::fields(Self& d, Visitor& v) {
+    v.value("graph/hash", d.graph, "", "1", "content hash (XXH64, 16 hexadecimal digits) of the path graph");
+    v.value("graph/n_light_edges", d.n_light_edges, "", "1", "light edges of the path graph");
+    v.value("graph/n_paths", d.n_paths, "", "1", "paths of the path graph");
+
+    auto& p = d.parameters;
+    v.names("parameters/name", p.name, "parameter", "name as given by --wrt, with its component");
+    v.names("parameters/unit", p.unit, "parameter", "unit of one step of the parameter");
+    v.field("parameters/value", p.value, 1, "parameter", "parameters/unit",
+            "value at which the derivatives hold; 0 for motions, which start from the scene as it is");
+
+    const std::size_t n = d.n_parameters();
+    constexpr std::string_view unit = "W m^-2 sr^-1 per parameters/unit";
+    auto& i = d.interior;
+    v.field("interior/edge", i.edge, 1, "row", "1",
+            "row of light_edges of the graph, increasing; edges without a row have derivative 0");
+    v.grid("interior/dL", i.dL, {n, 3}, "row,parameter,rgb", unit,
+           "derivative of the light that this edge brings to the pixel, of one path (not divided by the samples)",
+           Finite::counted);
+    v.grid("interior/dopl", i.dopl, {n}, "row,parameter", "m per parameters/unit",
+           "derivative of the optical path length; 0 for lights at infinity", Finite::counted);
+
+    auto& s = d.seen;
+    v.field("seen/path", s.path, 1, "seen", "1",
+            "path whose directly visible emitter or environment (paths/Le) has a derivative, increasing");
+    v.grid("seen/dLe", s.dLe, {n, 3}, "seen,parameter,rgb", unit, "derivative of paths/Le", Finite::counted);
+    v.grid("seen/dopl", s.dopl, {n}, "seen,parameter", "m per parameters/unit", "derivative of its optical path length",
+           Finite::counted);
+
+    auto& b = d.boundary;
+    v.field("boundary/samples", d.boundary_samples, 1, "family", "1",
+            "samples of each family, those without light included: 0 primary, 1 stored vertex and emitter, 2 light "
+            "point, 3 indirect");
+    v.field("boundary/pixel", b.pixel, 1, "boundary", "1", "pixel, y width + x; rows are sorted by it");
+    v.field("boundary/opl", b.opl, 1, "boundary", "m",
+            "optical path length from the camera with phase indices; negative: light at infinity, which has no arrival "
+            "time");
+    v.grid("boundary/dL", b.dL, {n, 3}, "boundary,parameter,rgb", unit,
+           "light that appears at the boundary; already divided by the samples: the rows of a pixel sum to its "
+           "derivative",
+           Finite::counted);
+    v.field("boundary/family", b.family, 1, "boundary", "1",
+            "estimator: 0 primary, 1 stored vertex and emitter, 2 light point, 3 indirect");
+    v.field("boundary/sample", b.sample, 1, "boundary", "1",
+            "sample of the family to which the row belongs; for families 1 and 3 the path of the graph");
+}
+
+}  // namespace loom
