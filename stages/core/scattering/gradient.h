@@ -1,0 +1,33 @@
+#pragma once
+// Gradients of BSDF values with respect to the directions. A stored path is contracted with any number of parameters
+// afterwards, so that each vertex is differentiated once.
+
+#include <array>
+
+#include "stages/core/scattering/bsdf_model.h"
+
+namespace loom {
+
+/// BSDF times |cos(theta_i)| (sr^-1) and its gradient with respect to the components of both directions. Directions
+/// are unit vectors: only the parts of by_wo and by_wi that are orthogonal to wo and wi have a meaning.
+struct DirectionGradient {
+    Spectrum f_cos;
+    std::array<Spectrum, 3> by_wo, by_wi;  // [component x, y, z]
+};
+
+/// Returns the value of f_cos_pdf() and its gradient. Both are 0 where no light is scattered.
+/// in:      wo, wi  unit, local
+DirectionGradient f_cos_gradient(const Bsdf<float>& bsdf, const Vector3f& wo, const Vector3f& wi);
+
+/// Reflectance or transmittance of a delta lobe and its gradient with respect to the components of wo. The direction
+/// wi follows wo as the lobe's direction.
+struct DeltaGradient {
+    Spectrum value;
+    std::array<Spectrum, 3> by_wo;  // [component x, y, z]
+};
+
+/// Returns the value of delta_value() and its gradient. Both are 0 where there is no such lobe.
+/// in:      wo  unit, local
+DeltaGradient delta_value_gradient(const Bsdf<float>& bsdf, const Vector3f& wo, Lobe lobe);
+
+}  // namespace loom
