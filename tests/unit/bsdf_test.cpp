@@ -165,6 +165,16 @@ TEST(Bsdf, OneSidedKindsAreBlackFromBehindAndTwoSidedOnesAlike) {
     }
 }
 
+TEST(Bsdf, MaskOfAnyKindDoesNotChangeTheLightThatItPasses) {
+    for (const BsdfCase& c : bsdf_cases()) {
+        BsdfModel model = c.model;
+        model.opacity = 0.25f;
+        const BsdfSample<float> s = sample(Bsdf<float>(model), direction(0.8f), 0.5f, {0.5f, 0.5f});
+        EXPECT_EQ(s.lobe, Lobe::null) << c.name;
+        EXPECT_EQ(s.weight, Spectrum(1.0f)) << c.name;
+    }
+}
+
 TEST(Bsdf, MaskSendsTheRestStraightOn) {
     BsdfModel model;
     model.opacity = 0.25f;

@@ -14,8 +14,8 @@ struct ConductorFamily : DeltaFamily {
     }
     template <class T>
     static DeltaLobe<T> delta_lobe(const Bsdf<T>& b, const Vector3<T>& wo, Lobe lobe) {
-        const bool reflects = lobe == Lobe::delta_reflection && wo.z > T(0);
-        return {albedo(b, wo), T(reflects ? 1 : 0), reflect(wo)};
+        if (lobe != Lobe::delta_reflection || !(wo.z > T(0))) return {};
+        return {albedo(b, wo), T(1), reflect(wo)};
     }
     template <class T>
     static Rgb<T> albedo(const Bsdf<T>& b, const Vector3<T>& wo) {
