@@ -1,0 +1,776 @@
+#include "stages/derive/interior.h"
+
+#include <fmt/format.h>
+
+#include <array>
+#include <cmath>
+
+#include "stages/core/graph/graph_reader.h"
+#include "stages/core/graph/own_samples.h"
+#include "stages/core/scattering/gradient.h"
+#include "stages/core/scene/delta_light.h"
+#include "stages/core/scene/nlos.h"
+#include "stages/derive/surface_motion.h"
+
+namespace loom::derive {
+namespace {
+
+using Vec = Vector3<double>;
+using Pt = Point3<double>;
+
+/// A colour per parameter.
+template <int n>
+struct ColourTangent {
+    std::array<Tangent<n>, 3> c{};
+
+    ColourTangent& operator+=(const ColourTangent& o) {
+        for (int i = 0; i < 3; ++i) c[i] += o.c[i];
+        return *this;
+    }
+    void scale(const Rgb<double>& by) {
+        for (int i = 0; i < 3; ++i)
+            for (double& x : c[i].d) x *= by[i];
+    }
+    ColourTangent& add(const Rgb<double>& by, const Tangent<n>& t) {
+        for (int i = 0; i < 3; ++i) c[i].add(by[i], t);
+        return *this;
+    }
+    /// Adds by[channel] o[channel].
+    ColourTangent& add(const Rgb<double>& by, const ColourTangent& o) {
+        for (int i = 0; i < 3; ++i) c[i].add(by[i], o.c[i]);
+        return *this;
+    }
+    bool is_zero() const { return c[0].is_zero() && c[1].is_zero() && c[2].is_zero(); }
+};
+
+/// A Bsdf with the derivatives of its parameters.
+template <int n, class Real>
+Bsdf<Dual<n, Real>> with_tangent(const Bsdf<float>& bsdf, const MaterialTangent& t, int i) {
+    Bsdf<Dual<n, Real>> b(bsdf);
+    const auto set = [i](Dual<n, Real>& x, double rate) { x.d[std::size_t(i)] = Real(rate); };
+    for (int c = 0; c < 3; ++c) {
+        set(b.diffuse[c], t.diffuse[c]);
+        set(b.specular[c], t.specular[c]);
+        set(b.transmittance[c], t.transmittance[c]);
+        set(b.eta_c[c], t.eta_c[c]);
+        set(b.k_c[c], t.k_c[c]);
+    }
+    set(b.alpha_u, t.alpha_u);
+    set(b.alpha_v, t.alpha_v);
+    set(b.eta, t.eta);
+    set(b.opacity, t.opacity);
+    set(b.exponent, t.exponent);
+    return b;
+}
+
+bool has_delta_lobe(BsdfKind kind) {
+    return kind == BsdfKind::conductor || kind == BsdfKind::dielectric || kind == BsdfKind::thin_dielectric ||
+           kind == BsdfKind::plastic;
+}
+
+struct Source {
+    const PathGraph& graph;
+    const Scene& scene;
+    const SceneTangents& tangents;
+    GraphReader reader;
+    SurfaceMotions motions;
+    std::vector<char> shape_matters, material_matters, emitter_matters;
+
+    Source(const PathGraph& g, const Scene& s, const SceneTangents& t)
+        : graph(g), scene(s), tangents(t), reader(g), motions(s, t) {
+        for (std::uint32_t i = 0; i < s.shapes.size(); ++i) {
+            shape_matters.push_back(t.moves(i) || !t.shading_normals[i].empty());
+        }
+        for (const auto& effects : t.materials) material_matters.push_back(!effects.empty());
+        for (std::size_t e = 0; e < s.emitters.size(); ++e) {
+            const bool of_shape = s.emitters[e].kind == EmitterKind::area;
+            emitter_matters.push_back(!t.emitters[e].empty() || !t.radiance[e].empty() ||
+                                      (of_shape && shape_matters[s.emitters[e].shape_idx]));
+        }
+    }
+
+    SurfacePlace place(std::size_t j, const ShadingPoint& at) const {
+        const auto& v = graph.vertices;
+        return {v.shape[j],
+                v.primitive.empty() ? 0 : v.primitive[j],
+                position<double>(graph, j),
+                Vec(at.ng),
+                Vec(at.frame.n),
+                Vec(at.frame.s)};
+    }
+};
+
+/// One walk along a path with n parameters.
+template <int n>
+class Walk {
+  public:
+    explicit Walk(const Source& source) : s_(source), g_(source.graph) {}
+
+    using Numbers = Tangent<n>;
+    using Vectors = VectorTangent<n>;
+    using Colours = ColourTangent<n>;
+
+    /// on_edge(k, dL, dopl), on_seen(path, dLe, dopl), on_vertex(j, beta, opl, velocities)
+    template <class OnEdge, class OnSeen, class OnVertex>
+    void path(std::size_t path, std::size_t& edge, OnEdge&& on_edge, OnSeen&& on_seen, OnVertex&& on_vertex) {
+        const auto [begin, end] = vertices_of(g_, path);
+        start_at_camera(path, begin, end);
+        if (begin == end) {
+            see_environment(path, on_seen);
+            return;
+        }
+        const auto& edges = g_.light_edges.vertex;
+        for (std::size_t j = begin; j < end; ++j) {
+            const ShadingPoint at = s_.reader.vertex(j);
+            Arrival here = arrive(j, at);
+            if (j == begin) see(path, at, here, on_seen);
+            on_vertex(j, here.beta, here.opl, here.motion.p);
+            for (; edge < edges.size() && edges[edge] == j; ++edge) light(j, edge, at, here, on_edge);
+            if (j + 1 < end) leave(j, at, here);
+        }
+    }
+
+  private:
+    /// Where a segment starts, and the factor of the scattering there, whose direction may still change with the end.
+    struct Start {
+        Pt p;
+        Vectors v;
+        bool by_ray = true;  // the ray's direction determines the end of the segment
+        Vec w;               // unit direction of the ray
+        Vectors dw;
+        bool scattered = false;
+        Rgb<double> factor{1};               // f cos / pdf
+        Colours dfactor;                     // without the change of the outgoing segment's direction
+        std::array<Rgb<double>, 3> by_wi{};  // gradient of the factor by the local direction
+        Frame<double> frame;
+        Vec wi_local;
+        Vectors ns;
+        Numbers twist;
+        Rgb<double> beta{1};  // before the factor
+        Colours dbeta;
+        double opl = 0;
+        Numbers dopl;
+    };
+    /// State at the end of a segment.
+    struct Arrival {
+        SurfacePlace place;
+        PointMotion<n> motion;
+        Vec u;       // unit, along the segment
+        Vectors du;  // change of u
+        Rgb<double> beta;
+        Colours dbeta;
+        double opl = 0;
+        Numbers dopl;
+        std::uint32_t material_idx = 0;
+        // The material's tangents at this point, textures under a sliding point included; by parameter.
+        Effects<MaterialTangent> material;
+    };
+
+    void start_at_camera(std::size_t path, std::size_t begin, std::size_t end) {
+        Start& a = a_;
+        a = Start{};
+        a.p = camera_origin<double>(g_, path);
+        if (s_.scene.nlos) a.by_ray = s_.scene.nlos->relay_wall == NlosCapture::no_wall;
+        if (begin < end)
+            a.w = normalize(position<double>(g_, begin) - a.p);
+        else
+            a.w = {0, 0, 1};
+        for (const auto& [p, v] : s_.tangents.camera) {
+            const int k = int(p);
+            a.v.add(k, v.at(a.p));
+            const Vec turned = v.turned(a.w);
+            a.dw.add(k, turned - a.w * loom::dot(a.w, turned));
+        }
+        if (!s_.tangents.lens.empty()) {
+            const auto& m = s_.scene.sensor.world_from_camera;
+            const Vec axis = normalize(Vec{m[2], m[6], m[10]});
+            // A wider field of view scales what is perpendicular to the axis.
+            const double along = loom::dot(a.w, axis);
+            const Vec across = a.w - axis * along;
+            for (const auto& [p, relative] : s_.tangents.lens) {
+                const Vec change = across * relative;
+                a.dw.add(int(p), change - a.w * loom::dot(a.w, change));
+            }
+        }
+    }
+
+    /// Moves a point that a ray reaches along its surface.
+    /// in:      motion  of the material point
+    /// out:     motion  of the sliding point, normals included
+    void slide(const Start& a, const Vec& d, double r, const SurfacePlace& place, PointMotion<n>& motion,
+               Arrival* arrival) const {
+        const Vec u = d / r;
+        const double cosine = loom::dot(place.ng, u);
+        const bool varies = s_.motions.varies(place.shape_idx);
+        for (int p = 0; p < n; ++p) {
+            const Vec ray = a.v(p) + a.dw(p) * r, material = motion.p(p);
+            if (ray == material) continue;
+            const double tau = loom::dot(place.ng, material - ray) / cosine;
+            const Vec moved = ray + u * tau, along = moved - material;
+            motion.p.add(p, along);
+            if (!varies || along == Vec{}) continue;
+            const auto normals = s_.motions.normals_along(place, along);
+            motion.ng.add(p, normals.ng);
+            motion.ns.add(p, normals.ns);
+            if (arrival) {
+                const MaterialTangent t = s_.motions.texture_along(place, arrival->material_idx, along);
+                if (!t.is_zero()) add_material(arrival->material, std::uint32_t(p), t);
+            }
+        }
+    }
+    static void add_material(Effects<MaterialTangent>& effects, std::uint32_t p, const MaterialTangent& t) {
+        for (auto& [q, known] : effects)
+            if (q == p) {
+                known += t;
+                return;
+            }
+        effects.push_back({p, t});
+    }
+
+    /// Change of a local direction at a vertex from that of the world direction and of the frame.
+    static Vectors local_change(const Frame<double>& frame, const Vec& local, const Vectors& world, const Vectors& ns,
+                                const Numbers& twist) {
+        Vectors d;
+        for (int p = 0; p < n; ++p) {
+            const Vec w = frame.to_local(world(p)), m = ns(p);
+            const double s = loom::dot(m, frame.s), t = loom::dot(m, frame.t);
+            d.add(p, {w.x + twist.d[p] * local.y - local.z * s, w.y - twist.d[p] * local.x - local.z * t,
+                      w.z + s * local.x + t * local.y});
+        }
+        return d;
+    }
+
+    static Frame<double> in_double(const Framef& f) { return {Vec(f.s), Vec(f.t), Normal3<double>(f.n)}; }
+
+    /// d log(cos / r^2) of a segment's end, the growth of its area included.
+    static Numbers geometry_change(const Vec& u, double r, const Vectors& ddot, const Vec& normal,
+                                   const Vectors& dnormal, const Numbers& area) {
+        Numbers sum;
+        const double cosine = loom::dot(normal, u);
+        for (int p = 0; p < n; ++p) {
+            const Vec d = ddot(p);
+            sum.d[p] =
+                (loom::dot(dnormal(p), u) + loom::dot(normal, d) / r) / cosine - 3 * loom::dot(u, d) / r + area.d[p];
+        }
+        return sum;
+    }
+
+    /// Change of the unit direction u of a segment of length r whose ends move apart by ddot.
+    static Vectors direction_change(const Vec& u, double r, const Vectors& ddot) {
+        Vectors du;
+        for (int p = 0; p < n; ++p) {
+            const Vec d = ddot(p);
+            du.add(p, (d - u * loom::dot(u, d)) / r);
+        }
+        return du;
+    }
+
+    /// The factor of a start towards a changing direction, as value and change.
+    void apply_factor(const Start& a, const Vectors& du, const Vec& u, Rgb<double>& beta, Colours& dbeta) const {
+        beta = a.beta;
+        dbeta = a.dbeta;
+        if (!a.scattered) return;
+        Colours dfactor = a.dfactor;
+        if (!a.by_ray) {
+            const Vectors local = local_change(a.frame, a.frame.to_local(u), du, a.ns, a.twist);
+            for (int k = 0; k < 3; ++k) dfactor.add(a.by_wi[std::size_t(k)], local[k]);
+        }
+        dbeta.scale(a.factor);
+        dbeta.add(a.beta, dfactor);
+        beta = a.beta * a.factor;
+    }
+
+    Arrival arrive(std::size_t j, const ShadingPoint& at) const {
+        const Start& a = a_;
+        Arrival b;
+        b.place = s_.place(j, at);
+        b.material_idx = g_.vertices.material[j];
+        const Vec d = b.place.p - a.p;
+        const double r = length(d);
+        b.u = d / r;
+        s_.motions.add_material(b.place, b.motion);
+        for (const auto& [p, t] : s_.tangents.materials[b.material_idx]) b.material.push_back({p, t});
+        if (a.by_ray) slide(a, d, r, b.place, b.motion, &b);
+        Vectors ddot = b.motion.p;
+        ddot.add(-1, a.v);
+        b.du = direction_change(b.u, r, ddot);
+        apply_factor(a, b.du, b.u, b.beta, b.dbeta);
+        if (!a.by_ray && a.scattered)
+            b.dbeta.add(b.beta, geometry_change(b.u, r, ddot, b.place.ng, b.motion.ng, b.motion.area));
+        add_length(a, g_.vertices.eta, g_.vertices.medium, j, r, b.u, ddot, b.opl, b.dopl);
+        return b;
+    }
+
+    /// Length of a segment in its medium, after that up to its start.
+    void add_length(const Start& a, const Column<float>& etas, const Column<std::uint16_t>& media, std::size_t row,
+                    double r, const Vec& u, const Vectors& ddot, double& opl, Numbers& dopl) const {
+        const double eta = etas.empty() ? 1.0 : double(etas[row]);
+        opl = a.opl + eta * r;
+        dopl = a.dopl;
+        dopl.add(eta, loom::derive::dot(u, ddot));
+        if (media.empty() || media[row] == no_medium) return;
+        for (const auto& [p, t] : s_.tangents.materials[media[row]]) dopl.d[p] += t.int_ior * r;
+    }
+
+    /// The directly visible emitter at the first hit.
+    template <class OnSeen>
+    void see(std::size_t path, const ShadingPoint& at, const Arrival& here, OnSeen&& on_seen) const {
+        Colours dLe;
+        const Shape& shape = s_.scene.shapes[here.place.shape_idx];
+        const Spectrum Le = rgb(g_.paths.Le, path);
+        if (shape.emitter_idx >= 0) {
+            const auto e = std::size_t(shape.emitter_idx);
+            // Emission exists on the front alone.
+            const bool lit = loom::dot(Vec(at.wo), here.place.ng) > 0 &&
+                             !(s_.scene.hides_emitters && s_.scene.emitters[e].kind == EmitterKind::area);
+            if (lit) add_emission(e, Rgb<double>(Le), Rgb<double>(1), dLe);
+            if (lit && s_.scene.emitters[e].texture_idx >= 0)
+                for (int p = 0; p < n; ++p) {
+                    PointMotion<n> material;
+                    s_.motions.add_material(here.place, material);
+                    const Rgb<double> rate = s_.motions.emission_along(here.place, here.motion.p(p) - material.p(p));
+                    for (int c = 0; c < 3; ++c) dLe.c[std::size_t(c)].d[p] += rate[c];
+                }
+        }
+        if (!dLe.is_zero() || !here.dopl.is_zero()) on_seen(path, dLe, here.dopl);
+    }
+
+    template <class OnSeen>
+    void see_environment(std::size_t path, OnSeen&& on_seen) const {
+        if (s_.scene.environment_idx < 0) return;
+        Colours dLe;
+        const auto e = std::size_t(s_.scene.environment_idx);
+        add_emission(e, Rgb<double>(rgb(g_.paths.Le, path)), Rgb<double>(1), dLe);
+        if (!dLe.is_zero()) on_seen(path, dLe, Numbers{});
+    }
+
+    /// Adds the change of a stored radiance Li with that of its emitter's.
+    /// in:      unit  Li of a radiance of 1, where the emitter's is 0
+    void add_emission(std::size_t emitter, const Rgb<double>& Li, const Rgb<double>& unit, Colours& dLi) const {
+        const Emitter& e = s_.scene.emitters[emitter];
+        for (const auto& [p, rate] : s_.tangents.radiance[emitter])
+            for (int c = 0; c < 3; ++c) {
+                const bool relative = e.kind == EmitterKind::envmap || e.texture_idx >= 0;
+                const double now = relative ? 1.0 : double(e.radiance[c]);
+                dLi.c[std::size_t(c)].d[p] += rate[c] * (now != 0 ? Li[c] / now : unit[c]);
+            }
+    }
+
+    /// f cos of a vertex towards a world direction, or its delta lobe, with its changes; times `scale`.
+    struct Scattering {
+        Rgb<double> value;
+        Colours change;                      // by wo, frame for wo, and material
+        std::array<Rgb<double>, 3> by_wi{};  // by the local direction
+    };
+    Scattering scatter(const ShadingPoint& at, const Arrival& here, const Vec& wi, double scale) const {
+        Scattering s;
+        const Vector3f wi_local = at.frame.to_local(Vector3f(wi));
+        const DirectionGradient g = f_cos_gradient(at.bsdf, at.wo_local, wi_local);
+        const Rgb<double> shadow(at.perturbed ? double(bump_shadowing(at, Vector3f(wi), wi_local.z)) : 1.0);
+        const Rgb<double> by(scale);
+        s.value = Rgb<double>(g.f_cos) * by * shadow;
+        const Vectors wo = wo_change(at, here);
+        for (int k = 0; k < 3; ++k) {
+            const auto i = std::size_t(k);
+            s.change.add(Rgb<double>(g.by_wo[i]) * by * shadow, wo[k]);
+            s.by_wi[i] = Rgb<double>(g.by_wi[i]) * by * shadow;
+        }
+        for (const auto& [p, t] : here.material) {
+            if (!t.scatters()) continue;
+            using D = Dual<1, double>;
+            const Bsdf<D> bsdf = with_tangent<1, double>(at.bsdf, t, 0);
+            const Rgb<D> f = f_cos_pdf(bsdf, Vector3<D>(at.wo_local), Vector3<D>(wi_local)).f_cos;
+            for (int c = 0; c < 3; ++c) s.change.c[std::size_t(c)].d[p] += f[c].d[0] * scale * shadow[c];
+        }
+        return s;
+    }
+    Scattering scatter_delta(const ShadingPoint& at, const Arrival& here, Lobe lobe, double scale) const {
+        Scattering s;
+        const DeltaGradient g = delta_value_gradient(at.bsdf, at.wo_local, lobe);
+        s.value = Rgb<double>(g.value) * Rgb<double>(scale);
+        const Vectors wo = wo_change(at, here);
+        for (int k = 0; k < 3; ++k) s.change.add(Rgb<double>(g.by_wo[std::size_t(k)]) * Rgb<double>(scale), wo[k]);
+        for (const auto& [p, t] : here.material) {
+            if (!t.scatters()) continue;
+            using D = Dual<1, double>;
+            const Rgb<D> f = delta_value(with_tangent<1, double>(at.bsdf, t, 0), Vector3<D>(at.wo_local), lobe);
+            for (int c = 0; c < 3; ++c) s.change.c[std::size_t(c)].d[p] += f[c].d[0] * scale;
+        }
+        return s;
+    }
+    Vectors wo_change(const ShadingPoint& at, const Arrival& here) const {
+        Vectors back;
+        back.add(-1, here.du);
+        return local_change(in_double(at.frame), Vec(at.wo_local), back, here.motion.ns, here.motion.twist);
+    }
+
+    /// Direction of a delta lobe and its change.
+    void delta_ray(const ShadingPoint& at, const Arrival& here, Lobe lobe, Start& next) const {
+        using D = Dual<4, double>;
+        Vector3<D> wo;
+        for (int k = 0; k < 3; ++k) wo[k] = D::variable(double(at.wo_local[k]), k);
+        MaterialTangent index;
+        index.eta = 1;
+        const Vector3<D> wi = delta_direction(with_tangent<4, double>(at.bsdf, index, 3), wo, lobe);
+        const Vec wi_local{wi.x.value, wi.y.value, wi.z.value};
+        const Vectors dwo = wo_change(at, here);
+        Numbers deta;
+        for (const auto& [p, t] : here.material) deta.d[p] += t.eta;
+        Vectors local;
+        for (int k = 0; k < 3; ++k) {
+            for (int m = 0; m < 3; ++m) local[k].add(wi[k].d[std::size_t(m)], dwo[m]);
+            local[k].add(wi[k].d[3], deta);
+        }
+        set_ray(in_double(at.frame), wi_local, local, here, next);
+    }
+    /// A ray along a local direction that changes in the frame and with it.
+    static void set_ray(const Frame<double>& frame, const Vec& local, const Vectors& dlocal, const Arrival& here,
+                        Start& next) {
+        next.by_ray = true;
+        next.w = normalize(frame.to_world(local));
+        for (int p = 0; p < n; ++p) {
+            const Vec m = here.motion.ns(p), d = dlocal(p);
+            const double s = loom::dot(m, frame.s), t = loom::dot(m, frame.t), twist = here.motion.twist.d[p];
+            // The inverse of local_change().
+            const Vec turned{d.x - twist * local.y + local.z * s, d.y + twist * local.x + local.z * t,
+                             d.z - s * local.x - t * local.y};
+            const Vec world = frame.to_world(turned);
+            next.dw.add(p, world - next.w * loom::dot(next.w, world));
+        }
+    }
+
+    /// Whether the vertex after j, nulls left out, is on a surface with a delta lobe, so that the ray to it stays.
+    bool reaches_delta(std::size_t j) const {
+        const auto& v = g_.vertices;
+        std::size_t k = j + 1;
+        while (Lobe(v.lobe[k]) == Lobe::null && (v.flags[k] & vertex_flag::continued)) ++k;
+        return has_delta_lobe(s_.reader.model(v.material[k]).kind);
+    }
+
+    void leave(std::size_t j, const ShadingPoint& at, const Arrival& here) {
+        const Lobe lobe = Lobe(g_.vertices.lobe[j]);
+        const double inv_pdf = 1 / double(g_.vertices.pdf_w[j]);
+        if (lobe == Lobe::null) {
+            pass_straight(scatter_delta(at, here, lobe, inv_pdf), a_);
+            return;
+        }
+        if (is_delta(lobe)) {
+            a_ = start_at(at, here, scatter_delta(at, here, lobe, inv_pdf));
+            delta_ray(at, here, lobe, a_);
+            return;
+        }
+        const Vec wi(continuation_direction(g_, j));
+        a_ = start_at(at, here, scatter(at, here, wi, inv_pdf));
+        a_.by_ray = reaches_delta(j);
+        if (a_.by_ray) set_ray(a_.frame, a_.frame.to_local(wi), {}, here, a_);
+    }
+
+    /// A null lobe: the segment runs through, only its weight counts.
+    static void pass_straight(const Scattering& s, Start& a) {
+        a.dbeta.scale(s.value);
+        a.dbeta.add(a.beta, s.change);
+        a.beta = a.beta * s.value;
+    }
+
+    /// A segment that starts at a vertex, towards a material point.
+    static Start start_at(const ShadingPoint& at, const Arrival& here, const Scattering& s) {
+        Start next;
+        next.p = here.place.p;
+        next.v = here.motion.p;
+        next.by_ray = false;
+        next.scattered = true;
+        next.factor = s.value;
+        next.dfactor = s.change;
+        next.by_wi = s.by_wi;
+        next.beta = here.beta;
+        next.dbeta = here.dbeta;
+        next.opl = here.opl;
+        next.dopl = here.dopl;
+        next.frame = in_double(at.frame);
+        next.ns = here.motion.ns;
+        next.twist = here.motion.twist;
+        return next;
+    }
+
+    template <class OnEdge>
+    void light(std::size_t j, std::size_t k, const ShadingPoint& at, const Arrival& here, OnEdge&& on_edge) const {
+        const auto& e = g_.light_edges;
+        const std::size_t emitter = e.emitter[k];
+        const Lobe lobe = Lobe(g_.vertices.lobe[j]);
+        const bool next_event = LightTechnique(e.technique[k]) == LightTechnique::next_event;
+        const bool by_delta = !next_event && is_delta(lobe);
+        const double weight = double(mis_weight(next_event, e.pdf_nee_w[k], e.pdf_bsdf_w[k], Heuristic::power)) /
+                              double(next_event ? e.pdf_nee_w[k] : g_.vertices.pdf_w[j]);
+        const Rgb<double> Li(rgb(e.Li, k));
+        Colours dLi;
+        const float* y = e.y.data() + 4 * k;
+        const bool at_infinity = y[3] == 0;
+
+        // Set up the segment to the light and its changes.
+        const Vec wi = at_infinity ? Vec{y[0], y[1], y[2]} : normalize(Pt{y[0], y[1], y[2]} - here.place.p);
+        const Scattering s = by_delta ? scatter_delta(at, here, lobe, weight) : scatter(at, here, wi, weight);
+        Start a;
+        if (by_delta && lobe == Lobe::null) {
+            a = a_;
+            pass_straight(s, a);
+        } else {
+            a = start_at(at, here, s);
+            a.by_ray = by_delta;
+            if (by_delta) delta_ray(at, here, lobe, a);
+        }
+
+        Vectors du;
+        Numbers geometry, dopl = a.dopl;
+        if (at_infinity) {
+            // The direction turns with its emitter.
+            const Vectors turn = emitter_turn(emitter, wi);
+            if (a.by_ray)
+                add_environment_change(wi, a.dw, turn, dLi);
+            else
+                du = turn;
+            dopl = {};
+        } else {
+            const Pt light{y[0], y[1], y[2]};
+            const Vec d = light - a.p;
+            const double r = length(d);
+            const Vec u = d / r;
+            PointMotion<n> motion;
+            const SurfacePlace place = place_of_light(k, emitter, light);
+            const bool of_area = s_.scene.emitters[emitter].kind == EmitterKind::area;
+            if (of_area)
+                s_.motions.add_material(place, motion);
+            else
+                for (const auto& [p, v] : s_.tangents.emitters[emitter]) motion.p.add(int(p), v.at(light));
+            if (a.by_ray && of_area) slide(a, d, r, place, motion, nullptr);
+            Vectors ddot = motion.p;
+            ddot.add(-1, a.v);
+            du = direction_change(u, r, ddot);
+            if (of_area && !a.by_ray) geometry = geometry_change(u, r, ddot, place.ng, motion.ng, motion.area);
+            double opl;
+            add_length(a, e.eta, e.medium, k, r, u, ddot, opl, dopl);
+            if (!of_area) change_delta_light(k, emitter, here, dLi);
+        }
+        add_emission(emitter, Li, unit_emission(emitter, here), dLi);
+
+        Rgb<double> beta;
+        Colours dbeta;
+        apply_factor(a, du, wi, beta, dbeta);
+        dbeta.add(beta, geometry);
+        dbeta.scale(Li);
+        dbeta.add(beta, dLi);
+        if (!dbeta.is_zero() || !dopl.is_zero()) on_edge(k, dbeta, dopl);
+    }
+
+    /// Turn of a direction with an emitter at infinity.
+    Vectors emitter_turn(std::size_t emitter, const Vec& w) const {
+        Vectors turn;
+        for (const auto& [p, v] : s_.tangents.emitters[emitter]) {
+            const Vec turned = v.turned(w);
+            turn.add(int(p), turned - w * loom::dot(w, turned));
+        }
+        return turn;
+    }
+
+    /// Adds the change of an environment map's radiance along w, whose direction changes by dw, while the map turns.
+    void add_environment_change(const Vec& w, const Vectors& dw, const Vectors& turn, Colours& dLi) const {
+        if (s_.scene.environment_idx < 0 ||
+            s_.scene.emitters[std::size_t(s_.scene.environment_idx)].kind != EmitterKind::envmap)
+            return;
+        constexpr double step = 1e-3;  // rad; a difference, as the map is bilinear
+        for (int p = 0; p < n; ++p) {
+            const Vec d = dw(p) - turn(p);
+            const double size = length(d);
+            if (size == 0) continue;
+            const Vec by = d * (step / size);
+            const Spectrum above = environment(s_.scene, Vector3f(normalize(w + by))),
+                           below = environment(s_.scene, Vector3f(normalize(w - by)));
+            for (int c = 0; c < 3; ++c)
+                dLi.c[std::size_t(c)].d[p] += (double(above[c]) - double(below[c])) * (size / (2 * step));
+        }
+    }
+
+    SurfacePlace place_of_light(std::size_t k, std::size_t emitter, const Pt& y) const {
+        SurfacePlace place;
+        place.shape_idx = s_.scene.emitters[emitter].shape_idx;
+        place.p = y;
+        if (!g_.light_edges.n.empty()) place.ng = place.ns = Vec(unit_vector<Normal3f>(g_.light_edges.n, k));
+        place.tangent = Frame<double>(Normal3<double>(place.ns)).s;
+        return place;
+    }
+
+    /// Li of a radiance of 1: of a light whose radiance is 0 in a channel.
+    Rgb<double> unit_emission(std::size_t emitter, const Arrival& here) const {
+        const Emitter& e = s_.scene.emitters[emitter];
+        if (e.kind != EmitterKind::point && e.kind != EmitterKind::spot) return Rgb<double>(1);
+        return Rgb<double>(1 / length2(here.place.p - Pt(e.position)));
+    }
+
+    /// Adds the change of the light of a point, spot or projector with the distance to it and the place in its beam, or
+    /// of a laser spot with the direction in which it reflects.
+    void change_delta_light(std::size_t k, std::size_t emitter, const Arrival& here, Colours& dLi) const {
+        const Emitter& e = s_.scene.emitters[emitter];
+        if (s_.scene.nlos && s_.scene.nlos->laser_sampling) {
+            change_laser_spot(k, here, dLi);
+            return;
+        }
+        using D = Dual<3, double>;
+        const EmitterPose<D> pose(e);
+        Point3<D> from;
+        for (int i = 0; i < 3; ++i) from[i] = D::variable(here.place.p[i], i);
+        const LightSampleOf<D> light = delta_light(s_.scene, e, pose, from);
+        // The light moves: the point moves the other way in its frame.
+        Vectors relative = here.motion.p;
+        for (const auto& [p, v] : s_.tangents.emitters[emitter]) relative.add(int(p), -v.at(here.place.p));
+        for (int c = 0; c < 3; ++c)
+            for (int i = 0; i < 3; ++i) dLi.c[std::size_t(c)].add(light.Li[c].d[std::size_t(i)], relative[i]);
+    }
+
+    ///   Li = f_l cos_l E / r^2 A: the lit surface scatters the laser's light towards the vertex
+    void change_laser_spot(std::size_t k, const Arrival& here, Colours& dLi) const {
+        const auto& e = g_.light_edges;
+        const Pt spot{e.y[4 * k], e.y[4 * k + 1], e.y[4 * k + 2]};
+        const Normal3f normal = unit_vector<Normal3f>(e.n, k);
+        const Vec n_spot(normal), d = here.place.p - spot;
+        const double r = length(d);
+        const Vec u = d / r;
+        const std::uint32_t material = s_.scene.shapes[s_.scene.nlos->laser_points[0].hit.shape_idx].material_idx;
+        ShadingPoint lit;
+        lit.frame = Framef(normal);
+        lit.bsdf = Bsdf<float>(s_.scene.materials[material].model);
+        lit.wo_local = lit.frame.to_local(Vector3f(u));
+        const Vector3f to_laser = lit.frame.to_local(Vector3f(normalize(Pt(s_.scene.emitters[0].position) - spot)));
+        const DirectionGradient f = f_cos_gradient(lit.bsdf, lit.wo_local, to_laser);
+        const double cosine = loom::dot(n_spot, u);
+        const Rgb<double> Li(rgb(e.Li, k));
+        const auto add = [&](int p, int c, double change_of_f) {
+            if (f.f_cos[c] > 0) dLi.c[std::size_t(c)].d[p] += Li[c] * change_of_f / double(f.f_cos[c]);
+        };
+        for (int p = 0; p < n; ++p) {
+            const Vec v = here.motion.p(p);
+            if (v == Vec{}) continue;
+            const double relative = loom::dot(n_spot, v) / (r * cosine) - 3 * loom::dot(u, v) / r;
+            const Vec turn = in_double(lit.frame).to_local((v - u * loom::dot(u, v)) / r);
+            for (int c = 0; c < 3; ++c) {
+                dLi.c[std::size_t(c)].d[p] += Li[c] * relative;
+                double change = 0;
+                for (int i = 0; i < 3; ++i) change += double(f.by_wo[std::size_t(i)][c]) * turn[i];
+                add(p, c, change);
+            }
+        }
+        for (const auto& [p, t] : s_.tangents.materials[material]) {
+            if (!t.scatters()) continue;
+            using D = Dual<1, double>;
+            const Rgb<D> value =
+                f_cos_pdf(with_tangent<1, double>(lit.bsdf, t, 0), Vector3<D>(lit.wo_local), Vector3<D>(to_laser))
+                    .f_cos;
+            for (int c = 0; c < 3; ++c) add(int(p), c, value[c].d[0]);
+        }
+    }
+
+    const Source& s_;
+    const PathGraph& g_;
+    Start a_;
+};
+
+}  // namespace
+
+struct InteriorWalker::Impl {
+    Source source;
+    mutable std::vector<float> dL, dopl;
+    mutable std::vector<Vec> velocity;
+
+    Impl(const PathGraph& graph, const Scene& scene, const SceneTangents& tangents)
+        : source(graph, scene, tangents), dL(3 * tangents.n()), dopl(tangents.n()), velocity(tangents.n()) {}
+
+    /// Calls f(Walk<n>) with the smallest n that holds all parameters.
+    template <class F>
+    void with_walk(F&& f) const {
+        const std::size_t n = source.tangents.n();
+        if (n <= 1)
+            f(Walk<1>(source));
+        else if (n <= 4)
+            f(Walk<4>(source));
+        else if (n <= 16)
+            f(Walk<16>(source));
+        else
+            f(Walk<max_parameters>(source));
+    }
+
+    template <int n>
+    InteriorRow row(std::size_t of, const ColourTangent<n>& change, const Tangent<n>& length) const {
+        for (std::size_t p = 0; p < dopl.size(); ++p) {
+            for (std::size_t c = 0; c < 3; ++c) dL[3 * p + c] = float(change.c[c].d[p]);
+            dopl[p] = float(length.d[p]);
+        }
+        return {std::uint32_t(of), dL, dopl};
+    }
+};
+
+InteriorWalker::InteriorWalker(const PathGraph& graph, const Scene& scene, const SceneTangents& tangents)
+    : impl_(std::make_unique<Impl>(graph, scene, tangents)) {}
+InteriorWalker::~InteriorWalker() = default;
+InteriorWalker::InteriorWalker(InteriorWalker&&) noexcept = default;
+
+bool InteriorWalker::touches(std::size_t path) const {
+    const Source& s = impl_->source;
+    const PathGraph& g = s.graph;
+    if (s.tangents.camera_moves()) return true;
+    const auto [begin, end] = vertices_of(g, path);
+    if (begin == end) return s.scene.environment_idx >= 0 && s.emitter_matters[std::size_t(s.scene.environment_idx)];
+    for (std::size_t j = begin; j < end; ++j)
+        if (s.shape_matters[g.vertices.shape[j]] || s.material_matters[g.vertices.material[j]]) return true;
+    // Lights that change reach every path that samples them.
+    for (const char matters : s.emitter_matters)
+        if (matters) return true;
+    // Media are materials; a capture's wall is the light of every path.
+    if (!g.vertices.medium.empty())
+        for (std::size_t j = begin; j < end; ++j)
+            if (const auto m = g.vertices.medium[j]; m != no_medium && s.material_matters[m]) return true;
+    if (s.scene.nlos && !s.scene.nlos->laser_points.empty() && s.scene.nlos->laser_points[0].hit)
+        return s.material_matters[s.scene.shapes[s.scene.nlos->laser_points[0].hit.shape_idx].material_idx];
+    return false;
+}
+
+void InteriorWalker::walk(std::size_t path, std::size_t& edge, const OnRow& on_edge, const OnRow& on_seen) const {
+    impl_->with_walk([&](auto&& walk) {
+        walk.path(
+            path, edge,
+            [&](std::size_t k, const auto& change, const auto& length) { on_edge(impl_->row(k, change, length)); },
+            [&](std::size_t p, const auto& change, const auto& length) { on_seen(impl_->row(p, change, length)); },
+            [](std::size_t, const Rgb<double>&, double, const auto&) {});
+    });
+}
+
+void InteriorWalker::walk_vertices(std::size_t path, const OnVertex& on_vertex) const {
+    std::size_t edge = impl_->source.graph.n_light_edges();
+    const auto no_row = [](std::size_t, const auto&, const auto&) {};
+    impl_->with_walk([&](auto&& walk) {
+        walk.path(path, edge, no_row, no_row,
+                  [&](std::size_t j, const Rgb<double>& beta, double opl, const auto& velocity) {
+                      for (std::size_t p = 0; p < impl_->velocity.size(); ++p) impl_->velocity[p] = velocity(int(p));
+                      on_vertex({j, beta, opl, impl_->velocity});
+                  });
+    });
+}
+
+std::string missing_columns(const PathGraph& graph, const Scene& scene, const SceneTangents& tangents) {
+    const SurfaceMotions motions(scene, tangents);
+    bool primitives = false, media = false;
+    for (std::uint32_t s = 0; s < scene.shapes.size(); ++s)
+        primitives |=
+            !tangents.vertices[s].empty() || (scene.shapes[s].kind == ShapeKind::mesh &&
+                                              (tangents.camera_moves() || tangents.moves(s)) && motions.varies(s));
+    // Behind mirrors and glass all vertices slide when one of them moves.
+    if (scene.features.delta_lobes && tangents.any_shape_moves())
+        for (std::uint32_t s = 0; s < scene.shapes.size(); ++s)
+            primitives |= scene.shapes[s].kind == ShapeKind::mesh && motions.varies(s);
+    for (const auto& effects : tangents.materials)
+        for (const auto& [p, t] : effects) media |= t.int_ior != 0;
+    std::string missing;
+    if (primitives && graph.vertices.primitive.empty()) missing = "--primitives";
+    if (media && scene.features.dielectric && graph.vertices.medium.empty())
+        missing += std::string(missing.empty() ? "" : " ") + "--media";
+    return missing;
+}
+
+}  // namespace loom::derive

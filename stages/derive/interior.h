@@ -1,0 +1,60 @@
+#pragma once
+// Derivatives of the light of stored paths, without tracing: the interior terms.               [TR Eqs. 9-15, 19-23]
+//
+// Each light edge brings L = product of factors. Densities and MIS weights are held at the present values of the
+// parameters. A vertex moves with its shape (a material point, with the Jacobian of its area), except where the camera
+// or a delta lobe determines the ray that reaches it: there it slides over its surface with that ray.
+
+#include <functional>
+#include <memory>
+#include <span>
+
+#include "formats/path_graph.h"
+#include "stages/derive/scene_tangents.h"
+
+namespace loom::derive {
+
+/// Largest number of parameters of one run.
+inline constexpr int max_parameters = 64;
+
+/// Rows of one light edge or path; arrays by parameter.
+struct InteriorRow {
+    std::uint32_t row;          // light edge, or path
+    std::span<const float> dL;  // [parameter, rgb]
+    std::span<const float> dopl;
+};
+
+/// State of one vertex of a stored path for boundary terms.
+struct VertexState {
+    std::size_t vertex = 0;
+    Rgb<double> beta;                           // throughput from the camera to the vertex
+    double opl = 0;                             // from the camera, phase indices
+    std::span<const Vector3<double>> velocity;  // [parameter]
+};
+
+/// Walks along stored paths with their derivatives. Borrows all arguments of the constructor; one per thread.
+class InteriorWalker {
+  public:
+    InteriorWalker(const PathGraph& graph, const Scene& scene, const SceneTangents& tangents);
+    ~InteriorWalker();
+    InteriorWalker(InteriorWalker&&) noexcept;
+
+    using OnRow = std::function<void(const InteriorRow&)>;
+    using OnVertex = std::function<void(const VertexState&)>;
+    /// Whether anything that a path touches depends on a parameter.
+    bool touches(std::size_t path) const;
+    /// in:      edge  first light edge of the path; out: that of the next path
+    void walk(std::size_t path, std::size_t& edge, const OnRow& on_edge, const OnRow& on_seen) const;
+    /// Calls on_vertex at every vertex at which light is sampled, in order.
+    void walk_vertices(std::size_t path, const OnVertex& on_vertex) const;
+
+  private:
+    struct Impl;
+    std::unique_ptr<Impl> impl_;
+};
+
+/// The primitive column that a graph must have for these parameters, and the column of media; empty: it has them.
+/// out:     what is missing and the command that stores it
+std::string missing_columns(const PathGraph& graph, const Scene& scene, const SceneTangents& tangents);
+
+}  // namespace loom::derive

@@ -1,0 +1,157 @@
+#pragma once
+// Motion of a stored vertex with each parameter: as a material point of its shape, and as a point that slides over it.
+
+#include <array>
+#include <vector>
+
+#include "stages/core/graph/graph_reader.h"
+#include "stages/derive/scene_tangents.h"
+
+namespace loom::derive {
+
+/// One number per parameter, padded to n.
+template <int n>
+struct Tangent {
+    std::array<double, n> d{};
+
+    Tangent& operator+=(const Tangent& o) {
+        for (int p = 0; p < n; ++p) d[p] += o.d[p];
+        return *this;
+    }
+    Tangent& add(double scale, const Tangent& o) {
+        for (int p = 0; p < n; ++p) d[p] += scale * o.d[p];
+        return *this;
+    }
+    bool is_zero() const {
+        for (const double x : d)
+            if (x != 0) return false;
+        return true;
+    }
+};
+
+/// A vector per parameter.
+template <int n>
+struct VectorTangent {
+    Tangent<n> x, y, z;
+
+    Tangent<n>& operator[](int k) { return k == 0 ? x : k == 1 ? y : z; }
+    const Tangent<n>& operator[](int k) const { return k == 0 ? x : k == 1 ? y : z; }
+    void add(int p, const Vector3<double>& v) { x.d[p] += v.x, y.d[p] += v.y, z.d[p] += v.z; }
+    VectorTangent& add(double scale, const VectorTangent& o) {
+        x.add(scale, o.x), y.add(scale, o.y), z.add(scale, o.z);
+        return *this;
+    }
+    Vector3<double> operator()(int p) const { return {x.d[p], y.d[p], z.d[p]}; }
+    bool is_zero() const { return x.is_zero() && y.is_zero() && z.is_zero(); }
+    /// Adds v times a number per parameter.
+    VectorTangent& add(const Vector3<double>& v, const Tangent<n>& by) {
+        x.add(v.x, by), y.add(v.y, by), z.add(v.z, by);
+        return *this;
+    }
+};
+
+template <int n>
+Tangent<n> dot(const Vector3<double>& v, const VectorTangent<n>& t) {
+    Tangent<n> sum;
+    for (int p = 0; p < n; ++p) sum.d[p] = v.x * t.x.d[p] + v.y * t.y.d[p] + v.z * t.z.d[p];
+    return sum;
+}
+
+/// Changes of a surface point and its normals.
+template <int n>
+struct PointMotion {
+    VectorTangent<n> p;       // m
+    VectorTangent<n> ng, ns;  // of the geometric and the shading normal
+    Tangent<n> twist;         // turn of the shading frame about its normal, rad
+    Tangent<n> area;          // relative growth of the area around a material point
+};
+
+/// A point of a shape, as the graph or the scene gives it.
+struct SurfacePlace {
+    std::uint32_t shape_idx = 0, primitive_idx = 0;
+    Point3<double> p;
+    Vector3<double> ng, ns, tangent;  // unit
+};
+
+/// Evaluates motions of points of a scene. Borrows both arguments.
+class SurfaceMotions {
+  public:
+    SurfaceMotions(const Scene& scene, const SceneTangents& tangents) : scene_(scene), tangents_(tangents) {}
+
+    /// Adds the motion of a material point.
+    template <int n>
+    void add_material(const SurfacePlace& at, PointMotion<n>& motion) const {
+        for (const auto& [p, v] : tangents_.shapes[at.shape_idx]) {
+            const int k = int(p);
+            motion.p.add(k, v.at(at.p));
+            motion.ng.add(k, v.of_normal(at.ng));
+            motion.ns.add(k, v.of_normal(at.ns));
+            motion.twist.d[p] += twist(at, v);
+            motion.area.d[p] += v.area_growth(at.ng);
+        }
+        if (!tangents_.vertices[at.shape_idx].empty()) add_vertices(at, motion);
+        for (const auto& [p, v] : tangents_.shading_normals[at.shape_idx]) {
+            motion.ns.add(int(p), v.of_normal(at.ns));
+            motion.twist.d[p] += twist(at, v);
+        }
+    }
+
+    /// Change of the shading normal, and of the geometric one of a sphere, per metre along `slide`; zero on flat faces.
+    struct Slide {
+        Vector3<double> ng, ns;
+    };
+    Slide normals_along(const SurfacePlace& at, const Vector3<double>& slide) const;
+    /// Change of textured BSDF parameters along `slide`.
+    MaterialTangent texture_along(const SurfacePlace& at, std::uint32_t material, const Vector3<double>& slide) const;
+    /// Change of a textured emission, as a factor on radiance.
+    Rgb<double> emission_along(const SurfacePlace& at, const Vector3<double>& slide) const;
+
+    /// Whether shading changes when a point slides over a shape, so that its primitive must be known.
+    bool varies(std::uint32_t shape) const;
+
+    const Scene& scene() const { return scene_; }
+    const SceneTangents& tangents() const { return tangents_; }
+
+  private:
+    static double twist(const SurfacePlace& at, const AffineVelocity& v) {
+        return loom::dot(cross(at.ns, at.tangent), v.turned(at.tangent));
+    }
+    /// Barycentric coordinates (u, v) of a vector from the first corner, or of a vector in the plane of the triangle.
+    Point2<double> barycentric(const SurfacePlace& at, const Vector3<double>& from_corner) const;
+    /// Texture coordinates per metre along `slide`, and those of the point.
+    struct UvSlide {
+        Point2f uv;
+        Point2<double> rate;
+    };
+    UvSlide uv_along(const SurfacePlace& at, const Vector3<double>& slide) const;
+
+    template <int n>
+    void add_vertices(const SurfacePlace& at, PointMotion<n>& motion) const {
+        const Mesh& mesh = scene_.shapes[at.shape_idx].mesh;
+        const std::uint32_t* i = &mesh.indices[3 * std::size_t(at.primitive_idx)];
+        const Point3<double> p0(mesh.positions[i[0]]), p1(mesh.positions[i[1]]), p2(mesh.positions[i[2]]);
+        const Vector3<double> e1 = p1 - p0, e2 = p2 - p0, twice = cross(e1, e2);
+        const double area = length(twice);
+        const Vector3<double> normal = twice / area;
+        const double side = loom::dot(normal, at.ng) < 0 ? -1 : 1;
+        const Point2<double> b = barycentric(at, at.p - p0);
+        const double weight[3] = {1 - b.x - b.y, b.x, b.y};
+        const bool flat = mesh.normals.empty();
+        for (int corner = 0; corner < 3; ++corner)
+            for (const auto& [p, v] : tangents_.vertices[at.shape_idx][i[corner]]) {
+                const int k = int(p);
+                motion.p.add(k, v * weight[corner]);
+                const Vector3<double> d = corner == 0 ? cross(v, e1 - e2) : corner == 1 ? cross(v, e2) : cross(e1, v);
+                const Vector3<double> ng = (d - normal * loom::dot(normal, d)) * (side / area);
+                motion.ng.add(k, ng);
+                // Vertex normals of a file stay.
+                if (flat) motion.ns.add(k, ng);
+                motion.area.d[p] += loom::dot(normal, d) / area;
+            }
+    }
+
+    const Scene& scene_;
+    const SceneTangents& tangents_;
+};
+
+}  // namespace loom::derive
