@@ -5,8 +5,10 @@
 #include <vector>
 
 #include "stages/core/app/report.h"
+#include "stages/core/edges/edge_tree.h"
 #include "tests/bench/bench.h"
 #include "tests/unit/bsdf_cases.h"
+#include "tests/unit/icosphere.h"
 
 namespace loom::bench {
 namespace {
@@ -42,6 +44,31 @@ double ns_per_pair() {
            pairs;
 }
 
+/// Measures the silhouettes of an occluder within the shafts from points of a floor, 2 m wide, to a square light. The
+/// occluder is 1 m above it, the light 3 m.
+void silhouettes(const char* name, const Mesh& occluder, app::Report& report) {
+    Shape shape;
+    shape.mesh = occluder;
+    const EdgeTree tree(find_edges({&shape, 1}));
+    std::vector<EdgeSegment> found;
+    std::string row = fmt::format("{:40}", fmt::format("{}, {} edges", name, tree.n_edges()));
+    double mean_found = 0;
+    for (const float half : {0.3f, 0.1f, 0.01f}) {
+        const Point3f light[] = {{-half, -half, 3}, {half, -half, 3}, {half, half, 3}, {-half, half, 3}};
+        std::size_t n_found = 0, n_queries = 0;
+        const double ns = ns_per_element([&](int i) {
+            const Point3f x{(float(i % 128) - 63.5f) / 64, (float(i / 128) - 63.5f) / 64, 0};
+            tree.collect(Shaft::to_polygon({x, {0, 0, 1}}, light), found);
+            n_found += found.size();
+            ++n_queries;
+            return float(found.size());
+        });
+        if (half == 0.3f) mean_found = double(n_found) / double(n_queries);
+        row += fmt::format("{:9.0f}", ns);
+    }
+    report.answer(fmt::format("{}{:9.1f}\n", row, mean_found));
+}
+
 }  // namespace
 
 void kernels(const Options&, app::Report& report) {
@@ -68,6 +95,13 @@ void kernels(const Options&, app::Report& report) {
     report.answer(fmt::format("{:40}{:>9}\n", "sampler", "pair"));
     report.answer(fmt::format("{:40}{:9.1f}\n{:40}{:9.1f}\n\n", "sobol", ns_per_pair<SamplerKind::sobol>(),
                               "independent", ns_per_pair<SamplerKind::independent>()));
+    report.answer(fmt::format("{:40}{:>9}{:>9}{:>9}{:>9}\n", "silhouettes towards a light of width", "0.6 m", "0.2 m",
+                              "0.02 m", "found"));
+    const Mesh square{
+        {{-0.4f, -0.4f, 1}, {0.4f, -0.4f, 1}, {0.4f, 0.4f, 1}, {-0.4f, 0.4f, 1}}, {}, {}, {0, 1, 2, 2, 3, 0}};
+    silhouettes("square", square, report);
+    for (const int levels : {2, 3, 4, 5}) silhouettes("icosphere", test::icosphere(levels, {0, 0, 1}, 0.4f), report);
+    report.answer("\n");
 }
 
 }  // namespace loom::bench

@@ -87,6 +87,7 @@ const Arrows& arrows() {
             {"core/tracing", {"core/scene", "core/stats", "core/app"}},
             {"core/graph", {"core/scene"}},
             {"core/clusters", {"core/graph"}},
+            {"core/edges", {"core/scene"}},
             {"core/edit", {"core/scene"}},
             {"stages/residual/stored", {"core/tracing", "core/graph", "core/edit"}},
             {"stages/residual/dynamic", {"core/tracing", "core/edit"}},

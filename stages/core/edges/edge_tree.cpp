@@ -1,0 +1,334 @@
+#include "stages/core/edges/edge_tree.h"
+
+#include <immintrin.h>
+
+#include <algorithm>
+#include <bit>
+#include <cmath>
+#include <numeric>
+
+#include "stages/core/math/box.h"
+
+namespace loom {
+namespace {
+
+using Point3d = Point3<double>;
+using Vector3d = Vector3<double>;
+using Float4 = float __attribute__((vector_size(16)));
+using Mask4 = std::int32_t __attribute__((vector_size(16)));
+
+// Bound of the rounding of a sum of three products of floats, relative to the sum of their sizes, with a margin.
+constexpr float slack = 1e-6f;
+
+Float4 load(const std::array<float, 4>& lanes) {
+    return reinterpret_cast<const Float4&>(lanes);
+}
+Float4 all(float x) {
+    return Float4{x, x, x, x};
+}
+Float4 absolute(Float4 x) {
+    return Float4(Mask4(x) & 0x7fffffff);
+}
+Float4 choose(Mask4 mask, Float4 a, Float4 b) {
+    return mask ? a : b;
+}
+unsigned bits(Mask4 mask) {
+    return unsigned(_mm_movemask_ps(__m128(mask)));
+}
+
+float rounded_up(double x) {
+    return std::nextafter(float(x), INFINITY);
+}
+
+}  // namespace
+
+/// A shaft in float.
+struct EdgeTree::Query {
+    std::array<float, 3> eye;
+    float weight;
+    struct Plane {
+        float n[3], abs_n[3], offset;
+    };
+    std::array<Plane, 6> planes;
+    int n_planes = 0;
+
+    explicit Query(const Shaft& shaft) : weight(float(shaft.weight())) {
+        for (int c = 0; c < 3; ++c) eye[std::size_t(c)] = float(shaft.eye()[c]);
+        for (const Shaft::Plane& from : shaft.planes()) {
+            Plane& plane = planes[std::size_t(n_planes++)];
+            for (int c = 0; c < 3; ++c) {
+                plane.n[c] = float(from.n[c]);
+                plane.abs_n[c] = std::abs(plane.n[c]);
+            }
+            plane.offset = float(from.offset) + slack * std::abs(float(from.offset));
+        }
+    }
+    /// Vectors to the eye, and the sum of the sizes of their components.
+    struct Sight {
+        Float4 x, y, z, size;
+    };
+    Sight sight(const std::array<std::array<float, 4>, 3>& from) const {
+        Sight d;
+        d.x = all(eye[0]) - all(weight) * load(from[0]);
+        d.y = all(eye[1]) - all(weight) * load(from[1]);
+        d.z = all(eye[2]) - all(weight) * load(from[2]);
+        d.size = absolute(d.x) + absolute(d.y) + absolute(d.z);
+        return d;
+    }
+};
+
+/// Returns the children that may hold silhouettes within the shaft, as bits.
+unsigned EdgeTree::open_children(const Node& node, const Query& query) {
+    const Query::Sight d = query.sight(node.center);
+    // All n . (eye - a) have one sign where |d . n| >= |d| cos(angle from the axis + angle of the cone) exceeds the reach
+    // of the edges along n.
+    const Float4 along = load(node.axis[0]) * d.x + load(node.axis[1]) * d.y + load(node.axis[2]) * d.z;
+    const Float4 d2 = d.x * d.x + d.y * d.y + d.z * d.z, across2 = d2 - along * along;
+    const Float4 across2_bound = choose(across2 > 0, across2, all(0)) + all(slack) * d2;
+    const Float4 reach = choose(along > 0, load(node.above), load(node.below));
+    const Float4 excess = absolute(along) * load(node.cos) - all(query.weight) * reach - all(slack) * d.size;
+    Mask4 closed = (excess > 0) & (excess * excess > load(node.sin2) * across2_bound);
+    // Boxes beyond a plane.
+    const Float4 hx = load(node.half[0]), hy = load(node.half[1]), hz = load(node.half[2]);
+    const Float4 margin = all(slack) * (d.size + hx + hy + hz);
+    for (int i = 0; i < query.n_planes; ++i) {
+        const Query::Plane& plane = query.planes[std::size_t(i)];
+        const Float4 center =
+            all(plane.offset) - (all(plane.n[0]) * d.x + all(plane.n[1]) * d.y + all(plane.n[2]) * d.z);
+        const Float4 half = all(plane.abs_n[0]) * hx + all(plane.abs_n[1]) * hy + all(plane.abs_n[2]) * hz;
+        closed |= center + half + margin < 0;
+    }
+    return ~bits(closed) & ((1u << node.n_children) - 1);
+}
+
+/// Returns the edges of a block that may be silhouettes, as bits.
+unsigned EdgeTree::possible_silhouettes(const Block& block, const Query& query) {
+    const Query::Sight d = query.sight(block.a);
+    const Float4 margin = all(slack) * d.size;
+    const Float4 cos0 = load(block.n0[0]) * d.x + load(block.n0[1]) * d.y + load(block.n0[2]) * d.z;
+    const Float4 cos1 = load(block.n1[0]) * d.x + load(block.n1[1]) * d.y + load(block.n1[2]) * d.z;
+    const Mask4 towards = (cos0 > margin) & (cos1 > margin), away = (cos0 < -margin) & (cos1 < -margin);
+    return ~bits(towards | away) & 15u;
+}
+
+void EdgeTree::collect(const Shaft& shaft, std::vector<EdgeSegment>& found) const {
+    found.clear();
+    if (shaft.empty() || blocks_.empty()) return;
+    const Query query(shaft);
+    std::array<std::uint32_t, stack_size> stack;
+    std::size_t n_waiting = 0;
+    std::array<EdgeInterval, 2> inside;
+    for (std::uint32_t at = root_;; at = stack[--n_waiting]) {
+        if (at & is_block) {
+            const std::uint32_t block_idx = at & ~is_block;
+            for (unsigned open = possible_silhouettes(blocks_[block_idx], query); open; open &= open - 1) {
+                const std::uint32_t edge_idx = width * block_idx + std::uint32_t(std::countr_zero(open));
+                if (edge_idx >= set_.edges.size()) break;
+                const Edge& edge = set_.edges[edge_idx];
+                if (!shaft.sees_silhouette(edge)) continue;
+                const int n = shaft.clip(edge, inside);
+                for (int i = 0; i < n; ++i) {
+                    const auto [s0, s1] = inside[std::size_t(i)];
+                    found.push_back({s0, s1, edge_idx, float(edge.length() * (s1 - s0))});
+                }
+            }
+        } else {
+            // The last child first onto the stack, for ascending edges.
+            const Node& node = nodes_[at];
+            for (unsigned open = open_children(node, query); open;) {
+                const int child = std::bit_width(open) - 1;
+                stack[n_waiting++] = node.child[std::size_t(child)];
+                open &= ~(1u << child);
+            }
+        }
+        if (n_waiting == 0) return;
+    }
+}
+
+struct EdgeTree::Builder {
+    EdgeTree& tree;
+    std::vector<Edge> edges;           // of the set, in its order
+    std::vector<std::uint32_t> order;  // of the tree
+    std::vector<Point3f> middles;
+
+    /// Range of `order`.
+    struct Range {
+        std::size_t begin, end;
+        std::size_t size() const { return end - begin; }
+    };
+
+    explicit Builder(EdgeTree& tree_) : tree(tree_), edges(std::move(tree_.set_.edges)), order(edges.size()) {
+        std::iota(order.begin(), order.end(), 0u);
+        middles.reserve(edges.size());
+        for (const Edge& edge : edges) middles.push_back(Point3f(edge.point(0.5)));
+    }
+
+    Box3f bounds(Range range) const {
+        Box3f box;
+        for (std::size_t i = range.begin; i < range.end; ++i) {
+            box.add(edges[order[i]].a);
+            box.add(edges[order[i]].b);
+        }
+        return box;
+    }
+
+    /// Splits a range of more than four in two by the surface area heuristic over 16 bins. All blocks but the last must
+    /// be full, so the first part has a multiple of four. Neither part has less than about a quarter, which bounds the
+    /// depth.
+    std::array<Range, 2> split(Range range) {
+        constexpr int n_bins = 16;
+        Box3f box;
+        for (std::size_t i = range.begin; i < range.end; ++i) box.add(middles[order[i]]);
+        int best_axis = 0;
+        double least_cost = INFINITY;
+        std::size_t n_first = range.size() / 2;
+        for (int axis = 0; axis < 3; ++axis) {
+            const double extent = double(box.hi[axis]) - box.lo[axis];
+            if (!(extent > 0)) continue;
+            std::array<Box3f, n_bins> boxes;
+            std::array<std::size_t, n_bins> counts{};
+            for (std::size_t i = range.begin; i < range.end; ++i) {
+                const double share = (double(middles[order[i]][axis]) - box.lo[axis]) / extent;
+                const auto bin = std::size_t(std::clamp(int(share * n_bins), 0, n_bins - 1));
+                boxes[bin].add(edges[order[i]].a);
+                boxes[bin].add(edges[order[i]].b);
+                ++counts[bin];
+            }
+            std::array<double, n_bins> cost_above{};
+            Box3f above;
+            std::size_t n_above = 0;
+            for (std::size_t bin = n_bins - 1; bin > 0; --bin) {
+                above.add(boxes[bin]);
+                n_above += counts[bin];
+                cost_above[bin] = half_area(above) * double(n_above);
+            }
+            Box3f below;
+            std::size_t n_below = 0;
+            for (std::size_t bin = 1; bin < n_bins; ++bin) {
+                below.add(boxes[bin - 1]);
+                n_below += counts[bin - 1];
+                const double cost = half_area(below) * double(n_below) + cost_above[bin];
+                if (n_below == 0 || n_below == range.size() || !(cost < least_cost)) continue;
+                least_cost = cost;
+                best_axis = axis;
+                n_first = n_below;
+            }
+        }
+        const std::size_t quarter = (range.size() / 4 + 3) / 4 * 4;
+        const std::size_t least = std::max<std::size_t>(quarter, 4);
+        n_first = (n_first + 2) / 4 * 4;
+        n_first = std::max(least, std::min(n_first, (range.size() - least) / 4 * 4));
+        const auto begin = order.begin() + std::ptrdiff_t(range.begin), middle = begin + std::ptrdiff_t(n_first);
+        const auto before = [&](std::uint32_t i, std::uint32_t j) {
+            return std::pair(middles[i][best_axis], i) < std::pair(middles[j][best_axis], j);
+        };
+        std::nth_element(begin, middle, order.begin() + std::ptrdiff_t(range.end), before);
+        return {Range{range.begin, range.begin + n_first}, Range{range.begin + n_first, range.end}};
+    }
+
+    static double half_area(const Box3f& box) {
+        if (!(box.hi.x >= box.lo.x)) return 0;
+        const Vector3d d = Point3d(box.hi) - Point3d(box.lo);
+        return d.x * d.y + d.y * d.z + d.z * d.x;
+    }
+
+    /// Returns the node or block over a range.
+    std::uint32_t build(Range range) {
+        if (range.size() <= width) {
+            // A set order within a block.
+            std::sort(order.begin() + std::ptrdiff_t(range.begin), order.begin() + std::ptrdiff_t(range.end));
+            return std::uint32_t(range.begin / width) | is_block;
+        }
+        std::array<Range, width> parts{range};
+        std::size_t n = 1;
+        for (int level = 0; level < 2; ++level)
+            for (std::size_t i = n; i-- > 0;)
+                if (parts[i].size() > width) {
+                    const std::array<Range, 2> halves = split(parts[i]);
+                    std::move_backward(parts.begin() + std::ptrdiff_t(i) + 1, parts.begin() + std::ptrdiff_t(n),
+                                       parts.begin() + std::ptrdiff_t(n) + 1);
+                    parts[i] = halves[0];
+                    parts[i + 1] = halves[1];
+                    ++n;
+                }
+        const auto node_idx = std::uint32_t(tree.nodes_.size());
+        tree.nodes_.emplace_back();
+        Node node{};
+        node.n_children = int(n);
+        for (std::size_t i = 0; i < n; ++i) {
+            bound(node, i, parts[i]);
+            node.child[i] = build(parts[i]);
+        }
+        tree.nodes_[node_idx] = node;
+        return node_idx;
+    }
+
+    void bound(Node& node, std::size_t lane, Range range) const {
+        const Box3f box = bounds(range);
+        Point3f center;
+        for (int c = 0; c < 3; ++c) {
+            const auto k = std::size_t(c);
+            center[c] = float(0.5 * (double(box.lo[c]) + box.hi[c]));
+            node.center[k][lane] = center[c];
+            node.half[k][lane] = rounded_up(std::max(double(box.hi[c]) - center[c], double(center[c]) - box.lo[c]));
+        }
+        // Without a cone: every eye sees silhouettes.
+        node.sin2[lane] = 1;
+        // The axis is the mean of the normals, each pair on the side of the mean so far.
+        Vector3d sum;
+        for (std::size_t i = range.begin; i < range.end; ++i) {
+            const Edge& edge = edges[order[i]];
+            if (edge.kind == EdgeKind::border) return;
+            const Vector3d both = Vector3d(edge.n0) + Vector3d(edge.n1);
+            sum = dot(both, sum) < 0 ? sum - both : sum + both;
+        }
+        if (!(length2(sum) > 0)) return;
+        const Vector3f axis(normalize(sum));
+        double cos = 1, above = -INFINITY, below = -INFINITY;
+        for (std::size_t i = range.begin; i < range.end; ++i) {
+            const Edge& edge = edges[order[i]];
+            const double turn = dot(Vector3d(edge.n0) + Vector3d(edge.n1), Vector3d(axis)) < 0 ? -1 : 1;
+            for (const Normal3f& normal : {edge.n0, edge.n1}) {
+                const Vector3d n = Vector3d(normal) * turn;
+                cos = std::min(cos, dot(n, Vector3d(axis)));
+                for (const Point3f& end : {edge.a, edge.b}) {
+                    const double reach = dot(n, Point3d(end) - Point3d(center));
+                    above = std::max(above, reach);
+                    below = std::max(below, -reach);
+                }
+            }
+        }
+        cos -= slack;
+        if (!(cos > 0)) return;
+        for (int c = 0; c < 3; ++c) node.axis[std::size_t(c)][lane] = axis[c];
+        node.cos[lane] = float(cos);
+        node.sin2[lane] = rounded_up(1 - cos * cos + slack);
+        node.above[lane] = rounded_up(above + slack * std::abs(above));
+        node.below[lane] = rounded_up(below + slack * std::abs(below));
+    }
+
+    void finish() {
+        tree.set_.edges.reserve(edges.size());
+        for (std::uint32_t i : order) tree.set_.edges.push_back(edges[i]);
+        tree.blocks_.resize((edges.size() + width - 1) / width);
+        for (std::size_t i = 0; i < edges.size(); ++i) {
+            const Edge& edge = tree.set_.edges[i];
+            Block& block = tree.blocks_[i / width];
+            for (int c = 0; c < 3; ++c) {
+                const auto k = std::size_t(c);
+                block.a[k][i % width] = edge.a[c];
+                block.n0[k][i % width] = edge.n0[c];
+                block.n1[k][i % width] = edge.n1[c];
+            }
+        }
+    }
+};
+
+EdgeTree::EdgeTree(EdgeSet set) : set_(std::move(set)) {
+    if (set_.edges.empty()) return;
+    Builder builder(*this);
+    root_ = builder.build({0, builder.edges.size()});
+    builder.finish();
+}
+
+}  // namespace loom
