@@ -110,7 +110,7 @@ class Walk {
     using Vectors = VectorTangent<n>;
     using Colours = ColourTangent<n>;
 
-    /// on_edge(k, dL, dopl), on_seen(path, dLe, dopl), on_vertex(j, beta, opl, velocities)
+    /// on_edge(k, dL, dopl), on_seen(path, dLe, dopl), on_vertex(j, at, beta, opl, velocities)
     template <class OnEdge, class OnSeen, class OnVertex>
     void path(std::size_t path, std::size_t& edge, OnEdge&& on_edge, OnSeen&& on_seen, OnVertex&& on_vertex) {
         const auto [begin, end] = vertices_of(g_, path);
@@ -124,7 +124,7 @@ class Walk {
             const ShadingPoint at = s_.reader.vertex(j);
             Arrival here = arrive(j, at);
             if (j == begin) see(path, at, here, on_seen);
-            on_vertex(j, here.beta, here.opl, here.motion.p);
+            on_vertex(j, at, here.beta, here.opl, here.motion.p);
             for (; edge < edges.size() && edges[edge] == j; ++edge) light(j, edge, at, here, on_edge);
             if (j + 1 < end) leave(j, at, here);
         }
@@ -737,19 +737,39 @@ void InteriorWalker::walk(std::size_t path, std::size_t& edge, const OnRow& on_e
             path, edge,
             [&](std::size_t k, const auto& change, const auto& length) { on_edge(impl_->row(k, change, length)); },
             [&](std::size_t p, const auto& change, const auto& length) { on_seen(impl_->row(p, change, length)); },
-            [](std::size_t, const Rgb<double>&, double, const auto&) {});
+            [](std::size_t, const ShadingPoint&, const Rgb<double>&, double, const auto&) {});
     });
 }
 
 void InteriorWalker::walk_vertices(std::size_t path, const OnVertex& on_vertex) const {
-    std::size_t edge = impl_->source.graph.n_light_edges();
+    const PathGraph& g = impl_->source.graph;
+    if (!touches(path)) {
+        // Everything rests.
+        const GraphReader& reader = impl_->source.reader;
+        std::fill(impl_->velocity.begin(), impl_->velocity.end(), Vec{});
+        const auto [begin, end] = vertices_of(g, path);
+        Pt from = camera_origin<double>(g, path);
+        Rgb<double> beta(1);
+        double opl = 0;
+        for (std::size_t j = begin; j < end; ++j) {
+            const ShadingPoint at = reader.vertex(j);
+            const Pt p = position<double>(g, j);
+            opl += (g.vertices.eta.empty() ? 1.0 : double(g.vertices.eta[j])) * length(p - from);
+            from = p;
+            on_vertex({j, &at, beta, opl, impl_->velocity});
+            if (j + 1 < end) beta *= Rgb<double>(own_continuation(reader, at, j, continuation_direction(g, j)));
+        }
+        return;
+    }
+    std::size_t edge = g.n_light_edges();
     const auto no_row = [](std::size_t, const auto&, const auto&) {};
     impl_->with_walk([&](auto&& walk) {
-        walk.path(path, edge, no_row, no_row,
-                  [&](std::size_t j, const Rgb<double>& beta, double opl, const auto& velocity) {
-                      for (std::size_t p = 0; p < impl_->velocity.size(); ++p) impl_->velocity[p] = velocity(int(p));
-                      on_vertex({j, beta, opl, impl_->velocity});
-                  });
+        walk.path(
+            path, edge, no_row, no_row,
+            [&](std::size_t j, const ShadingPoint& at, const Rgb<double>& beta, double opl, const auto& velocity) {
+                for (std::size_t p = 0; p < impl_->velocity.size(); ++p) impl_->velocity[p] = velocity(int(p));
+                on_vertex({j, &at, beta, opl, impl_->velocity});
+            });
     });
 }
 

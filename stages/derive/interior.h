@@ -10,6 +10,7 @@
 #include <span>
 
 #include "formats/path_graph.h"
+#include "stages/core/scene/shading.h"
 #include "stages/derive/scene_tangents.h"
 
 namespace loom::derive {
@@ -27,6 +28,7 @@ struct InteriorRow {
 /// State of one vertex of a stored path for boundary terms.
 struct VertexState {
     std::size_t vertex = 0;
+    const ShadingPoint* at = nullptr;
     Rgb<double> beta;                           // throughput from the camera to the vertex
     double opl = 0;                             // from the camera, phase indices
     std::span<const Vector3<double>> velocity;  // [parameter]
@@ -45,7 +47,7 @@ class InteriorWalker {
     bool touches(std::size_t path) const;
     /// in:      edge  first light edge of the path; out: that of the next path
     void walk(std::size_t path, std::size_t& edge, const OnRow& on_edge, const OnRow& on_seen) const;
-    /// Calls on_vertex at every vertex at which light is sampled, in order.
+    /// Calls on_vertex at every vertex, in order.
     void walk_vertices(std::size_t path, const OnVertex& on_vertex) const;
 
   private:

@@ -109,6 +109,13 @@ class SurfaceMotions {
     /// Whether shading changes when a point slides over a shape, so that its primitive must be known.
     bool varies(std::uint32_t shape) const;
 
+    /// Barycentric coordinates (u, v) of a point on a triangle.
+    Point2<double> barycentric_of(std::uint32_t shape, std::uint32_t primitive, const Point3<double>& p) const {
+        SurfacePlace at;
+        at.shape_idx = shape, at.primitive_idx = primitive;
+        return barycentric(at, p - Point3<double>(scene_.shapes[shape].triangles[primitive].p0));
+    }
+
     const Scene& scene() const { return scene_; }
     const SceneTangents& tangents() const { return tangents_; }
 

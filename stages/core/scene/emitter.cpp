@@ -108,6 +108,8 @@ Spectrum radiance_at(const Scene& scene, const Emitter& e, Point2f uv) {
     return e.texture_idx < 0 ? e.radiance : e.radiance * scene.textures[e.texture_idx].eval(uv);
 }
 
+}  // namespace
+
 void sample_area_point(const Scene& scene, const Emitter& e, Point2f u, LightPoint& point) {
     Point2f uv;
     sample_area(scene, e, u, point.y, point.n, uv);
@@ -115,6 +117,8 @@ void sample_area_point(const Scene& scene, const Emitter& e, Point2f u, LightPoi
     point.area = float(e.area);
     point.Li = radiance_at(scene, e, uv);
 }
+
+namespace {
 
 void sample_sphere_light(const Scene& scene, const Emitter& e, const Point3f& from, Point2f u, LightSample& s) {
     const Shape& shape = scene.shapes[e.shape_idx];

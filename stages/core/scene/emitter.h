@@ -100,6 +100,10 @@ inline LightSampleOf<T> seen_from(const LightPointOf<T>& point, const Point3<T>&
     return s;
 }
 
+/// Samples a point of an area light, uniform by area, with its radiance.
+/// out:     point  all but emitter_idx and pmf
+void sample_area_point(const Scene& scene, const Emitter& e, Point2f u, LightPoint& point);
+
 /// Light query of a path step, independent of its surface: at a hit, an emitter chosen by its weight and a point on it;
 /// at a miss, the radiance from infinity.
 struct LightQuery {

@@ -1,0 +1,126 @@
+#pragma once
+// Boundary terms: light that appears or disappears where an edge moves in front of what is behind it.  [TR Eqs. 16-18]
+//
+// Four estimators (families), each with samples of its own; every sample gives rows of (pixel, opl, derivative).
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <memory>
+#include <span>
+#include <vector>
+
+#include "formats/derivative.h"
+#include "stages/core/edges/edge_tree.h"
+#include "stages/core/graph/graph_reader.h"
+#include "stages/derive/derive.h"
+#include "stages/derive/surface_motion.h"
+
+namespace loom::derive {
+
+using Velocities = std::span<Vector3<double>>;             // [parameter], m per unit
+using ConstVelocities = std::span<const Vector3<double>>;  // [parameter]
+
+/// Rows of boundary samples, in the order in which they were made.
+struct BoundaryRows {
+    std::vector<std::uint32_t> pixel;
+    std::vector<double> opl;  // negative: never arrives
+    std::vector<float> dL;    // [row, parameter, rgb]
+    std::vector<std::uint8_t> family;
+    std::vector<std::uint64_t> sample;
+
+    /// in:      rates  by parameter: dL is light times rate
+    void add(std::uint64_t pixel_, double opl_, const Rgb<double>& light, std::span<const double> rates,
+             BoundaryFamily family_, std::uint64_t sample_) {
+        pixel.push_back(std::uint32_t(pixel_));
+        opl.push_back(opl_);
+        for (const double rate : rates)
+            for (int c = 0; c < 3; ++c) dL.push_back(float(light[c] * rate));
+        family.push_back(std::uint8_t(family_));
+        sample.push_back(sample_);
+    }
+};
+
+/// A curve that is no straight edge: the rim of a disk, or the outline of a sphere as seen from a point.
+///   center + u_axis cos(phi) + v_axis sin(phi)
+struct Round {
+    Point3<double> center;
+    Vector3<double> u_axis, v_axis;
+    std::uint32_t shape_idx = 0;
+    Point3<double> middle;  // of the occluder
+
+    Point3<double> point(double phi) const { return center + u_axis * std::cos(phi) + v_axis * std::sin(phi); }
+    Vector3<double> tangent(double phi) const { return v_axis * std::cos(phi) - u_axis * std::sin(phi); }
+};
+
+/// What all families share. Borrows all arguments of the constructor.
+class BoundaryScene {
+  public:
+    BoundaryScene(const PathGraph& graph, const Scene& scene, const SceneTangents& tangents,
+                  const BoundaryOptions& options);
+
+    const PathGraph& graph;
+    const Scene& scene;
+    const SceneTangents& tangents;
+    const BoundaryOptions& options;
+    GraphReader reader;
+    SurfaceMotions motions;
+    EdgeTree all_edges, moving_edges;  // of all shapes, and of those that move
+
+    std::size_t n() const { return tangents.n(); }
+    /// Edges that matter between points of which one moves, or neither.
+    const EdgeTree& edges(bool ends_move) const { return ends_move ? all_edges : moving_edges; }
+
+    /// Velocity of a material point of a shape.
+    void shape_velocity(std::uint32_t shape, std::uint32_t primitive, const Point3<double>& p, Velocities out) const;
+    /// Velocity of the point s of an edge.
+    void edge_velocity(const EdgeSet& set, const Edge& edge, double s, Velocities out) const;
+    /// Velocity of a camera ray's end on a surface: it slides with the ray.
+    /// in:      from, d  origin and unit direction of the ray
+    void film_velocity(const SurfacePoint& at, const Point3<double>& from, const Vector3<double>& d,
+                       Velocities out) const;
+    /// Velocity of a point on or of an emitter; of a direction for one at infinity.
+    void emitter_velocity(std::size_t emitter, const Point3<double>& y, Velocities out) const;
+    bool emitter_moves(std::size_t emitter) const;
+
+    /// Rounds (rims of disks, spheres) whose outline matters, as seen from a point.
+    std::vector<Round> rounds_from(const Point3<double>& eye, bool ends_move) const;
+    /// The same along a unit direction towards the eye.
+    std::vector<Round> rounds_along(const Vector3<double>& direction, bool ends_move) const;
+
+    /// Distance beside an edge point by which a ray passes it, so that the edge's own faces do not block it.
+    double clearance(const Point3<double>& x, double distance) const;
+};
+
+/// Calls f(pixel, h) for the pixels whose reconstruction filter reaches a film position, h its density there.
+template <class F>
+void for_pixels_at(const Sensor& sensor, Point2f film, F&& f) {
+    const float reach = sensor.filter_radius;
+    const auto first = [&](float x) { return std::max(0, int(std::floor(x - reach - 0.5f))); };
+    const auto last = [&](float x, std::uint32_t n) { return std::min(int(n) - 1, int(std::floor(x + reach))); };
+    for (int py = first(film.y); py <= last(film.y, sensor.height); ++py)
+        for (int px = first(film.x); px <= last(film.x, sensor.width); ++px) {
+            const float h = sensor.filter_density(std::uint32_t(px), std::uint32_t(py), film);
+            if (h > 0) f(std::uint64_t(py) * sensor.width + std::uint64_t(px), double(h));
+        }
+}
+
+/// The four families. Each adds its samples to `samples[family]` and returns the rays that it traced.
+std::uint64_t add_primary(const BoundaryScene& s, std::uint64_t n_samples, std::vector<BoundaryRows>& rows,
+                          std::span<std::uint64_t> samples, app::Report& report);
+/// in:      wanted  by emitter: whether first hits sample it too, not only deeper vertices
+std::uint64_t add_vertex_light(const BoundaryScene& s, double share, const std::vector<char>& wanted,
+                               std::vector<BoundaryRows>& rows, std::span<std::uint64_t> samples, app::Report& report);
+/// in:      wanted  by emitter
+std::uint64_t add_edge_light(const BoundaryScene& s, std::uint64_t n_samples, const std::vector<char>& wanted,
+                             std::vector<BoundaryRows>& rows, std::span<std::uint64_t> samples, app::Report& report);
+/// in:      surfaces, environment  whether light of surfaces, and that of an environment, is wanted
+std::uint64_t add_indirect(const BoundaryScene& s, double share, bool surfaces, bool environment,
+                           std::vector<BoundaryRows>& rows, std::span<std::uint64_t> samples, app::Report& report);
+
+/// Samples all boundary terms that `parts` requires, into the rows of `out`, sorted by pixel, family and sample.
+void differentiate_boundary(const PathGraph& graph, const Scene& scene, const SceneTangents& tangents,
+                            const Parts& parts, const BoundaryOptions& options, app::Report& report, Derivative& out,
+                            DeriveCounts& counts);
+
+}  // namespace loom::derive

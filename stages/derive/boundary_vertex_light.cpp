@@ -1,0 +1,241 @@
+// Family 1: from a stored vertex, the edges in front of an emitter, clipped to its outline.
+//   sum over visible silhouettes of beta f_cos(omega) Le(y -> x_S) swept / r_B^2 dl_B
+
+#include <tbb/enumerable_thread_specific.h>
+
+#include <algorithm>
+
+#include "stages/core/app/report.h"
+#include "stages/core/compute/parallel.h"
+#include "stages/core/sampling/streams.h"
+#include "stages/core/scene/scene.h"
+#include "stages/derive/boundary.h"
+#include "stages/derive/interior.h"
+#include "stages/derive/outline.h"
+
+namespace loom::derive {
+namespace {
+
+using Vec = Vector3<double>;
+using Pt = Point3<double>;
+
+/// A part of an area light that is convex and flat, or a sphere.
+struct LightPiece {
+    std::array<Point3f, 4> corners;
+    int n_corners = 0;  // 0: a sphere
+    Normal3f n;         // of the emitting side
+    std::uint32_t primitive_idx = 0;
+    double pmf = 1;
+};
+
+LightPiece choose_piece(const Scene& scene, const Emitter& e, float& u) {
+    const Shape& shape = scene.shapes[e.shape_idx];
+    LightPiece piece;
+    if (shape.kind == ShapeKind::sphere) return piece;
+    if (shape.kind == ShapeKind::disk) {
+        // A square around it; points beyond the rim emit nothing.
+        const auto& round = shape.round;
+        piece.corners = {round.disk_point(-1, -1), round.disk_point(1, -1), round.disk_point(1, 1),
+                         round.disk_point(-1, 1)};
+        piece.n_corners = 4;
+        piece.n = shape.flip_normals ? -round.disk_normal() : round.disk_normal();
+        return piece;
+    }
+    const Mesh& mesh = shape.mesh;
+    if (e.parallelogram) {
+        const TriangleRecord& t = shape.triangles[0];
+        piece.corners = {t.p0, t.p0 + t.e1, t.p0 + t.e2, t.p0 + (t.e2 - t.e1)};
+        piece.n_corners = 4;
+        piece.n = e.normals[0];
+        return piece;
+    }
+    piece.primitive_idx = std::uint32_t(e.triangles.sample(u));
+    piece.pmf = double(e.triangles.pmf(piece.primitive_idx));
+    const std::uint32_t* i = &mesh.indices[3 * std::size_t(piece.primitive_idx)];
+    piece.corners = {mesh.positions[i[0]], mesh.positions[i[1]], mesh.positions[i[2]], {}};
+    piece.n_corners = 3;
+    piece.n = e.normals[piece.primitive_idx];
+    if (!mesh.normals.empty()) {
+        const Vector3f ns = Vector3f(mesh.normals[i[0]]) + Vector3f(mesh.normals[i[1]]) + Vector3f(mesh.normals[i[2]]);
+        if ((dot(ns, piece.n) < 0) != shape.flip_normals) piece.n = -piece.n;
+    }
+    return piece;
+}
+
+class Sampling {
+  public:
+    explicit Sampling(const BoundaryScene& s)
+        : s_(s), v_light_(s.n()), rates_(s.n()), outline_(s), walker_(s.graph, s.scene, s.tangents) {}
+
+    std::uint64_t n_rays = 0, n_samples = 0;
+
+    void sample_path(std::size_t path, double share, const std::vector<char>& at_first, BoundaryRows& rows) {
+        walker_.walk_vertices(path, [&](const VertexState& x) {
+            if (!(s_.graph.vertices.flags[x.vertex] & vertex_flag::attempted_nee)) return;
+            const Sampler sampler(SamplerKind::independent, streams::family(s_.options.seed, 1), x.vertex, 0);
+            const Point2f pick = sampler.pair(0);
+            if (pick.x >= share) return;
+            ++n_samples;
+            sample_vertex(x, path, share, at_first, sampler, pick.y, rows);
+        });
+    }
+
+  private:
+    void sample_vertex(const VertexState& x, std::size_t path, double share, const std::vector<char>& at_first,
+                       const Sampler& sampler, float u_emitter, BoundaryRows& rows) {
+        const Scene& scene = s_.scene;
+        const std::size_t emitter_idx = scene.emitter_pmf.sample(u_emitter);
+        const Emitter& e = scene.emitters[emitter_idx];
+        if (e.kind != EmitterKind::area) return;
+        if (!at_first[emitter_idx] && x.vertex == s_.graph.paths.first_vertex[path]) return;
+        const LightPiece piece = choose_piece(scene, e, u_emitter);
+        const ShadingPoint& at = *x.at;
+        if (piece.n_corners > 0 && !(dot(piece.n, at.p - piece.corners[0]) > 0)) return;
+
+        // List the silhouettes in front of the light.
+        const bool moves =
+            std::any_of(x.velocity.begin(), x.velocity.end(), [](const Vec& v) { return !(v == Vec{}); });
+        const EdgeTree& tree = s_.edges(moves || s_.emitter_moves(emitter_idx));
+        const RayEnd from{at.p, transmits(at) ? Normal3f{} : facing(at.ng, at.wo), hit_error(x.vertex)};
+        const Shape& light = scene.shapes[e.shape_idx];
+        const Shaft shaft = piece.n_corners > 0
+                                ? Shaft::to_polygon(from, std::span(piece.corners).first(std::size_t(piece.n_corners)))
+                                : Shaft::to_sphere(from, light.round.center, light.round.radius);
+        const bool all = &tree == &s_.all_edges;
+        const Pt x_s(at.p);
+        if (!outline_.collect(shaft, x_s, false, x.velocity, tree, all)) return;
+        OutlinePoint b;
+        if (!outline_.sample(sampler.pair(1), b)) return;
+        Pt y;
+        if (!light_point(piece, light, x_s, b.omega, y)) return;
+        const double r = length(y - x_s);
+        if (!(r > b.r)) return;
+
+        // Rate at which light appears beside the edge.
+        s_.shape_velocity(e.shape_idx, piece.primitive_idx, y, v_light_);
+        bool any = false;
+        for (std::size_t p = 0; p < s_.n(); ++p) {
+            rates_[p] = swept(b.out, relative_velocity(b.r / r, outline_.velocity()[p], x.velocity[p], v_light_[p]));
+            any |= rates_[p] != 0;
+        }
+        if (!any) return;
+        const Vector3f wi(b.omega);
+        const Spectrum f_cos = f_cos_pdf(at, wi).f_cos;
+        if (is_black(f_cos)) return;
+        const Spectrum Le = emission(e, light, piece, y, -wi);
+        if (is_black(Le)) return;
+
+        // Pass the edge on its outer side.
+        const Vec beside = b.omega + b.out * (s_.clearance(b.p, b.r) / (length(b.out) * b.r));
+        Pt y_beside;
+        if (!light_point(piece, light, x_s, normalize(beside), y_beside)) y_beside = y;
+        const RayEnd end{Point3f(y_beside), normal_at(piece, light, y_beside), light.hit_error};
+        ++n_rays;
+        if (scene.occluded(spawn_segment(RayEnd{at.p, at.ng, hit_error(x.vertex)}, end))) return;
+
+        const double density = b.density * piece.pmf * double(scene.emitter_pmf.pmf(emitter_idx)) * share *
+                               double(s_.graph.tracing.samples_per_pixel);
+        const Rgb<double> value =
+            x.beta * Rgb<double>(f_cos) * Rgb<double>(Le) * Rgb<double>(1 / (b.r * b.r * density));
+        rows.add(path % s_.graph.n_pixels(), x.opl + index_towards(x.vertex, at, wi) * r, value, rates_,
+                 BoundaryFamily::vertex_light, path);
+    }
+
+    static bool transmits(const ShadingPoint& at) {
+        return at.bsdf.model->kind == BsdfKind::rough_dielectric || at.bsdf.model->kind == BsdfKind::dielectric;
+    }
+    float hit_error(std::size_t vertex) const { return s_.scene.shapes[s_.graph.vertices.shape[vertex]].hit_error; }
+
+    /// Index of refraction of the medium on the side of wi.
+    double index_towards(std::size_t vertex, const ShadingPoint& at, const Vector3f& wi) const {
+        const auto& v = s_.graph.vertices;
+        const double arriving = v.eta.empty() ? 1.0 : double(v.eta[vertex]);
+        if (!is_interface(*at.bsdf.model) || dot(at.n_side, wi) * dot(at.n_side, at.wo) > 0) return arriving;
+        return dot(at.n_side, wi) > 0 ? double(at.bsdf.model->ext_ior) : double(at.bsdf.model->int_ior);
+    }
+
+    static bool light_point(const LightPiece& piece, const Shape& light, const Pt& from, const Vec& d, Pt& y) {
+        if (piece.n_corners > 0) {
+            const Vec n(piece.n);
+            const double t = dot(n, Pt(piece.corners[0]) - from) / dot(n, d);
+            if (!(t > 0)) return false;
+            y = from + d * t;
+            if (light.kind != ShapeKind::disk) return true;
+            return length2(y - Pt(light.round.center)) <= length2(Vec(light.round.u_axis));
+        }
+        const Vec to_center = Pt(light.round.center) - from;
+        const double b = dot(to_center, d), c = length2(to_center) - sqr(double(light.round.radius));
+        const double root = b * b - c;
+        if (!(root > 0)) return false;
+        const double near = b - std::sqrt(root), t = near > 0 ? near : b + std::sqrt(root);
+        if (!(t > 0)) return false;
+        y = from + d * t;
+        return true;
+    }
+    static Normal3f normal_at(const LightPiece& piece, const Shape& light, const Pt& y) {
+        return piece.n_corners > 0 ? piece.n : Normal3f(normalize(Vector3f(y - Pt(light.round.center))));
+    }
+    Spectrum emission(const Emitter& e, const Shape& light, const LightPiece& piece, const Pt& y, const Vector3f& to) {
+        SurfacePoint at;
+        if (light.kind == ShapeKind::mesh) {
+            Hit hit;
+            hit.shape_idx = e.shape_idx;
+            hit.primitive_idx = piece.primitive_idx;
+            if (e.parallelogram) {
+                // The second triangle is the other half.
+                Point2<double> b = s_.motions.barycentric_of(e.shape_idx, 0, y);
+                if (b.x < 0 || b.y < 0 || b.x + b.y > 1) {
+                    hit.primitive_idx = 1;
+                    b = s_.motions.barycentric_of(e.shape_idx, 1, y);
+                }
+                hit.u = float(b.x), hit.v = float(b.y);
+            } else {
+                const Point2<double> b = s_.motions.barycentric_of(e.shape_idx, piece.primitive_idx, y);
+                hit.u = float(b.x), hit.v = float(b.y);
+            }
+            at = s_.scene.surface(Ray{Point3f(y), -to}, hit);
+        } else {
+            Hit hit;
+            hit.shape_idx = e.shape_idx;
+            hit.t = 0;
+            if (light.kind == ShapeKind::disk) {
+                const Vec d = y - Pt(light.round.center), u(light.round.u_axis), v(light.round.v_axis);
+                hit.u = float(dot(d, u) / length2(u)), hit.v = float(dot(d, v) / length2(v));
+            }
+            at = s_.scene.surface(Ray{Point3f(y), -to}, hit);
+        }
+        return emitted(s_.scene, at, to);
+    }
+
+    const BoundaryScene& s_;
+    std::vector<Vec> v_light_;
+    std::vector<double> rates_;
+    Outline outline_;
+    InteriorWalker walker_;
+};
+
+}  // namespace
+
+std::uint64_t add_vertex_light(const BoundaryScene& s, double share, const std::vector<char>& wanted,
+                               std::vector<BoundaryRows>& rows, std::span<std::uint64_t> samples, app::Report& report) {
+    constexpr std::uint64_t chunk = 4096;
+    const std::size_t first = rows.size();
+    const std::uint64_t n_paths = s.graph.n_paths();
+    rows.resize(first + (n_paths + chunk - 1) / chunk);
+    app::Progress progress(report, "edges in front of emitters", n_paths);
+    tbb::enumerable_thread_specific<Sampling> workers([&] { return Sampling(s); });
+    parallel_chunks(n_paths, chunk, s.options.threads, [&](std::uint64_t i, std::uint64_t begin, std::uint64_t end) {
+        Sampling& worker = workers.local();
+        for (std::size_t path = begin; path < end; ++path)
+            worker.sample_path(path, std::min(share, 1.0), wanted, rows[first + i]);
+        progress.add(end - begin);
+    });
+    std::uint64_t rays = 0;
+    for (const Sampling& worker : workers) {
+        rays += worker.n_rays;
+        samples[std::size_t(BoundaryFamily::vertex_light)] += worker.n_samples;
+    }
+    return rays;
+}
+
+}  // namespace loom::derive

@@ -1,0 +1,17 @@
+#include "stages/derive/given_rays.h"
+
+namespace loom::derive {
+
+PathOptions options_of(const PathGraph& graph, std::uint64_t seed) {
+    PathOptions options;
+    options.seed = seed;
+    options.sampler = SamplerKind::independent;
+    options.max_depth = graph.tracing.max_depth;
+    options.rr_depth = graph.tracing.roulette_depth;
+    options.roulette = graph.tracing.roulette == "albedo"       ? Roulette::albedo
+                       : graph.tracing.roulette == "throughput" ? Roulette::throughput
+                                                                : Roulette::off;
+    return options;
+}
+
+}  // namespace loom::derive

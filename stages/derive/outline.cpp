@@ -1,0 +1,133 @@
+#include "stages/derive/outline.h"
+
+#include <algorithm>
+
+namespace loom::derive {
+
+using Vec = Vector3<double>;
+using Pt = Point3<double>;
+
+void Outline::look(OutlinePoint& point) const {
+    if (at_infinity_) {
+        point.omega = -Vec(eye_);
+        point.r = 1;
+        return;
+    }
+    const Vec d = point.p - eye_;
+    point.r = length(d);
+    point.omega = d / point.r;
+}
+
+double Outline::importance(const Pt& x, const Vec& out) const {
+    double sum = 0;
+    for (std::size_t p = 0; p < velocity_.size(); ++p) {
+        // The velocity at the far end is not known yet; a part of the speeds covers all cases.
+        sum += std::abs(dot(out, velocity_[p] - v_eye_[p])) +
+               0.05 * length(out) * (length(velocity_[p]) + length(v_eye_[p]) + 1e-9);
+    }
+    return at_infinity_ ? sum : sum / length(x - eye_);
+}
+
+bool Outline::collect(const Shaft& shaft, const Pt& eye, bool at_infinity, ConstVelocities v_eye, const EdgeTree& tree,
+                      bool all) {
+    tree_ = &tree;
+    eye_ = eye;
+    at_infinity_ = at_infinity;
+    v_eye_.assign(v_eye.begin(), v_eye.end());
+    arcs_.clear();
+    cumulative_.clear();
+    segments_.clear();
+    if (tree.n_edges() > 0) tree.collect(shaft, segments_);
+    double total = 0;
+    OutlinePoint point;
+    for (const EdgeSegment& segment : segments_) {
+        const Edge& edge = tree.edge(segment.edge_idx);
+        const double len = edge.length();
+        const double begin = segment.s0 * len, end = segment.s1 * len;
+        Arc arc{begin, end, 1, 0};
+        if (!at_infinity) {
+            const Vec t = (Pt(edge.b) - Pt(edge.a)) / len, to_eye = eye - Pt(edge.a);
+            arc.foot = dot(to_eye, t);
+            arc.height = length(to_eye - t * arc.foot);
+            if (arc.height > 0) {
+                arc.begin = std::atan2(begin - arc.foot, arc.height);
+                arc.end = std::atan2(end - arc.foot, arc.height);
+            }
+        }
+        point.p = edge.point(0.5 * (segment.s0 + segment.s1));
+        look(point);
+        point.out = outward(edge, point.omega);
+        s_.edge_velocity(tree.set(), edge, 0.5 * (segment.s0 + segment.s1), velocity_);
+        const double extent = arc.height > 0 ? arc.end - arc.begin : 0;
+        // Light per angle falls with the distance; the sine of the edge's slant is in the angle.
+        const double sine = std::max(length(point.out), 1e-6);
+        total += extent * importance(point.p, point.out) / sine;
+        arcs_.push_back(arc);
+        cumulative_.push_back(total);
+    }
+    rounds_ = at_infinity ? s_.rounds_along(Vec(eye), all) : s_.rounds_from(eye, all);
+    for (const Round& round : rounds_) {
+        constexpr int looked_at = 8;
+        double sum = 0;
+        for (int k = 0; k < looked_at; ++k) {
+            const double phi = 2 * pi_double * (k + 0.5) / looked_at;
+            point.p = round.point(phi);
+            look(point);
+            const Vec t = round.tangent(phi);
+            point.out = outward(normalize(t), point.omega, round.middle - point.p);
+            s_.shape_velocity(round.shape_idx, 0, point.p, velocity_);
+            sum += importance(point.p, point.out) * length(t) / (at_infinity ? 1 : point.r);
+        }
+        total += sum * 2 * pi_double / looked_at;
+        arcs_.push_back({0, 2 * pi_double, 1, 0});
+        cumulative_.push_back(total);
+    }
+    return total > 0;
+}
+
+bool Outline::place_on_edge(std::size_t i, double t, OutlinePoint& point) {
+    const EdgeSegment& segment = segments_[i];
+    const Edge& edge = tree_->edge(segment.edge_idx);
+    const Arc& arc = arcs_[i];
+    const double len = edge.length(), angle = arc.begin + (arc.end - arc.begin) * t;
+    const double along = at_infinity_ ? angle : arc.foot + arc.height * std::tan(angle);
+    const double s = std::clamp(along / len, segment.s0, segment.s1);
+    point.p = edge.point(s);
+    look(point);
+    point.out = outward(edge, point.omega);
+    point.shape_idx = edge.shape_idx;
+    // d angle / d length = height / r^2
+    point.density = (at_infinity_ ? 1 : arc.height / sqr(point.r)) / (arc.end - arc.begin);
+    s_.edge_velocity(tree_->set(), edge, s, velocity_);
+    return true;
+}
+
+bool Outline::place_on_round(std::size_t i, double t, OutlinePoint& point) {
+    const Round& round = rounds_[i - segments_.size()];
+    const double phi = 2 * pi_double * t;
+    const Vec tangent = round.tangent(phi);
+    const double speed = length(tangent);
+    point.p = round.point(phi);
+    look(point);
+    if (!(speed > 0)) return false;
+    point.out = outward(tangent / speed, point.omega, round.middle - point.p);
+    point.shape_idx = round.shape_idx;
+    point.density = 1 / (2 * pi_double * speed);
+    s_.shape_velocity(round.shape_idx, 0, point.p, velocity_);
+    return true;
+}
+
+bool Outline::sample(Point2f u, OutlinePoint& point) {
+    const double total = cumulative_.back(), target = double(u.x) * total;
+    const std::size_t i =
+        std::min(std::size_t(std::upper_bound(cumulative_.begin(), cumulative_.end(), target) - cumulative_.begin()),
+                 cumulative_.size() - 1);
+    const double weight = cumulative_[i] - (i > 0 ? cumulative_[i - 1] : 0);
+    if (!(weight > 0)) return false;
+    if (!(i < segments_.size() ? place_on_edge(i, double(u.y), point) : place_on_round(i, double(u.y), point)))
+        return false;
+    point.density *= weight / total;
+    return length2(point.out) > 0;
+}
+
+}  // namespace loom::derive

@@ -1,0 +1,63 @@
+#pragma once
+// The silhouettes seen from one point, and a point drawn from them.
+
+#include <vector>
+
+#include "stages/core/edges/boundary.h"
+#include "stages/derive/boundary.h"
+
+namespace loom::derive {
+
+/// A point of a silhouette.
+struct OutlinePoint {
+    Point3<double> p;
+    Vector3<double> omega;  // unit, from the eye
+    double r = 0;           // from the eye, m; 1 for an eye at infinity
+    Vector3<double> out;    // t x omega, turned away from the occluder
+    double density = 0;     // per m of the silhouette
+    std::uint32_t shape_idx = 0;
+};
+
+/// Lists silhouettes, weights them by angle and speed, and samples points of them. State of one thread.
+class Outline {
+  public:
+    explicit Outline(const BoundaryScene& s) : s_(s), velocity_(s.n()) {}
+
+    /// Lists what a shaft contains, seen from its apex.
+    /// in:      eye       the apex; at infinity: the direction towards it
+    ///          v_eye     its velocity, by parameter
+    ///          tree      edges to look for; all: rounds that rest count, too
+    /// out:     whether there is anything
+    bool collect(const Shaft& shaft, const Point3<double>& eye, bool at_infinity, ConstVelocities v_eye,
+                 const EdgeTree& tree, bool all);
+
+    /// Draws a point. Its velocity is in velocity().
+    /// in:      u  uniform: the choice, and the place along it
+    /// out:     false where rounding leaves nothing
+    bool sample(Point2f u, OutlinePoint& point);
+    ConstVelocities velocity() const { return velocity_; }
+    std::size_t size() const { return cumulative_.size(); }
+
+  private:
+    struct Arc {
+        double begin, end;  // angle of a straight edge about the foot of the eye; phi of a round
+        double height;      // distance of the eye from the edge's line
+        double foot;        // position of the foot along the edge from its first end, m
+    };
+    double importance(const Point3<double>& x, const Vector3<double>& out) const;
+    bool place_on_edge(std::size_t i, double t, OutlinePoint& point);
+    bool place_on_round(std::size_t i, double t, OutlinePoint& point);
+    void look(OutlinePoint& point) const;
+
+    const BoundaryScene& s_;
+    const EdgeTree* tree_ = nullptr;
+    Point3<double> eye_;
+    bool at_infinity_ = false;
+    std::vector<Vector3<double>> velocity_, v_eye_;
+    std::vector<EdgeSegment> segments_;
+    std::vector<Round> rounds_;
+    std::vector<Arc> arcs_;           // [segment, then round]
+    std::vector<double> cumulative_;  // of the weights
+};
+
+}  // namespace loom::derive
