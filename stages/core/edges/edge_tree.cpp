@@ -52,15 +52,19 @@ struct EdgeTree::Query {
     std::array<Plane, 6> planes;
     int n_planes = 0;
 
-    explicit Query(const Shaft& shaft) : weight(float(shaft.weight())) {
+    Query(const Shaft& shaft, bool for_nodes) : weight(float(shaft.weight())) {
         for (int c = 0; c < 3; ++c) eye[std::size_t(c)] = float(shaft.eye()[c]);
+        if (!for_nodes) return;
         for (const Shaft::Plane& from : shaft.planes()) {
+            // The sizes of the components add up to 1, so that rounding is relative to distances.
+            const double scale = 1 / (std::abs(from.n.x) + std::abs(from.n.y) + std::abs(from.n.z));
             Plane& plane = planes[std::size_t(n_planes++)];
             for (int c = 0; c < 3; ++c) {
-                plane.n[c] = float(from.n[c]);
+                plane.n[c] = float(from.n[c] * scale);
                 plane.abs_n[c] = std::abs(plane.n[c]);
             }
-            plane.offset = float(from.offset) + slack * std::abs(float(from.offset));
+            plane.offset = float(from.offset * scale);
+            plane.offset += slack * std::abs(plane.offset);
         }
     }
     /// Vectors to the eye, and the sum of the sizes of their components.
@@ -114,7 +118,7 @@ unsigned EdgeTree::possible_silhouettes(const Block& block, const Query& query) 
 void EdgeTree::collect(const Shaft& shaft, std::vector<EdgeSegment>& found) const {
     found.clear();
     if (shaft.empty() || blocks_.empty()) return;
-    const Query query(shaft);
+    const Query query(shaft, !(root_ & is_block));
     std::array<std::uint32_t, stack_size> stack;
     std::size_t n_waiting = 0;
     std::array<EdgeInterval, 2> inside;

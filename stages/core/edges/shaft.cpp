@@ -24,11 +24,11 @@ bool roots(double a, double b, double c, double& low, double& high) {
 
 Shaft::Shaft(const RayEnd& from) : eye_(from.p) {
     const Vector3d n(from.n);
-    if (length2(n) > 0) add_plane(n, -double(surface_offset(from.p, from.n, from.hit_error)) / length(n));
+    if (length2(n) > 0) add_plane(n, -double(surface_offset(from.p, from.n, from.hit_error)));
 }
 
 void Shaft::add_plane(const Vector3d& n, double offset) {
-    planes_[std::size_t(n_planes_++)] = {normalize(n), offset};
+    planes_[std::size_t(n_planes_++)] = {n, offset};
 }
 
 Shaft Shaft::to_polygon(const RayEnd& from, std::span<const Point3f> outline) {
@@ -37,34 +37,29 @@ Shaft Shaft::to_polygon(const RayEnd& from, std::span<const Point3f> outline) {
     std::array<Vector3d, 4> corner;
     shaft.empty_ = n < 3 || n > corner.size();
     if (shaft.empty_) return shaft;
-    double farthest = 0, largest_coordinate = 0;
+    double farthest2 = 0, largest_coordinate = 0;
     for (std::size_t k = 0; k < n; ++k) {
         corner[k] = Vector3d(outline[k]) - shaft.eye_;
-        farthest = std::max(farthest, length(corner[k]));
+        farthest2 = std::max(farthest2, length2(corner[k]));
         for (int c = 0; c < 3; ++c) largest_coordinate = std::max(largest_coordinate, std::abs(double(outline[k][c])));
     }
     // The mean normal and the nearest corner along it: the corners are rounded, and four need not lie in a plane.
     Vector3d normal;
-    for (std::size_t k = 0; k < n; ++k) normal = normal + cross(corner[k] - corner[0], corner[(k + 1) % n] - corner[0]);
-    const double area = length(normal);
-    double height = INFINITY;
-    for (std::size_t k = 0; k < n; ++k) {
-        const double h = area > 0 ? dot(normal, corner[k]) / area : 0;
-        if (std::abs(h) < std::abs(height)) height = h;
-    }
-    constexpr double in_plane = 1e-9;
-    if (!(std::abs(height) > in_plane * farthest)) {
-        shaft.empty_ = true;
-        return shaft;
-    }
-    // Orient it away from the apex.
-    const double side = height < 0 ? -1 : 1;
-    normal = normal * side;
-    height *= side;
+    for (std::size_t k = 1; k + 1 < n; ++k) normal = normal + cross(corner[k] - corner[0], corner[k + 1] - corner[0]);
+    double volume = INFINITY;
+    for (std::size_t k = 0; k < n; ++k)
+        if (const double v = dot(normal, corner[k]); std::abs(v) < std::abs(volume)) volume = v;
+    constexpr double in_plane = 1e-9;  // sine of the angle
+    shaft.empty_ = !(sqr(volume) > sqr(in_plane) * farthest2 * length2(normal));
+    if (shaft.empty_) return shaft;
+    // Orient all planes inwards.
+    const double side = volume < 0 ? -1 : 1;
     for (std::size_t k = 0; k < n; ++k) shaft.add_plane(cross(corner[k], corner[(k + 1) % n]) * side, 0);
-    // End before the light as its shadow rays do.
-    const double rounding = std::max(double(surface_epsilon) * height, double(rounding_bound) * largest_coordinate);
-    shaft.add_plane(-normal, height - rounding);
+    // End before the light as its shadow rays do; the plane's normal keeps its length, at most the sum of its components.
+    const double length_bound = std::abs(normal.x) + std::abs(normal.y) + std::abs(normal.z);
+    const double rounding = std::max(double(surface_epsilon) * std::abs(volume),
+                                     double(rounding_bound) * largest_coordinate * length_bound);
+    shaft.add_plane(normal * -side, std::abs(volume) - rounding);
     return shaft;
 }
 

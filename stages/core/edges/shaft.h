@@ -43,8 +43,8 @@ class Shaft {
 
     /// Half-space n . (p - apex) + offset >= 0.
     struct Plane {
-        Vector3<double> n;  // unit
-        double offset = 0;  // m
+        Vector3<double> n;  // of any length
+        double offset = 0;
     };
     /// Bounds of the region, for culling: of a cone those of a pyramid around it.
     std::span<const Plane> planes() const { return {planes_.data(), std::size_t(n_planes_)}; }
