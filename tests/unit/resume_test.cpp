@@ -7,45 +7,12 @@
 #include <fmt/format.h>
 #include <gtest/gtest.h>
 
-#include "stages/core/scene/embree.h"
-#include "stages/core/tracing/path_step.h"
 #include "stages/core/tracing/path_tracer.h"
+#include "tests/path_states.h"
 #include "tests/traced_graph.h"
 
 namespace loom {
 namespace {
-
-/// Returns a path's states before each of its edges, by the plain step; rays are traced as in a batch.
-std::vector<PathState> states_of(const Scene& scene, const PathOptions& options, PathId id) {
-    const Sampler sampler(options.sampler, options.seed, id.pixel, id.sample);
-    PathState path(scene, sampler, id, sampler.pair(film_pair));
-    std::vector<PathState> states;
-    for (int depth = 1;; ++depth) {
-        states.push_back(path);
-        const Ray* ray = &path.ray;
-        Hit hit;
-        scene.rays->intersect(&ray, 1, &hit, depth == 1);
-        ++path.result.n_rays;
-        LightQuery lights;
-        lights.kind = !hit                         ? LightQuery::Kind::environment
-                      : depth == options.max_depth ? LightQuery::Kind::nothing
-                                                   : LightQuery::Kind::point;
-        lights.u = sampler.pair(dimension(depth, Dimension::light));
-        lights.d = path.ray.d;
-        look_up_light(scene, lights);
-        tracing::ShadowRequest shadow;
-        const tracing::Step step = tracing::arrive<false>(
-            scene, options, depth, hit, lights, sampler.pair(dimension(depth, Dimension::direction)), path, shadow, {});
-        if (tracing::has(step, tracing::Step::needs_shadow_ray)) {
-            const Ray* segment = &shadow.ray;
-            bool blocked = false;
-            scene.rays->occluded(&segment, 1, &blocked);
-            ++path.result.n_rays;
-            tracing::end_next_event<false>(path, shadow, blocked, {});
-        }
-        if (!tracing::has(step, tracing::Step::goes_on)) return states;
-    }
-}
 
 void expect_same(const PathResult& a, const PathResult& b) {
     EXPECT_EQ(a.L, b.L);
@@ -78,7 +45,7 @@ TEST_P(ResumedPaths, EndAsThoseTracedWhole) {
     std::vector<PathResult> whole(ids.size());
     batch.trace(ids, whole);
     std::vector<std::vector<PathState>> states;
-    for (const PathId& id : ids) states.push_back(states_of(*scene, options, id));
+    for (const PathId& id : ids) states.push_back(loom::testing::states_of(*scene, options, id));
 
     // In each round a path starts a depth later than in the one before, its neighbours elsewhere; one in five not at
     // all.

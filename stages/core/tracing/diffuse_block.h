@@ -81,12 +81,11 @@ class DiffuseBlock {
 
     /// Stores the results of shade() for path m of the block, as arrive() does.
     template <bool recording>
-    Step finish(std::size_t m, int depth, const Hit& hit, PathState& path, ShadowRequest& shadow,
-                PathRecorder record) const {
+    Step finish(std::size_t m, const Hit& hit, PathState& path, ShadowRequest& shadow, PathRecorder record) const {
         const DiffuseColumns& c = columns_;
         ++path.result.n_vertices;
-        if (depth == 1) path.result.first = {c.albedo.get<Spectrum>(m), c.ns.get<Normal3f>(m), hit.t};
-        if constexpr (recording) record_vertex(m, depth, hit, path, record);
+        if (path.is_first) path.result.first = {c.albedo.get<Spectrum>(m), c.ns.get<Normal3f>(m), hit.t};
+        if constexpr (recording) record_vertex(m, hit, path, record);
         Step step = Step::ends;
         if (c.needs_shadow_ray(m)) {
             step = Step::needs_shadow_ray;
@@ -108,6 +107,7 @@ class DiffuseBlock {
         }
         path.lobe = Lobe::diffuse;
         path.is_straight = false;
+        path.is_first = false;
         path.density = c.next_pdf_w[m];
         path.from = c.p.get<Point3f>(m);
         path.beta = c.next_beta.get<Spectrum>(m);
@@ -128,9 +128,9 @@ class DiffuseBlock {
         VertexRecord vertex;
     };
 
-    void record_vertex(std::size_t m, int depth, const Hit& hit, const PathState& path, PathRecorder record) const {
+    void record_vertex(std::size_t m, const Hit& hit, const PathState& path, PathRecorder record) const {
         const DiffuseColumns& c = columns_;
-        if (depth > 1) record.last().flags |= vertex_flag::continued;
+        if (!path.is_first) record.last().flags |= vertex_flag::continued;
         VertexRecord& vertex = record.add(surfaces_[hit.shape_idx].vertex);
         const auto ns = c.ns.get<Normal3f>(m);
         vertex.set_arrival(c.p.get<Point3f>(m), c.wo.get<Vector3f>(m), ns, c.ng.get<Normal3f>(m), ns,

@@ -9,12 +9,15 @@
 namespace loom {
 namespace {
 
+using PlacedRows = PathRows<PlacedColumn>;
+using Piece = std::vector<std::span<std::byte>>;  // columns in the order of their declaration
+
 /// Places columns behind one another in a block: first their sizes are summed, then they get their places.
 struct RowsPlacer : FieldVisitor<RowsPlacer> {
     std::size_t n_paths, n_vertices, n_light_edges, n_misses;
     std::size_t n_bytes = 0;
     std::span<std::byte> block;  // empty: sum only
-    std::vector<std::span<std::byte>> columns;
+    Piece columns;
 
     explicit RowsPlacer(const PathRecords& records)
         : n_paths(records.paths.size()),
@@ -24,7 +27,8 @@ struct RowsPlacer : FieldVisitor<RowsPlacer> {
 
     template <class T>
     void column_of(const Field& field, PlacedColumn<T>& column) {
-        const std::size_t rows = field.axes.starts_with("path")     ? n_paths
+        const std::size_t rows = field.axes == "path+1"             ? n_paths + 1
+                                 : field.axes.starts_with("path")   ? n_paths
                                  : field.axes.starts_with("vertex") ? n_vertices
                                  : field.axes.starts_with("edge")   ? n_light_edges
                                                                     : n_misses;
@@ -38,18 +42,58 @@ struct RowsPlacer : FieldVisitor<RowsPlacer> {
     }
 };
 
+template <class T>
+std::span<T> values_of(std::span<std::byte> column) {
+    return {reinterpret_cast<T*>(column.data()), column.size() / sizeof(T)};
+}
+
 /// Hands the k-th column of every piece to the k-th column of the graph.
 struct RowsCollector : FieldVisitor<RowsCollector> {
-    const std::vector<std::vector<std::span<std::byte>>>& pieces;
+    const std::vector<Piece>& pieces;
     std::size_t k = 0;
-    explicit RowsCollector(const std::vector<std::vector<std::span<std::byte>>>& from) : pieces(from) {}
+    explicit RowsCollector(const std::vector<Piece>& from) : pieces(from) {}
     template <class T>
-    void column_of(const Field&, PiecedColumn<T>& column) {
-        for (const auto& piece : pieces)
-            column.add({reinterpret_cast<T*>(piece[k].data()), piece[k].size() / sizeof(T)});
+    void column_of(const Field& field, PiecedColumn<T>& column) {
+        const std::size_t n_shared = field.axes == "path+1" ? 1 : 0;  // row that the piece before ends with
+        for (const Piece& piece : pieces) column.add(values_of<T>(piece[k]).subspan(n_shared));
         ++k;
     }
 };
+
+/// Lends the k-th column of a piece to the k-th column of the graph.
+struct RowsLender : FieldVisitor<RowsLender> {
+    const Piece& piece;
+    std::size_t k = 0;
+    explicit RowsLender(const Piece& from) : piece(from) {}
+    template <class T>
+    void column_of(const Field&, Column<T>& column) {
+        column = Column<T>::borrow(values_of<T>(piece[k++]));
+    }
+};
+
+PlacedRows wanted_rows(const Scene& scene, const PathOptions& options, const OptionalColumns& columns) {
+    PlacedRows wanted;
+    const SceneFeatures& f = scene.features;
+    auto& v = wanted.vertices;
+    wanted.paths.origin.wanted = scene.sensor.kind == SensorKind::orthographic;
+    v.ng.wanted = f.smooth_normals;
+    v.n_side.wanted = f.perturbed_normals;
+    v.tangent.wanted = f.anisotropic;
+    v.q.wanted = options.roulette != Roulette::off;
+    v.eta.wanted = wanted.light_edges.eta.wanted = f.dielectric;
+    v.medium.wanted = wanted.light_edges.medium.wanted = columns.media && f.dielectric;
+    v.primitive.wanted = columns.primitives;
+    v.diffuse.wanted = f.textured_diffuse;
+    v.specular.wanted = f.textured_specular;
+    v.transmittance.wanted = f.textured_transmittance;
+    v.alpha.wanted = f.textured_alpha;
+    v.opacity.wanted = f.textured_opacity;
+    v.exponent.wanted = f.textured_exponent;
+    v.eta_c.wanted = v.k_c.wanted = f.textured_index;
+    auto& m = wanted.misses;
+    m.vertex.wanted = m.technique.wanted = m.y.wanted = m.emitter.wanted = columns.misses;
+    return wanted;
+}
 
 template <class T, class Get>
 Column<T> gather(const std::vector<Material>& materials, Get get) {
@@ -207,53 +251,32 @@ void describe_emitters(const Scene& scene, PathGraphHeader::Emitters& out) {
     out.pmf = std::move(pmfs);
 }
 
-void describe_scene(const Scene& scene, PathGraphHeader& g) {
+void describe(const Scene& scene, const PathOptions& options, PathGraphHeader& g) {
     describe_sensor(scene.sensor, g.sensor);
     describe_film(scene.transient, g.transient);
     describe_materials(scene.materials, g.materials);
     describe_coats(scene.materials, g.coats);
     describe_emitters(scene, g.emitters);
     for (const Shape& shape : scene.shapes) g.shapes.id.push_back(shape.id);
+    if (scene.nlos) describe_capture(scene, *scene.nlos, options.laser_spot == LaserSpot::true_area, g.nlos);
+    g.tracing.max_depth = options.max_depth;
+    g.tracing.roulette = roulette_name(options.roulette);
+    g.tracing.roulette_depth = options.rr_depth;
+    g.tracing.sampler = sampler_name(options.sampler);
 }
 
-}  // namespace
-
-GraphBuilder::GraphBuilder(const Scene& scene, const PathOptions& options, std::size_t n_pieces,
-                           std::shared_ptr<Arena> memory, const OptionalColumns& columns)
-    : scene_(scene), options_(options), pieces_(n_pieces), arena_(std::move(memory)) {
-    arena_->reset();
-    const SceneFeatures& f = scene.features;
-    auto& v = wanted_.vertices;
-    wanted_.paths.origin.wanted = scene.sensor.kind == SensorKind::orthographic;
-    v.ng.wanted = f.smooth_normals;
-    v.n_side.wanted = f.perturbed_normals;
-    v.tangent.wanted = f.anisotropic;
-    v.q.wanted = options.roulette != Roulette::off;
-    v.eta.wanted = wanted_.light_edges.eta.wanted = f.dielectric;
-    v.medium.wanted = wanted_.light_edges.medium.wanted = columns.media && f.dielectric;
-    v.primitive.wanted = columns.primitives;
-    v.diffuse.wanted = f.textured_diffuse;
-    v.specular.wanted = f.textured_specular;
-    v.transmittance.wanted = f.textured_transmittance;
-    v.alpha.wanted = f.textured_alpha;
-    v.opacity.wanted = f.textured_opacity;
-    v.exponent.wanted = f.textured_exponent;
-    v.eta_c.wanted = v.k_c.wanted = f.textured_index;
-    auto& m = wanted_.misses;
-    m.vertex.wanted = m.technique.wanted = m.y.wanted = m.emitter.wanted = columns.misses;
-}
-
-void GraphBuilder::set(std::size_t i, const PathRecords& records) {
+/// Fills the columns of a batch; they lie one behind the other in a block of the arena.
+/// in:      rows  the columns that are wanted, not yet placed
+Piece fill(PlacedRows rows, const PathRecords& records, Arena& arena) {
     RowsPlacer placer(records);
-    Rows rows = wanted_;
-    Rows::row_fields(rows, placer);
-    placer.block = arena_->allocate(std::exchange(placer.n_bytes, 0));
-    Rows::row_fields(rows, placer);
-    pieces_[i] = std::move(placer.columns);
+    PlacedRows::row_fields(rows, placer);
+    placer.block = arena.allocate(std::exchange(placer.n_bytes, 0));
+    PlacedRows::row_fields(rows, placer);
 
     // Records come depth by depth, rows go path by path.
     std::vector<std::uint32_t> first_vertex, next_vertex, next_edge, next_miss;
     std::uint32_t vertex = 0, edge = 0, miss = 0;
+    rows.paths.first_vertex.put(0, vertex);
     for (std::size_t path = 0; path < records.paths.size(); ++path) {
         const PathRecords::Path& r = records.paths[path];
         first_vertex.push_back(vertex);
@@ -262,7 +285,7 @@ void GraphBuilder::set(std::size_t i, const PathRecords& records) {
         vertex += r.n_vertices;
         edge += r.n_light_edges;
         miss += r.n_misses;
-        rows.paths.first_vertex.put(path, vertex);
+        rows.paths.first_vertex.put(path + 1, vertex);
         rows.paths.Le.put(path, r.Le.r, r.Le.g, r.Le.b);
         rows.paths.origin.put(path, r.origin.x, r.origin.y, r.origin.z);
     }
@@ -316,18 +339,30 @@ void GraphBuilder::set(std::size_t i, const PathRecords& records) {
         m.y.put(row, r.y.x, r.y.y, r.y.z, r.at_infinity ? 0.0f : 1.0f);
         m.emitter.put(row, r.emitter_idx);
     }
+    return std::move(placer.columns);
+}
+
+}  // namespace
+
+GraphBuilder::GraphBuilder(const Scene& scene, const PathOptions& options, std::size_t n_pieces,
+                           std::shared_ptr<Arena> memory, const OptionalColumns& columns)
+    : scene_(scene),
+      options_(options),
+      wanted_(wanted_rows(scene, options, columns)),
+      pieces_(n_pieces),
+      arena_(std::move(memory)) {
+    arena_->reset();
+}
+
+void GraphBuilder::set(std::size_t i, const PathRecords& records) {
+    pieces_[i] = fill(wanted_, records, *arena_);
 }
 
 PathGraphInPieces GraphBuilder::finish(std::uint64_t first_sample, std::uint64_t samples) && {
     PathGraphInPieces g;
-    describe_scene(scene_, g);
-    if (scene_.nlos) describe_capture(scene_, *scene_.nlos, options_.laser_spot == LaserSpot::true_area, g.nlos);
+    describe(scene_, options_, g);
     g.tracing.first_sample = first_sample;
     g.tracing.samples_per_pixel = samples;
-    g.tracing.max_depth = options_.max_depth;
-    g.tracing.roulette = roulette_name(options_.roulette);
-    g.tracing.roulette_depth = options_.rr_depth;
-    g.tracing.sampler = sampler_name(options_.sampler);
 
     auto* const zero = reinterpret_cast<std::uint64_t*>(arena_->allocate(sizeof(std::uint64_t)).data());
     *zero = 0;
@@ -343,6 +378,20 @@ PathGraphInPieces GraphBuilder::finish(std::uint64_t first_sample, std::uint64_t
     });
     g.storage = std::move(arena_);
     return g;
+}
+
+BatchGraph::BatchGraph(const Scene& scene, const PathOptions& options, const OptionalColumns& columns)
+    : wanted_(wanted_rows(scene, options, columns)) {
+    wanted_.paths.origin.wanted = true;
+    describe(scene, options, graph_);
+}
+
+const PathGraph& BatchGraph::set(const PathRecords& records) {
+    arena_.reset();
+    const Piece columns = fill(wanted_, records, arena_);
+    RowsLender lender(columns);
+    PathGraph::row_fields(graph_, lender);
+    return graph_;
 }
 
 std::string_view roulette_name(Roulette roulette) {

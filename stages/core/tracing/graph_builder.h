@@ -44,6 +44,23 @@ class GraphBuilder {
     std::shared_ptr<Arena> arena_;
 };
 
+/// Graph of one batch of paths at a time, to be walked and not to be written. Its columns are in memory that the next
+/// batch reuses; what it says of the scene is set once. Every path has its paths/origin.
+class BatchGraph {
+  public:
+    BatchGraph(const Scene& scene, const PathOptions& options, const OptionalColumns& columns);
+
+    /// Replaces the paths of the graph.
+    const PathGraph& set(const PathRecords& records);
+    /// Returns the graph, always at the same address.
+    const PathGraph& graph() const { return graph_; }
+
+  private:
+    PathRows<PlacedColumn> wanted_;
+    Arena arena_;
+    PathGraph graph_;
+};
+
 /// Names as on disk and on command lines.
 std::string_view roulette_name(Roulette roulette);
 std::string_view sampler_name(SamplerKind sampler);

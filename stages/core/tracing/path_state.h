@@ -17,6 +17,7 @@ struct alignas(64) PathState {
     Point3f from;         // vertex that the ray left
     Lobe lobe = Lobe::none;
     bool is_straight = true;  // all lobes since the camera keep the direction: goes_straight_on()
+    bool is_first = true;     // no vertex is behind the ray
     PathResult result;
     Sampler sampler;
     MediumStack media;
@@ -28,6 +29,11 @@ struct alignas(64) PathState {
                                       std::uint32_t(id.pixel / scene.sensor.width), u_film)),
           sampler(sampler_) {
         if (!scene.sensor_media.vacuum) media = scene.sensor_media.at(scene, ray.o);
+    }
+    /// A path that starts with a given ray.
+    PathState(const Sampler& sampler_, const GivenRay& start)
+        : ray(start.ray), is_straight(start.depth == 1), sampler(sampler_), media(start.media) {
+        result.n_vertices = std::uint32_t(start.depth - 1);
     }
     /// An empty state; the caller fills it in.
     explicit PathState(const Sampler& sampler_) : sampler(sampler_) {}

@@ -75,11 +75,12 @@ template <bool recording>
 Step arrive(const Scene& scene, const PathOptions& options, int depth, const Hit& hit, const LightQuery& lights,
             Point2f u_direction, PathState& path, ShadowRequest& shadow, PathRecorder record) {
     const Vector3f wo = -path.ray.d;
-    const bool mis = depth > 1 && !is_delta(path.lobe);
-    const bool dark = options.max_depth == 0;  // excludes even directly visible emitters
+    const bool mis = !path.is_first && !is_delta(path.lobe);
+    // Beyond the longest path; at its first edge with max_depth 0, which excludes even directly visible emitters.
+    const bool dark = options.max_depth >= 0 && depth > options.max_depth;
     if (!hit) {
         const Spectrum Le = dark || hides_sky(scene, path.is_straight) ? Spectrum(0) : lights.Le;
-        if (depth == 1) {
+        if (path.is_first) {
             path.result.L = Le;
             if constexpr (recording) record.path().Le = Le;
             return Step::ends;
@@ -93,14 +94,14 @@ Step arrive(const Scene& scene, const PathOptions& options, int depth, const Hit
     }
     const bool last_vertex = options.max_depth >= 0 && depth >= options.max_depth;
     if constexpr (!recording)
-        if (last_vertex && depth > 1 && scene.shapes[hit.shape_idx].emitter_idx < 0) {
+        if (last_vertex && !path.is_first && scene.shapes[hit.shape_idx].emitter_idx < 0) {
             ++path.result.n_vertices;  // its position is never used
             return Step::ends;
         }
     const SurfacePoint at = scene.surface(path.ray, hit);
     if (const int emitter = scene.shapes[at.shape_idx].emitter_idx; emitter >= 0) {
         const Spectrum Le = dark ? Spectrum(0) : emitted(scene, at, wo);
-        if (depth == 1) {
+        if (path.is_first) {
             path.result.L = Le;
             if constexpr (recording) record.path().Le = Le;
         } else {
@@ -118,11 +119,11 @@ Step arrive(const Scene& scene, const PathOptions& options, int depth, const Hit
         }
     }
     if constexpr (recording)
-        if (depth > 1) record.last().flags |= vertex_flag::continued;
+        if (!path.is_first) record.last().flags |= vertex_flag::continued;
 
     ++path.result.n_vertices;
     const ShadingPoint here = shading_point(scene, at, wo);
-    if (depth == 1) path.result.first = first_hit(here, hit.t);
+    if (path.is_first) path.result.first = first_hit(here, hit.t);
     if constexpr (recording) record.add(scene, at, here, path.media.medium());
     if (last_vertex) {
         if constexpr (recording) record.last().end(Ending::max_depth);

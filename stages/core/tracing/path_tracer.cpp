@@ -116,13 +116,37 @@ struct PathBatch::Impl {
         for (std::size_t i = 0; i < ids.size(); ++i) results[i] = paths[i].result;
     }
 
+    void trace(std::span<const GivenRay> given, std::span<PathResult> results, PathRecords& records) {
+        records.start(given.size());
+        started.clear();
+        joining.clear();
+        for (std::size_t i = 0; i < given.size(); ++i) {
+            const PathId id = given[i].id;
+            started.emplace_back(Sampler(options.sampler, options.seed, id.pixel, id.sample), given[i]);
+            joining.push_back(std::uint32_t(i));
+            records.paths[i].origin = given[i].ray.o;
+        }
+        paths = started;
+        follow_joining<true>(&records);
+        for (std::size_t i = 0; i < given.size(); ++i) {
+            results[i] = paths[i].result;
+            results[i].n_vertices -= std::uint32_t(given[i].depth - 1);
+        }
+    }
+
     void resume(std::span<PathState> resumed, std::span<const std::uint32_t> under_way) {
         paths = resumed;
-        active.clear();
         joining.assign(under_way.begin(), under_way.end());
+        follow_joining<false>(nullptr);
+    }
+
+    /// Follows the paths in `joining`, each from its own depth.
+    template <bool recording>
+    void follow_joining(PathRecords* records) {
+        active.clear();
         std::stable_sort(joining.begin(), joining.end(),
                          [this](std::uint32_t a, std::uint32_t b) { return paths[a].depth() > paths[b].depth(); });
-        follow<false>(nullptr);
+        follow<recording>(records);
     }
 
     /// Activates the paths that start at this depth.
@@ -171,7 +195,7 @@ struct PathBatch::Impl {
                 diffuse.shade(depth);
                 for (std::size_t m = 0; m < diffuse.size(); ++m) {
                     const std::uint32_t k = diffuse.ray(m), i = active[k];
-                    steps[k] = diffuse.finish<recording>(m, depth, hits[k], paths[i], shadows[i], recorder(i));
+                    steps[k] = diffuse.finish<recording>(m, hits[k], paths[i], shadows[i], recorder(i));
                 }
                 diffuse.clear();
             };
@@ -230,6 +254,10 @@ void PathBatch::trace(std::span<const PathId> ids, std::span<PathResult> results
 void PathBatch::trace(std::span<const PathId> ids, std::span<PathResult> results, PathRecords& records) {
     if (impl_->scene.nlos) return trace_nlos(impl_->scene, impl_->options, ids, results, &records);
     impl_->trace<true>(ids, results, &records);
+}
+
+void PathBatch::trace(std::span<const GivenRay> rays, std::span<PathResult> results, PathRecords& records) {
+    impl_->trace(rays, results, records);
 }
 
 void PathBatch::resume(std::span<PathState> paths, std::span<const std::uint32_t> under_way) {

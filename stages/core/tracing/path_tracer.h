@@ -59,6 +59,16 @@ struct PathId {
     std::uint64_t pixel = 0, sample = 0;
 };
 
+/// A ray that starts a path, in place of one that the sensor samples.
+struct GivenRay {
+    Ray ray;            // its t_min and t_max hold
+    PathId id;          // of its random numbers: rays of one id and depth have the same ones
+    MediumStack media;  // that its origin is in
+    // number of the edge that it makes, from which max_depth and roulette count on. 1: a camera ray, which does not hit
+    // hidden emitters; above: a ray from a surface, which does
+    int depth = 1;
+};
+
 /// Traces many paths at once: rays sixteen at a time, random numbers as a structure of arrays. One batch belongs to one
 /// thread. A result does not depend on the other paths of the batch, except for ties of two surfaces at one point.
 ///   L = Le(x1) + sum_j beta_j [ w_nee f cos Li / p_nee + w_bsdf f cos Li / (q p_bsdf) ],  power-heuristic
@@ -75,6 +85,13 @@ class PathBatch {
     void trace(std::span<const PathId> ids, std::span<PathResult> results);
     /// Traces the same paths and records all of their vertices and light edges.
     void trace(std::span<const PathId> ids, std::span<PathResult> results, PathRecords& records);
+
+    /// Traces and records paths that start with given rays. The throughput of a ray is 1, also for Roulette::throughput.
+    /// Light that the ray itself hits is Le of its path, at full weight: no technique competes.
+    /// in:      rays  at most `capacity`, in any order of depths
+    /// out:     results  of the same length; vertices before a ray do not count
+    /// needs:   no observer, no NLOS capture
+    void trace(std::span<const GivenRay> rays, std::span<PathResult> results, PathRecords& records);
 
     /// Traces started paths to their ends, each from its own depth; the result equals that of tracing them whole.
     /// in:      under_way  indices of the paths to trace, at most `capacity`; all others are unchanged

@@ -96,6 +96,7 @@ constexpr bool goes_straight_on(Lobe lobe, BsdfKind kind) {
                                                SurfaceIdx surface, const BsdfSample<float>& s, float q, float density) {
     path.lobe = s.lobe;
     path.is_straight &= goes_straight_on(s.lobe, model.kind);
+    path.is_first = false;
     path.density = density;
     path.from = p;
     path.beta = continued(path.beta, s.weight, q);
