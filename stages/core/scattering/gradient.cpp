@@ -92,18 +92,16 @@ DirectionCovector along_normal(float by_wo, float by_wi) {
     const float cos_o = dot(wo, m), cos_i = dot(wi, m);
     DirectionCovector by = log_facets_gradient(MicrofacetDistribution<float>(b), wo, wi, m, inv_length, eta);
     if (reflects) {
-        const FresnelSlope F = fresnel_slope(cos_o, b.eta);
-        const Vector3f by_cos = m * (F.reflectance > 0 ? 0.5f * F.by_cos / F.reflectance : 0);
+        const Vector3f by_cos = m * (0.5f * fresnel_slope(cos_o, b.eta).log_R);
         by = {by.by_wo + by_cos, by.by_wi + by_cos};
     } else {
         // The rest is a function of the angle between wo and wi alone:
         //   d cos_o = η² cos_i / (cos_o + η cos_i)² d(wo·wi),  d cos_i = cos_o / (cos_o + η cos_i)² d(wo·wi)
         // The facet refracts wo into wi, so that cos_i is the refracted cosine. Computing it from cos_o would lose
         // digits near total reflection.
-        const FresnelSlope F = fresnel_slope(0, cos_o, cos_i, eta_o);
+        const float log_T = fresnel_slope(cos_o, cos_i, eta_o).log_T;
         const float by_angle =
-            (sqr(eta * cos_i - cos_o) / (cos_o * cos_i) - F.by_cos / F.transmittance * sqr(eta) * cos_i) *
-            sqr(inv_length);
+            (sqr(eta * cos_i - cos_o) / (cos_o * cos_i) - log_T * sqr(eta) * cos_i) * sqr(inv_length);
         by = {by.by_wo + wi * by_angle, by.by_wi + wo * by_angle};
     }
     return {f_cos, {f_cos}, {by}};
@@ -145,8 +143,7 @@ DirectionCovector along_normal(float by_wo, float by_wi) {
     const float inv_length = 1 / length(sum);
     const Vector3f h = sum * inv_length;
     const DirectionCovector by = log_facets_gradient(MicrofacetDistribution<float>(b), wo, wi, h, inv_length, 1);
-    const FresnelSlope F = fresnel_slope(dot(wo, h), b.eta);
-    const Vector3f by_cos = h * (0.5f * F.by_cos / F.reflectance);
+    const Vector3f by_cos = h * (0.5f * fresnel_slope(dot(wo, h), b.eta).log_R);
     t.by[1] = {by.by_wo + by_cos, by.by_wi + by_cos};
     return t;
 }
@@ -220,12 +217,13 @@ Spectrum delta_slope(const Bsdf<float>& b, float z, Lobe lobe) {
                                          fresnel_conductor_slope(z, b.eta_c.b, b.k_c.b));
         case BsdfKind::dielectric: {
             const FresnelDielectric<float> f = fresnel_dielectric(z, b.eta);
-            const float by_cos = fresnel_slope(f.reflectance, z, f.cos_t, f.eta_it).by_cos;
+            const float by_cos = fresnel_slope(z, f.cos_t, f.eta_it).by_cos;
             return reflects ? b.specular * by_cos : b.transmittance * (-by_cos * sqr(f.eta_ti));
         }
         case BsdfKind::thin_dielectric: {
-            const FresnelSlope f = fresnel_slope(std::fabs(z), b.eta);
-            const float by_z = std::copysign(2 / sqr(1 + f.reflectance), z) * f.by_cos;
+            const FresnelDielectric<float> f = fresnel_dielectric(std::fabs(z), b.eta);
+            const float by_z =
+                std::copysign(2 / sqr(1 + f.reflectance), z) * fresnel_slope(std::fabs(z), f.cos_t, f.eta_it).by_cos;
             return reflects ? b.specular * by_z : b.transmittance * -by_z;
         }
         case BsdfKind::plastic:

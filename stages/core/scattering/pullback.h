@@ -44,8 +44,9 @@ struct DirectionCovector {
     if (facets.type == Microfacet::ggx) {
         // G1 / z = 2 / (z + root), root² = z² + xy.
         const float root = std::sqrt(z * z + xy);
-        by_z = -1 / root;
-        by_xy = 0.5f * by_z / (z + root);
+        const float inverse = 1 / (root * (z + root));
+        by_z = -(z + root) * inverse;
+        by_xy = -0.5f * inverse;
     } else {
         // G1 = a (c1 + c2 a) / (1 + a (c3 + c4 a)) for a = z / √xy < 1.6, else 1.
         const float some_xy = xy > 1e-20f ? xy : 1e-20f;
@@ -60,29 +61,37 @@ struct DirectionCovector {
     return {2 * u2 * v.x * by_xy, 2 * v2 * v.y * by_xy, v.z < 0 ? -by_z : by_z};
 }
 
-/// Reflectance of a dielectric interface, 1 - reflectance without cancellation, and the derivative of reflectance with
-/// respect to the cosine of the incident direction.
+/// Derivatives of the reflectance R of a dielectric interface with respect to the cosine of the incident direction.
+///   R' = (η² - 1) (n_s d_p³ - n_p d_s³) / (d_s d_p)³ · 2 / (η cos_t), with n and d as in fresnel_dielectric()
+///   1 - R = 2 η cos_i cos_t (d_s² + d_p²) / (d_s d_p)², without cancellation
 struct FresnelSlope {
-    float reflectance, transmittance, by_cos;
+    float transmittance;  // 1 - R
+    float by_cos;         // R'
+    float log_R;          // R' / R
+    float log_T;          // R' / (1 - R)
 };
 
-/// Differentiates the reflectance of a dielectric interface, given both cosines.
-///   r_s' = 2 (η² - 1) / (η cos_t d_s²), r_p' = -2 (η² - 1) / (η cos_t d_p²), with d_s, d_p as in fresnel_dielectric()
+/// Differentiates the reflectance of a dielectric interface, given both cosines. Callers use some of the results; the
+/// others cost nothing once this is inlined.
 /// in:      cos_i, cos_t  of the incident and the refracted direction; only their magnitudes and the sign of cos_i
-///                        matter; cos_t = 0 at total reflection, where the derivative is 0
+///                        matter; cos_t = 0 at total reflection, where all results are 0
 ///          eta_it        index on the far side over that on the near side
-[[gnu::always_inline]] inline FresnelSlope fresnel_slope(float reflectance, float cos_i, float cos_t, float eta_it) {
+[[gnu::always_inline]] inline FresnelSlope fresnel_slope(float cos_i, float cos_t, float eta_it) {
     const float c = std::fabs(cos_i), t = std::fabs(cos_t);
-    if (!(t > 0)) return {reflectance, 1 - reflectance, 0};
-    const float inv_s = 1 / (c + eta_it * t), inv_p = 1 / (t + eta_it * c);
-    const float inv_s2 = sqr(inv_s), inv_p2 = sqr(inv_p);
-    const float r_s = (c - eta_it * t) * inv_s, r_p = (t - eta_it * c) * inv_p;
-    const float slope = 2 * (eta_it * eta_it - 1) * (r_s * inv_s2 - r_p * inv_p2) / (eta_it * t);
-    return {reflectance, 2 * eta_it * c * t * (inv_s2 + inv_p2), cos_i < 0 ? -slope : slope};
+    if (!(t > 0)) return {};
+    const float d_s = c + eta_it * t, n_s = c - eta_it * t;
+    const float d_p = t + eta_it * c, n_p = t - eta_it * c;
+    const float s2 = d_s * d_s, p2 = d_p * d_p, both = d_s * d_p;
+    const float numerator = (cos_i < 0 ? -2.0f : 2.0f) * (eta_it * eta_it - 1) * (n_s * p2 * d_p - n_p * s2 * d_s);
+    const float reflected = 0.5f * (n_s * n_s * p2 + n_p * n_p * s2), passed = 2 * eta_it * c * t * (s2 + p2);
+    const float denominator = eta_it * t * both;
+    return {passed / (both * both), numerator / (denominator * both * both),
+            reflected > 0 ? numerator / (denominator * reflected) : 0,
+            passed > 0 ? numerator / (denominator * passed) : 0};
 }
 [[gnu::always_inline]] inline FresnelSlope fresnel_slope(float cos_i, float eta) {
     const FresnelDielectric<float> f = fresnel_dielectric(cos_i, eta);
-    return fresnel_slope(f.reflectance, cos_i, f.cos_t, f.eta_it);
+    return fresnel_slope(cos_i, f.cos_t, f.eta_it);
 }
 
 /// Returns the derivative of log fresnel_conductor() with respect to cos_i; 0 where nothing is reflected.
