@@ -18,24 +18,26 @@ struct Terms {
     std::array<DirectionCovector, n> by;
 };
 
+/// mirrored(), inlined by force: a call sends the direction through memory.
+[[gnu::always_inline]] inline Vector3f inlined_mirrored(bool mirror, const Vector3f& w) {
+    return {w.x, w.y, mirror ? -w.z : w.z};
+}
+
 /// Returns the gradient, with mask and second side.
 template <int n>
-[[gnu::always_inline]] inline DirectionGradient sum_of(Terms<n> terms, float opacity, bool behind) {
-    DirectionGradient g;
-    g.f_cos = terms.f_cos * opacity;
-    for (int i = 0; i < n; ++i) {
-        terms.colour[i] *= opacity;
-        terms.by[i] = {mirrored(behind, terms.by[i].by_wo), mirrored(behind, terms.by[i].by_wi)};
-    }
-    for (int k = 0; k < 3; ++k) {
-        g.by_wo[k] = terms.colour[0] * terms.by[0].by_wo[k];
-        g.by_wi[k] = terms.colour[0] * terms.by[0].by_wi[k];
-        for (int i = 1; i < n; ++i) {
-            g.by_wo[k] += terms.colour[i] * terms.by[i].by_wo[k];
-            g.by_wi[k] += terms.colour[i] * terms.by[i].by_wi[k];
-        }
-    }
-    return g;
+[[gnu::always_inline]] inline DirectionGradient sum_of(const Terms<n>& terms, float opacity, bool behind) {
+    const float opacity_z = behind ? -opacity : opacity;
+    const auto sum = [&](float scale, auto&& component) __attribute__((always_inline)) {
+        Spectrum s = terms.colour[0] * (scale * component(terms.by[0]));
+        if constexpr (n > 1) s += terms.colour[1] * (scale * component(terms.by[1]));
+        return s;
+    };
+    using By = const DirectionCovector&;
+    return {terms.f_cos * opacity,
+            {sum(opacity, [](By by) { return by.by_wo.x; }), sum(opacity, [](By by) { return by.by_wo.y; }),
+             sum(opacity_z, [](By by) { return by.by_wo.z; })},
+            {sum(opacity, [](By by) { return by.by_wi.x; }), sum(opacity, [](By by) { return by.by_wi.y; }),
+             sum(opacity_z, [](By by) { return by.by_wi.z; })}};
 }
 
 /// Gradient of log(D G1(wo) G1(wi) / |wo.z|) for the facets with normal m = (wo + eta wi) inv_length.
@@ -243,7 +245,8 @@ DirectionGradient f_cos_gradient(const Bsdf<float>& bsdf, const Vector3f& wo, co
     return with_family(
         bsdf.model->kind, [&]<class Family>(Family family) __attribute__((always_inline)) {
             if constexpr (Family::smooth && !std::is_same_v<Family, RoughDiffuseFamily>)
-                return sum_of(terms(family, bsdf, mirrored(behind, wo), mirrored(behind, wi)), bsdf.opacity, behind);
+                return sum_of(terms(family, bsdf, inlined_mirrored(behind, wo), inlined_mirrored(behind, wi)),
+                              bsdf.opacity, behind);
             else
                 return DirectionGradient{};
         });
