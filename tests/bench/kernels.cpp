@@ -6,6 +6,7 @@
 
 #include "stages/core/app/report.h"
 #include "stages/core/edges/edge_tree.h"
+#include "stages/core/scattering/gradient.h"
 #include "tests/bench/bench.h"
 #include "tests/unit/bsdf_cases.h"
 #include "tests/unit/icosphere.h"
@@ -69,10 +70,23 @@ void silhouettes(const char* name, const Mesh& occluder, app::Report& report) {
     report.answer(fmt::format("{}{:9.1f}\n", row, mean_found));
 }
 
+/// Sum of the derivatives of f cos with respect to both directions, by dual numbers.
+float gradient_by_dual(const Bsdf<float>& bsdf, const Vector3f& wo, const Vector3f& wi) {
+    using T = Dual<6>;
+    const auto variable = [](const Vector3f& v, int i) {
+        return Vector3<T>{T::variable(v.x, i), T::variable(v.y, i + 1), T::variable(v.z, i + 2)};
+    };
+    const Rgb<T> f = f_cos_pdf(Bsdf<T>(bsdf), variable(wo, 0), variable(wi, 3)).f_cos;
+    float sum = f.g.value;
+    for (int i = 0; i < 6; ++i) sum += f.g.d[std::size_t(i)] + f.r.d[std::size_t(i)];
+    return sum;
+}
+
 }  // namespace
 
 void kernels(const Options&, app::Report& report) {
-    report.answer(fmt::format("Kernels, ns on one core\n{:40}{:>9}{:>9}\n", "BSDF", "sample", "f, pdf"));
+    report.answer(fmt::format("Kernels, ns on one core\n{:40}{:>9}{:>9}{:>9}{:>9}\n", "BSDF", "sample", "f, pdf",
+                              "gradient", "by Dual"));
     std::vector<test::Draw> draws;
     std::vector<Vector3f> wo, wi;
     for (int i = 0; i < n; ++i) {
@@ -90,7 +104,15 @@ void kernels(const Options&, app::Report& report) {
             const BsdfValue<float> value = f_cos_pdf(bsdf, wo[i], wi[i]);
             return value.f_cos.g + value.pdf_w;
         });
-        report.answer(fmt::format("{:40}{:9.1f}{:9.1f}\n", c.name, sampling, evaluating));
+        const double gradient = ns_per_element([&](int i) {
+            const DirectionGradient g = f_cos_gradient(bsdf, wo[i], wi[i]);
+            float sum = g.f_cos.g;
+            for (int k = 0; k < 3; ++k) sum += g.by_wo[k].g + g.by_wi[k].r;
+            return sum;
+        });
+        const double by_dual = ns_per_element([&](int i) { return gradient_by_dual(bsdf, wo[i], wi[i]); });
+        report.answer(
+            fmt::format("{:40}{:9.1f}{:9.1f}{:9.1f}{:9.1f}\n", c.name, sampling, evaluating, gradient, by_dual));
     }
     report.answer(fmt::format("{:40}{:>9}\n", "sampler", "pair"));
     report.answer(fmt::format("{:40}{:9.1f}\n{:40}{:9.1f}\n\n", "sobol", ns_per_pair<SamplerKind::sobol>(),

@@ -15,7 +15,8 @@ struct DirectionGradient {
     std::array<Spectrum, 3> by_wo, by_wi;  // [component x, y, z]
 };
 
-/// Returns the value of f_cos_pdf() and its gradient. Both are 0 where no light is scattered.
+/// Returns the value of f_cos_pdf() and its gradient. Both are 0 where no light is scattered. The gradient is also 0
+/// where a cosine is below 1e-10, which avoids overflow.
 /// in:      wo, wi  unit, local
 DirectionGradient f_cos_gradient(const Bsdf<float>& bsdf, const Vector3f& wo, const Vector3f& wi);
 
