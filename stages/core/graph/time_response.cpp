@@ -134,10 +134,10 @@ double TimeResponse::slope(std::int64_t k, double tof) const {
         return -pi_double * std::sin(2 * pi_double * (tof / period - double(k) / n_bins)) / (n_bins * period);
     // In bins, whose fractional part is common to all of them: kinks of opposite bins cancel exactly.
     const double x = tof / period * n_bins, whole = std::floor(x), n = n_bins;
-    const double bins_ahead = whole - double(k) - n * std::floor((whole - double(k)) / n);
-    const double twice = 2 * (bins_ahead + (x - whole));
-    if (twice == 0 || twice == n) return 0;
-    return (twice < n ? -4 : 4) / (n * period);
+    const double part = x - whole, ahead = whole - double(k) - n * std::floor((whole - double(k)) / n);
+    const double to_middle = 0.5 * n - ahead;
+    if ((ahead == 0 && part == 0) || part == to_middle) return 0;
+    return (part < to_middle ? -4 : 4) / (n * period);
 }
 
 }  // namespace loom
