@@ -19,6 +19,25 @@ std::size_t first_unsorted(const Column<std::uint32_t>& rows, std::uint64_t end)
     return rows.size();
 }
 
+/// Whether a sample of a family is a path of the graph.
+bool is_of_path(std::uint8_t family) {
+    return BoundaryFamily(family) == BoundaryFamily::vertex_light || BoundaryFamily(family) == BoundaryFamily::indirect;
+}
+
+/// Boundary rows must lie in pixels of the graph, those that belong to a path in its pixel.
+std::string bad_pixel(const PathGraph& graph, const Derivative& derivative) {
+    const auto& b = derivative.boundary;
+    if (b.pixel.empty()) return {};
+    const std::uint32_t last = b.pixel[b.pixel.size() - 1];
+    if (last >= graph.n_pixels())
+        return fmt::format("boundary/pixel goes to {}, but the graph has {} pixels", last, graph.n_pixels());
+    for (std::size_t i = 0; i < b.pixel.size(); ++i)
+        if (is_of_path(b.family[i]) && b.sample[i] % graph.n_pixels() != b.pixel[i])
+            return fmt::format("boundary/pixel: row {} is {}, but path {} is of pixel {}", i, b.pixel[i], b.sample[i],
+                               b.sample[i] % graph.n_pixels());
+    return {};
+}
+
 }  // namespace
 
 std::string_view boundary_family_name(BoundaryFamily family) {
@@ -53,9 +72,8 @@ std::string Derivative::problem() const {
         const std::uint8_t family = boundary.family[i];
         if (family >= n_boundary_families)
             return fmt::format("boundary/family: row {} is {}, expected 0 to {}", i, family, n_boundary_families - 1);
-        const bool of_path = BoundaryFamily(family) == BoundaryFamily::vertex_light ||
-                             BoundaryFamily(family) == BoundaryFamily::indirect;
-        if (const std::uint64_t end = of_path ? n_paths : boundary_samples[family]; boundary.sample[i] >= end)
+        if (const std::uint64_t end = is_of_path(family) ? n_paths : boundary_samples[family];
+            boundary.sample[i] >= end)
             return fmt::format("boundary/sample: row {} is {}, but family {} has {}", i, boundary.sample[i], family,
                                end);
     }
@@ -74,12 +92,9 @@ void require_derivative_of(const PathGraph& graph, const InputId& graph_id, cons
                            const std::filesystem::path& derivative_path) {
     if (derivative.graph == graph_id.hash && derivative.n_light_edges == graph.n_light_edges() &&
         derivative.n_paths == graph.n_paths()) {
-        if (derivative.boundary.pixel.empty() ||
-            derivative.boundary.pixel[derivative.boundary.pixel.size() - 1] < graph.n_pixels())
-            return;
-        throw InputError(
-            fmt::format("{}: boundary/pixel goes to {}, but the graph has {} pixels", derivative_path.native(),
-                        derivative.boundary.pixel[derivative.boundary.pixel.size() - 1], graph.n_pixels()));
+        if (const std::string bad = bad_pixel(graph, derivative); !bad.empty())
+            throw InputError(fmt::format("{}: {}", derivative_path.native(), bad));
+        return;
     }
     const std::string made_from =
         derivative.provenance.inputs.size() < 2 ? "another graph" : derivative.provenance.inputs[1].name;

@@ -40,8 +40,15 @@ struct TransientCubeHeader {
         double length_opl = 0, tail_opl = 0, period_opl = 0;
     } response;
 
+    /// Parameters of the derivatives; empty columns for a cube without derivatives.
+    struct Parameters {
+        std::vector<std::string> name, unit, temporal;
+        CopiedColumn<double> value;
+    } parameters;
+
     Provenance provenance;
 
+    std::size_t n_parameters() const { return parameters.name.size(); }
     std::size_t n_pixels() const { return std::size_t{film.width} * film.height; }
     std::size_t row_size() const { return std::size_t{film.width} * time.n_bins * 3; }  // numbers of one row y
     /// Converts an optical path length into the unit of the labels: length or time, by `unit`.
@@ -53,12 +60,22 @@ struct TransientCubeHeader {
 /// in:      slack  allowed offset between their windows, as a share of a bin
 std::string difference_in_words(const TransientCubeHeader& a, const TransientCubeHeader& b, double slack = 0);
 
+/// Describes why the parameters of `a` differ from those of `b`: number, names, units or values; empty when they agree.
+std::string parameter_difference_in_words(const TransientCubeHeader& a, const TransientCubeHeader& b);
+
 template <template <class> class ColumnOf>
 struct TransientCubeOf : TransientCubeHeader {
-    static constexpr FormatId format{"transient_cube", 1, 0};
+    static constexpr FormatId format{"transient_cube", 1, 1};
+    /// Version of a cube without derivatives, so that older readers accept it.
+    static constexpr FormatId format_of_most{"transient_cube", 1, 0};
 
     ColumnOf<float> radiance, var_mean;            // [y, x, bin, channel]
     ColumnOf<float> before, after, never, steady;  // [y, x, channel]
+
+    struct Derivative {
+        ColumnOf<float> bins, var_mean;                                 // [parameter, y, x, bin, channel]
+        ColumnOf<float> before, after, never, steady, steady_var_mean;  // [parameter, y, x, channel]
+    } derivative;
 
     template <class Self, class Visitor>
     static void fields(Self& c, Visitor& v);
@@ -74,6 +91,10 @@ struct TransientCube : TransientCubeOf<Column> {
 /// Rows y of a cube; each array has `row_size()` or 3 width numbers per row.
 struct TransientRows {
     std::span<const float> radiance, var_mean, before, after, never, steady;
+    /// The same rows of all parameters, [parameter, row, …]; empty without derivatives.
+    struct Derivative {
+        std::span<const float> bins, var_mean, before, after, never, steady, steady_var_mean;
+    } derivative{};
 };
 
 /// Writes a cube row by row, in any order, without holding it in memory.
@@ -87,7 +108,7 @@ class TransientCubeWriter {
     void commit(Sync sync = Sync::yes);
 
   private:
-    std::size_t row_size_, width_;
+    TransientCubeOf<LateColumn> cube_;
     std::unique_ptr<Hdf5Writer> writer_;
 };
 
@@ -99,6 +120,10 @@ TransientCube read_transient_cube(const std::filesystem::path& path);
 /// `start_opl`, `bin_width_opl`, `spp`. A single channel is copied to all three. Before, after, never, steady and the
 /// pulse stay empty.
 TransientCube read_any_cube(const std::filesystem::path& path);
+/// Reads the derivative by one parameter in place of the radiance, with its variance and its shares outside of the bins.
+/// Another program's file has it in float datasets `derivative` and `derivative_var_mean` [y, x, bin, channel].
+/// throws:  InputError that lists the parameters of the cube when it lacks this one
+TransientCube read_any_derivative(const std::filesystem::path& path, const std::string& parameter);
 /// Whether a file is a transient_cube by its attributes; false for a file that is not HDF5.
 bool is_transient_cube(const std::filesystem::path& path);
 
@@ -143,6 +168,36 @@ void TransientCubeOf<ColumnOf>::fields(Self& c, Visitor& v) {
     v.grid("steady", c.steady, {width, 3}, "y,x,channel", unit,
            "radiance at all times: with gates that tile the time, sum of the bins + before + after + never",
            Finite::counted);
+
+    auto& p = c.parameters;
+    v.optional_names("parameters/name", p.name, "parameter", "parameter of the derivatives, as in loom-derive --wrt");
+    v.optional_names("parameters/unit", p.unit, "parameter", "unit of the parameter");
+    v.optional("parameters/value", p.value, 1, "parameter", "parameters/unit",
+               "value at which the derivatives hold; 0 for motions, which start from the scene as it is");
+    v.optional_names("parameters/temporal", p.temporal, "parameter",
+                     "light that moves between bins as its arrival time changes: none (complete: the response is "
+                     "smooth, or no arrival time changes), widened (delta pulse: as for a box pulse one bin long, "
+                     "centred), exact");
+
+    auto& d = c.derivative;
+    const std::size_t height = c.film.height;
+    constexpr std::string_view per = "W m^-2 sr^-1 per parameters/unit";
+    constexpr std::string_view squared = "(W m^-2 sr^-1 per parameters/unit)^2";
+    v.optional_grid("derivative", d.bins, {height, width, bins, 3}, "parameter,y,x,bin,channel", per,
+                    "derivative of radiance", Finite::counted);
+    v.optional_grid("derivative_var_mean", d.var_mean, {height, width, bins, 3}, "parameter,y,x,bin,channel", squared,
+                    "variance of that derivative", Finite::counted);
+    v.optional_grid("derivative_before", d.before, {height, width, 3}, "parameter,y,x,channel", per,
+                    "derivative of before", Finite::counted);
+    v.optional_grid("derivative_after", d.after, {height, width, 3}, "parameter,y,x,channel", per,
+                    "derivative of after", Finite::counted);
+    v.optional_grid("derivative_never", d.never, {height, width, 3}, "parameter,y,x,channel", per,
+                    "derivative of never", Finite::counted);
+    v.optional_grid("derivative_steady", d.steady, {height, width, 3}, "parameter,y,x,channel", per,
+                    "derivative of steady: with gates that tile the time, sum of the bins + before + after + never",
+                    Finite::counted);
+    v.optional_grid("derivative_steady_var_mean", d.steady_var_mean, {height, width, 3}, "parameter,y,x,channel",
+                    squared, "variance of derivative_steady; the bins of a path are correlated", Finite::counted);
 }
 
 }  // namespace loom

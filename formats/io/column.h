@@ -51,6 +51,19 @@ class Column {
     std::span<const T> view_;
 };
 
+/// One short array that is copied with the header that holds it.
+template <class T>
+class CopiedColumn : public Column<T> {
+  public:
+    using Column<T>::Column;
+    CopiedColumn(const CopiedColumn& other) : Column<T>(std::vector<T>(other.begin(), other.end())) {}
+    CopiedColumn(CopiedColumn&&) noexcept = default;
+    CopiedColumn& operator=(CopiedColumn other) noexcept {
+        Column<T>::operator=(std::move(other));
+        return *this;
+    }
+};
+
 /// One array of known length that is filled at its final address; empty when it is not wanted.
 template <class T>
 struct PlacedColumn {

@@ -119,6 +119,14 @@ class FieldVisitor {
                   std::string_view text, Finite finite = Finite::required) {
         add(name, column, width, axes, units, text, Presence::optional, finite);
     }
+    /// Declares a grid that may be absent, and then is empty.
+    template <class C>
+    void optional_grid(std::string_view name, C& column, std::vector<std::size_t> row_shape, std::string_view axes,
+                       std::string_view units, std::string_view text, Finite finite = Finite::required) {
+        self().column_of(Field{name, element_type<typename C::Element>(), std::move(row_shape), axes, units, text,
+                               Presence::optional, finite},
+                         column);
+    }
     template <class V>
     void value(std::string_view name, V& value, std::string_view axes, std::string_view units, std::string_view text) {
         using Traits = ValueTraits<std::remove_const_t<V>>;
@@ -128,6 +136,10 @@ class FieldVisitor {
     template <class S>
     void names(std::string_view name, S& strings, std::string_view axes, std::string_view text) {
         self().names_of(Field{name, ElementType::text, {}, axes, "1", text}, strings);
+    }
+    template <class S>
+    void optional_names(std::string_view name, S& strings, std::string_view axes, std::string_view text) {
+        self().names_of(Field{name, ElementType::text, {}, axes, "1", text, Presence::optional}, strings);
     }
 
   private:

@@ -54,7 +54,10 @@ class FieldChecker : public FieldVisitor<FieldChecker> {
             if (finite_ && problem_.empty()) check_finite(field, numbers.size(), first_nonfinite(numbers));
         }
     }
-    void names_of(const Field& field, const std::vector<std::string>& texts) { check_length(field, texts.size()); }
+    void names_of(const Field& field, const std::vector<std::string>& texts) {
+        if (field.presence == Presence::optional && texts.empty()) return;
+        check_length(field, texts.size());
+    }
 
   private:
     struct Count {

@@ -143,6 +143,7 @@ void Hdf5Reader::read(const Field& field, void* to, std::size_t n_bytes) const {
 }
 
 std::vector<std::string> Hdf5Reader::texts(const Field& field, std::size_t rank) const {
+    if (field.presence == Presence::optional && !impl_->exists(std::string(field.name))) return {};
     const Hdf5Handle dataset = impl_->open(field);
     const auto extents = impl_->checked_extents(field, dataset.get(), rank);
     const std::size_t n = rank == 0 ? 1 : extents[0];

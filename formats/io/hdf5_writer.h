@@ -43,6 +43,7 @@ class Hdf5Writer : public FieldVisitor<Hdf5Writer> {
             write(field, field.row_shape, std::as_bytes(std::span(&value, 1)));
     }
     void names_of(const Field& field, const std::vector<std::string>& texts) {
+        if (field.presence == Presence::optional && texts.empty()) return;
         write_texts(field, {texts.size()}, texts);
     }
 

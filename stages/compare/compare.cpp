@@ -8,6 +8,7 @@
 #include <limits>
 #include <map>
 #include <optional>
+#include <tuple>
 
 #include "formats/image.h"
 #include "formats/io/error.h"
@@ -47,12 +48,15 @@ std::vector<float> sums_over_bins(std::span<const float> bins, std::size_t n_bin
     return sums;
 }
 
-Picture read_cube(const std::string& file) {
-    const TransientCube cube = read_any_cube(file);
-    for (const auto& [name, values] : {std::pair{"radiance", std::span<const float>(cube.radiance)},
-                                       {"var_mean", std::span<const float>(cube.var_mean)}})
-        if (const std::size_t n = count_nonfinite(values);
-            n > 0 && (name == std::string("radiance") || cube.film.samples_per_pixel != 1))
+/// in:      parameter  its derivative is compared in place of the radiance; empty: the radiance
+Picture read_cube(const std::string& file, const std::string& parameter) {
+    const TransientCube cube = parameter.empty() ? read_any_cube(file) : read_any_derivative(file, parameter);
+    const bool has_variance = cube.film.samples_per_pixel != 1;
+    for (const auto& [name, values, needed] :
+         {std::tuple{parameter.empty() ? "radiance" : "derivative", std::span<const float>(cube.radiance), true},
+          std::tuple{parameter.empty() ? "var_mean" : "derivative_var_mean", std::span<const float>(cube.var_mean),
+                     has_variance}})
+        if (const std::size_t n = count_nonfinite(values); n > 0 && needed)
             throw InputError(fmt::format("{}: values that are NaN or infinite: {} of {}", file, n, name));
     Picture picture{cube.film.width,
                     cube.film.height,
@@ -70,8 +74,10 @@ Picture read_cube(const std::string& file) {
     return picture;
 }
 
-Picture read_picture(const std::string& file) {
-    if (fs::path(file).extension() == ".h5") return read_cube(file);
+Picture read_picture(const std::string& file, const std::string& parameter = {}) {
+    if (fs::path(file).extension() == ".h5") return read_cube(file, parameter);
+    if (!parameter.empty())
+        throw InputError(fmt::format("--parameter: compares derivatives of transient cubes, but {} is an image", file));
     const Image image = read_image(file);
     Picture picture{image.width, image.height, image.samples, image.interleaved(""), {}, {}, {}, {}};
     if (image.n_pixels() == 0) throw InputError(fmt::format("{}: has no pixels", file));
@@ -97,12 +103,12 @@ void check_fit(const Picture& picture, const std::string& file, const Picture& o
         throw InputError(fmt::format("{}: {} (of {})", file, why, name));
 }
 
-/// Returns the mean of the nonzero bins. Errors of bins are relative to it, as to 1 for images.
+/// Returns the mean magnitude of the nonzero bins. Errors of bins are relative to it, as to 1 for images.
 double scale_of(const Picture& reference) {
     if (!reference.is_cube()) return 1;
     double sum = 0, n = 0;
     for (float value : reference.rgb)
-        if (value > 0) sum += double(value), ++n;
+        if (value != 0) sum += std::abs(double(value)), ++n;
     return sum > 0 ? sum / n : 1;
 }
 
@@ -114,7 +120,7 @@ void set_scale(Picture& picture, double scale) {
 }
 
 Picture read_reference(const Options& options, const std::string& file) {
-    Picture reference = read_picture(file);
+    Picture reference = read_picture(file, options.parameter);
     if (!options.reference_variance.empty()) {
         if (reference.is_cube()) throw InputError("--reference-variance: is for images; a cube has its own");
         const Picture variance = read_picture(options.reference_variance);
@@ -175,8 +181,9 @@ Measured measure(const Picture& picture, const Picture& reference, const Options
     m.relmse_trimmed = trimmed_mean_squared_relative(x, r, n_channels);
     m.mape = mean_absolute_relative(x, r);
     if (picture.is_cube()) {
-        // A cube has no display range; its largest value is the peak.
-        m.psnr = 20 * std::log10(picture.scale * double(*std::max_element(r.begin(), r.end())) / m.rmse);
+        // A cube has no display range; its largest magnitude is the peak.
+        const auto [least, most] = std::minmax_element(r.begin(), r.end());
+        m.psnr = 20 * std::log10(picture.scale * double(std::max(std::abs(*least), std::abs(*most))) / m.rmse);
         m.ssim = unknown;
     } else {
         const std::vector<float> shown = displayed(x, options.exposure_ev), shown_r = displayed(r, options.exposure_ev);
@@ -395,6 +402,8 @@ void declare(app::Command& command, Options& options) {
     command.option("--scene", options.scene, "name of the scene in the tables");
     command.option("--exposure", options.exposure_ev, "exposure of the images before psnr and ssim",
                    app::Range<double>{-40, 40, "EV"});
+    command.option("--parameter", options.parameter,
+                   "compare the derivatives of cubes by this parameter, in place of the radiance");
     command.option("--pool-error", options.pool_error, "relative standard error up to which bins of cubes are pooled",
                    app::Range<double>{1e-6, 1e6});
     command.flag("--cost", options.cost,
@@ -429,7 +438,7 @@ class Loader {
 
     /// in:  hash  of the file
     void add(const Input& input, const std::string& hash) {
-        Picture picture = read_picture(input.file);
+        Picture picture = read_picture(input.file, options_.parameter);
         check_fit(picture, input.file, reference_, reference_file_);
         set_scale(picture, reference_.scale);
         const auto [at, is_new] = group_by_key_.try_emplace({input.label, picture.samples}, loaded.size());

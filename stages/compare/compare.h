@@ -27,6 +27,7 @@ struct Options {
     bool json = false, tsv = false;   // instead of text
     std::string difference;           // difference image (.exr), false colours beside it (.png)
     double reach = 0;                 // range of the false colours; 0: the 99th percentile
+    std::string parameter;            // cubes: compare the derivatives by this parameter; empty: the radiance
     double pool_error = 0.05;         // cubes: relative standard error at which a pool of bins is complete
     std::vector<std::string> fail_above, fail_below;  // METRIC=VALUE
 };

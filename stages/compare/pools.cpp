@@ -33,9 +33,10 @@ double variance_by_all(double n_x, double var_x, double n_r, double var_r) {
 }
 
 struct Pool {
-    double difference = 0, variance = 0;     // of x - r, from both variances
-    double mean = 0, expected_variance = 0;  // of all samples together; variance of the difference from all samples
-    std::size_t pixel = 0, bin = 0;          // of its first bin
+    double difference = 0, variance = 0;  // of x - r, from both variances
+    // Sum of the magnitudes of the bins, of all samples together; variance of the difference from all samples.
+    double mean = 0, expected_variance = 0;
+    std::size_t pixel = 0, bin = 0;  // of its first bin
     bool empty = true;
 
     void add(const Pool& other) {
@@ -83,7 +84,7 @@ PoolTests test_pools(const SampledCube& x, const SampledCube& r, std::size_t wid
                 Pool one;
                 one.empty = false, one.pixel = pixel, one.bin = bin;
                 one.difference = mx - mr, one.variance = vx + vr;
-                one.mean = (n_x * mx + n_r * mr) / n;
+                one.mean = std::abs(n_x * mx + n_r * mr) / n;
                 one.expected_variance = variance_by_all(n_x, vx, n_r, vr);
                 open.add(one);
                 if (pooling == Pooling::pixels && open.is_enough(relative_error)) {

@@ -30,14 +30,13 @@ enum class Pooling { pixels, image };
 /// other is the variance that follows from the variance of a sample, estimated from both cubes together. Few samples
 /// have a small variance exactly when they miss the bright ones; without the second value z would be skewed.
 ///   pixels  neighbouring pixels (along a Z-order curve) of one bin; as many as make the standard error of the
-///           expected difference at most `relative_error` of their sum
+///           expected difference at most `relative_error` of the sum of their magnitudes
 ///   image   all pixels of one bin: little noise, exact in time
 /// Bins of a pixel are pooled only where one bin of the whole image is not enough. A path may contribute to several
 /// bins, and no file stores the covariance; pixels are independent.
 /// All samples of x and r together decide where a pool ends. Their mean is uncorrelated with x - r, so the end of a
 /// pool does not favour a sign.
 /// in:      n_pixels = width height; arrays of 3 n_bins n_pixels
-/// needs:   radiance, that is means of one sign
 /// differs: variances are those of the samples, which are too large for stratified ones. Where samples share light, V
 ///          is computed as for independent samples of the reference; z is then too small
 PoolTests test_pools(const SampledCube& x, const SampledCube& r, std::size_t width, std::size_t height,

@@ -102,6 +102,13 @@ struct CubeFacts {
     std::size_t brightest_x = 0, brightest_y = 0, brightest_bin = 0;
     double half_by = 0;  // time by which half of the light in the bins has arrived, in the cube's unit
 
+    /// Derivative by one parameter: luminance, mean over the pixels.
+    struct OfParameter {
+        double steady = 0, inside = 0, magnitude = 0;  // magnitude: sum of |derivative| over the bins
+        double error = 0;                              // standard error of steady
+    };
+    std::vector<OfParameter> parameters;
+
     explicit CubeFacts(const std::string& file) {
         const TransientCube cube = read_transient_cube(file);
         header = cube;
@@ -137,6 +144,31 @@ struct CubeFacts {
             seen += of_bin[bin];
             half_by = opening_of(bin + 1);
         }
+        for (std::size_t p = 0; p < header.n_parameters(); ++p) parameters.push_back(of_parameter(cube, p));
+    }
+    static OfParameter of_parameter(const TransientCube& cube, std::size_t p) {
+        OfParameter facts;
+        const auto at = [](const Column<float>& values, std::size_t i) {
+            return luminance(Rgb<double>(values[i], values[i + 1], values[i + 2]));
+        };
+        const auto& d = cube.derivative;
+        const std::size_t bins = cube.radiance.size(), pixels = cube.steady.size();
+        const double n_pixels = double(cube.n_pixels());
+        for (std::size_t i = p * bins; i < (p + 1) * bins; i += 3) {
+            facts.inside += at(d.bins, i) / n_pixels;
+            facts.magnitude += std::abs(at(d.bins, i)) / n_pixels;
+        }
+        double variance = 0;
+        for (std::size_t i = p * pixels; i < (p + 1) * pixels; i += 3) {
+            facts.steady += at(d.steady, i) / n_pixels;
+            // Channels of a path are correlated: their standard deviations add up.
+            const auto& v = d.steady_var_mean;
+            const double sd = luminance(
+                Rgb<double>(std::sqrt(double(v[i])), std::sqrt(double(v[i + 1])), std::sqrt(double(v[i + 2]))));
+            variance += sd * sd;
+        }
+        facts.error = std::sqrt(variance) / n_pixels;
+        return facts;
     }
     double opening_of(std::size_t bin) const {
         return header.in_unit(header.time.start_opl + double(bin) * header.time.bin_width_opl);
@@ -161,11 +193,21 @@ struct CubeFacts {
             "\nlight: {:.5g} W m^-2 sr^-1 (mean luminance), of it {:.4g} % in the bins, {:.3g} % before, {:.3g} % "
             "after, {:.3g} % never\n",
             steady, percent(inside), percent(before), percent(after), percent(never));
-        return text + fmt::format(
-                          "brightest bin: {:.4g} at pixel {}:{}, bin {} ({:.6g} {}); half of the light by {:.6g} {}; "
-                          "standard error of the sum {:.2g} %\n",
-                          brightest, brightest_x, brightest_y, brightest_bin, opening_of(brightest_bin), unit(),
-                          half_by, unit(), 100 * relative_error);
+        text += fmt::format(
+            "brightest bin: {:.4g} at pixel {}:{}, bin {} ({:.6g} {}); half of the light by {:.6g} {}; "
+            "standard error of the sum {:.2g} %\n",
+            brightest, brightest_x, brightest_y, brightest_bin, opening_of(brightest_bin), unit(), half_by, unit(),
+            100 * relative_error);
+        for (std::size_t p = 0; p < parameters.size(); ++p) {
+            const OfParameter& d = parameters[p];
+            const auto& q = header.parameters;
+            text += fmt::format(
+                "derivative by {} at {:.6g} {}: {:.4g} +- {:.2g} (mean luminance), of it {:.4g} in the bins; sum of "
+                "magnitudes over the bins {:.4g}; moving between bins: {}\n",
+                q.name[p], q.value[p], q.unit[p], d.steady, d.error, d.inside, d.magnitude,
+                q.temporal[p] == "none" ? "complete" : q.temporal[p]);
+        }
+        return text;
     }
     void write(JsonWriter& json) const {
         json.begin_object("transient_cube");
@@ -183,6 +225,21 @@ struct CubeFacts {
         json.integer("brightest_bin", brightest_bin);
         json.number("half_by", half_by);
         json.number("relative_error", relative_error);
+        if (!parameters.empty()) json.begin_array("derivatives");
+        for (std::size_t p = 0; p < parameters.size(); ++p) {
+            const OfParameter& d = parameters[p];
+            json.begin_object();
+            json.text("parameter", header.parameters.name[p]);
+            json.text("unit", header.parameters.unit[p]);
+            json.number("value", header.parameters.value[p]);
+            json.text("temporal", header.parameters.temporal[p]);
+            json.number("steady", d.steady);
+            json.number("steady_error", d.error);
+            json.number("inside", d.inside);
+            json.number("magnitude", d.magnitude);
+            json.end_object();
+        }
+        if (!parameters.empty()) json.end_array();
         json.end_object();
     }
 };

@@ -6,6 +6,7 @@
 #include "stages/core/clusters/shared_arrivals.h"
 #include "stages/core/compute/parallel.h"
 #include "stages/core/graph/time_of_flight.h"
+#include "stages/transient/derivative_bins.h"
 #include "stages/transient/transient.h"
 
 namespace loom::transient {
@@ -45,9 +46,18 @@ class Histogram {
 /// State of one thread: histograms of the pixels of a chunk, and the bins that the current path has reached.
 class Worker {
   public:
-    Worker(const TimeResponse& response, std::size_t n_pixels)
-        : histograms(n_pixels, Histogram(response.n_bins)), response_(response), of_path_(response.n_bins) {}
+    Worker(const TimeResponse& response, std::size_t n_pixels, std::size_t n_parameters, bool has_own_samples)
+        : histograms(n_pixels, Histogram(response.n_bins)),
+          derivative(response, n_parameters),
+          derivatives(n_parameters > 0 ? n_pixels : 0,
+                      DerivativeHistogram(derivative.n_columns(), derivative.width(), has_own_samples)),
+          response_(response),
+          of_path_(response.n_bins) {}
 
+    void clear(std::size_t n_pixels) {
+        for (std::size_t i = 0; i < n_pixels; ++i) histograms[i].clear();
+        for (std::size_t i = 0; i < std::min(n_pixels, derivatives.size()); ++i) derivatives[i].clear();
+    }
     void add(Histogram& pixel, const Spectrum& light, double opl) {
         const Rgb<double> L(light);
         pixel.steady += L;
@@ -55,10 +65,19 @@ class Worker {
             pixel.never += L;
             return;
         }
-        const auto outside = response_.spread(opl, [&](std::uint32_t bin, double weight) {
-            if (is_black(of_path_[bin])) touched_.push_back(bin);
-            of_path_[bin] += L * weight;
-        });
+        const auto outside =
+            response_.spread(opl, [&](std::uint32_t bin, double weight) { add_to_bin(bin, L * weight); });
+        pixel.before += L * outside.before;
+        pixel.after += L * outside.after;
+    }
+    /// Adds a light together with its derivatives; the light itself as add() does, to the bit.
+    /// in:      dL, dopl  [parameter, rgb], [parameter]
+    void add(Histogram& pixel, const Spectrum& light, double opl, const float* dL, const float* dopl) {
+        const Rgb<double> L(light);
+        pixel.steady += L;
+        const auto outside = derivative.add_light(
+            L, opl, dL, dopl, [&](std::uint32_t bin, double weight) { add_to_bin(bin, L * weight); });
+        if (std::isinf(opl)) pixel.never += L;
         pixel.before += L * outside.before;
         pixel.after += L * outside.after;
     }
@@ -72,8 +91,16 @@ class Worker {
     }
 
     std::vector<Histogram> histograms;
+    DerivativeBinner derivative;
+    std::vector<DerivativeHistogram> derivatives;  // none without derivatives
+    BoundaryRows boundary;
 
   private:
+    void add_to_bin(std::uint32_t bin, const Rgb<double>& light) {
+        if (is_black(of_path_[bin])) touched_.push_back(bin);
+        of_path_[bin] += light;
+    }
+
     const TimeResponse& response_;
     std::vector<Rgb<double>> of_path_;
     std::vector<std::uint32_t> touched_;
@@ -82,14 +109,25 @@ class Worker {
 /// Rows of the cube in memory.
 struct Block {
     std::vector<float> radiance, var_mean, before, after, never, steady;
+    struct Derivative {
+        std::vector<float> bins, var_mean, before, after, never, steady, steady_var_mean;  // [parameter, pixel, …]
+    } derivative;
+    std::size_t n_parameters;
 
-    Block(std::size_t n_pixels, std::uint32_t n_bins)
+    Block(std::size_t n_pixels, std::uint32_t n_bins, std::size_t n_of_parameters)
         : radiance(n_pixels * n_bins * 3),
           var_mean(radiance.size()),
           before(3 * n_pixels),
           after(before),
           never(before),
-          steady(before) {}
+          steady(before),
+          n_parameters(n_of_parameters) {
+        auto& d = derivative;
+        d.bins.resize(n_parameters * radiance.size());
+        d.var_mean.resize(d.bins.size());
+        for (std::vector<float>* of_pixels : {&d.before, &d.after, &d.never, &d.steady, &d.steady_var_mean})
+            of_pixels->resize(n_parameters * before.size());
+    }
 
     void set(std::size_t pixel, const Histogram& h, double n_paths, double n, std::uint32_t n_bins) {
         h.write(n_paths, n, &radiance[pixel * n_bins * 3], &var_mean[pixel * n_bins * 3]);
@@ -100,14 +138,52 @@ struct Block {
             steady[3 * pixel + c] = float(h.steady[c] / n_paths);
         }
     }
+    /// in:      n_pixels  of the rows in work
+    ///          n_paths   all paths of the pixel, each a sample
+    void set(std::size_t pixel, const DerivativeHistogram& h, std::size_t n_pixels, double n_paths,
+             std::uint32_t n_bins) {
+        const std::size_t width = 3 * n_parameters;
+        const auto mean = [&](std::size_t i) {
+            return h.sum[i] / n_paths + (h.mean_of_samples.empty() ? 0 : h.mean_of_samples[i]);
+        };
+        const auto var_mean_of = [&](std::size_t i) {
+            const double of_samples = h.var_of_samples.empty() ? 0 : h.var_of_samples[i];
+            if (n_paths <= 1) return of_samples;
+            return std::max(h.square[i] / n_paths - sqr(h.sum[i] / n_paths), 0.0) / (n_paths - 1) + of_samples;
+        };
+        for (std::size_t p = 0; p < n_parameters; ++p) {
+            const std::size_t row = p * n_pixels + pixel;
+            for (std::size_t k = 0; k < n_bins; ++k)
+                for (std::size_t c = 0; c < 3; ++c) {
+                    const std::size_t from = k * width + 3 * p + c, to = (row * n_bins + k) * 3 + c;
+                    derivative.bins[to] = float(mean(from));
+                    derivative.var_mean[to] = float(var_mean_of(from));
+                }
+            for (std::size_t c = 0; c < 3; ++c) {
+                const auto share = [&](Share s) { return (n_bins + std::size_t(s)) * width + 3 * p + c; };
+                const std::size_t to = 3 * row + c;
+                derivative.before[to] = float(mean(share(Share::before)));
+                derivative.after[to] = float(mean(share(Share::after)));
+                derivative.never[to] = float(mean(share(Share::never)));
+                derivative.steady[to] = float(mean(share(Share::steady)));
+                derivative.steady_var_mean[to] = float(var_mean_of(share(Share::steady)));
+            }
+        }
+    }
     TransientRows rows(std::size_t n_pixels, std::uint32_t n_bins) const {
         const auto first = [](const std::vector<float>& all, std::size_t n) { return std::span(all).first(n); };
-        return {first(radiance, n_pixels * n_bins * 3),
-                first(var_mean, n_pixels * n_bins * 3),
-                first(before, 3 * n_pixels),
-                first(after, 3 * n_pixels),
-                first(never, 3 * n_pixels),
-                first(steady, 3 * n_pixels)};
+        const std::size_t bins = 3 * n_pixels * n_bins, pixels = 3 * n_pixels;
+        const auto of_bins = [&](const std::vector<float>& all) { return first(all, n_parameters * bins); };
+        const auto of_pixels = [&](const std::vector<float>& all) { return first(all, n_parameters * pixels); };
+        const auto& d = derivative;
+        return {first(radiance, bins),
+                first(var_mean, bins),
+                first(before, pixels),
+                first(after, pixels),
+                first(never, pixels),
+                first(steady, pixels),
+                {of_bins(d.bins), of_bins(d.var_mean), of_pixels(d.before), of_pixels(d.after), of_pixels(d.never),
+                 of_pixels(d.steady), of_pixels(d.steady_var_mean)}};
     }
 };
 
@@ -126,6 +202,61 @@ void bin_own(Worker& worker, const GraphReader& reader, const Timing& timing, st
     }
 }
 
+/// Bins neighbouring pixels with their derivatives. The light itself is summed as in bin_own(), to the bit.
+/// in:      weight  share of the graph in all samples per pixel
+void bin_own_with_derivative(Worker& worker, const GraphReader& reader, const Derivative& derivative,
+                             const Timing& timing, double weight, std::size_t first_pixel, std::size_t n) {
+    const PathGraph& g = reader.graph();
+    const OpticalLengths lengths(g, timing);
+    const double n_samples = double(g.tracing.samples_per_pixel);
+    const std::size_t n_parameters = derivative.n_parameters(), width = 3 * n_parameters;
+    const auto& interior = derivative.interior;
+    const auto& seen = derivative.seen;
+    const auto& boundary = derivative.boundary;
+    worker.boundary.set(derivative, first_pixel, n);
+    for (std::uint64_t s = 0; s < g.tracing.samples_per_pixel; ++s) {
+        const std::size_t first_path = s * g.n_pixels() + first_pixel;
+        std::size_t edge = first_light_edge(g, g.paths.first_vertex[first_path]);
+        RowCursor rows(derivative, first_path, edge);
+        for (std::size_t i = 0; i < n; ++i) {
+            Histogram& pixel = worker.histograms[i];
+            walk_edges_in_time(
+                reader, lengths, first_path + i, edge,
+                [&](const Spectrum& Le, double opl) {
+                    if (const std::size_t row = rows.seen(first_path + i); row != RowCursor::none)
+                        worker.add(pixel, Le, opl, &seen.dLe[row * width], &seen.dopl[row * n_parameters]);
+                    else if (!is_black(Le))
+                        worker.add(pixel, Le, opl);
+                },
+                [&](std::size_t k, const Spectrum& L, double opl) {
+                    if (const std::size_t row = rows.interior(k); row != RowCursor::none)
+                        worker.add(pixel, L, opl, &interior.dL[row * width], &interior.dopl[row * n_parameters]);
+                    else
+                        worker.add(pixel, L, opl);
+                });
+            // The rows of a pixel are divided by its number of paths.
+            worker.boundary.take_path(i, first_path + i, [&](std::size_t row) {
+                worker.derivative.add_boundary(boundary.opl[row], &boundary.dL[row * width], n_samples);
+            });
+            worker.end_sample(pixel);
+            worker.derivative.end_path(worker.derivatives[i]);
+        }
+    }
+    for (const BoundaryFamily family : {BoundaryFamily::primary, BoundaryFamily::edge_light})
+        for (std::size_t i = 0; i < n; ++i)
+            worker.derivative.add_samples(derivative, worker.boundary.of_samples(i, family),
+                                          double(derivative.boundary_samples[std::size_t(family)]), weight,
+                                          worker.derivatives[i]);
+}
+
+/// Whether a derivative has boundary samples that belong to no path.
+bool has_own_samples(const Derivative& derivative) {
+    const auto& family = derivative.boundary.family;
+    return std::any_of(family.begin(), family.end(), [](std::uint8_t f) {
+        return BoundaryFamily(f) == BoundaryFamily::primary || BoundaryFamily(f) == BoundaryFamily::edge_light;
+    });
+}
+
 /// in: by_graph  a graph counts as one sample of each pixel, because the paths of one graph share their light
 void bin_shared(Worker& worker, const SharedArrivals& shared, bool by_graph, std::size_t first_pixel, std::size_t n) {
     const PathGraph& g = shared.graph();
@@ -142,14 +273,17 @@ void bin_shared(Worker& worker, const SharedArrivals& shared, bool by_graph, std
 
 }  // namespace
 
-void bin_graphs(std::span<const PathGraph> graphs, std::span<SharedArrivals> shared, const TimeResponse& response,
-                const Timing& timing, std::uint64_t max_bytes, int threads, app::Progress& progress,
+void bin_graphs(std::span<const PathGraph> graphs, std::span<SharedArrivals> shared,
+                std::span<const Derivative> derivatives, const TimeResponse& response, const Timing& timing,
+                std::uint64_t max_bytes, int threads, app::Progress& progress,
                 const std::function<void(std::uint32_t, const TransientRows&)>& take) {
     const std::size_t width = graphs[0].sensor.width, height = graphs[0].sensor.height;
-    const std::size_t row_bytes = width * response.n_bins * 3 * 2 * sizeof(float);
+    const std::size_t n_parameters = derivatives.empty() ? 0 : derivatives[0].n_parameters();
+    const std::size_t row_bytes = width * response.n_bins * (1 + n_parameters) * 3 * 2 * sizeof(float);
     const std::size_t block_rows = std::clamp<std::size_t>(max_bytes / row_bytes, 1, height);
     // Neighbouring pixels whose histograms fit into a cache together.
-    const std::size_t chunk = std::clamp<std::size_t>((256 << 10) / (response.n_bins * 3 * 2 * sizeof(double)), 1, 256);
+    const std::size_t pixel_bytes = (1 + n_parameters) * response.n_bins * 3 * 2 * sizeof(double);
+    const std::size_t chunk = std::clamp<std::size_t>((256 << 10) / pixel_bytes, 1, 256);
     std::vector<GraphReader> readers;
     double n_paths = 0;
     for (const PathGraph& g : graphs) {
@@ -163,8 +297,9 @@ void bin_graphs(std::span<const PathGraph> graphs, std::span<SharedArrivals> sha
         for (const SharedArrivals& s : shared) bytes += s.bytes_per_pixel();
         span = std::clamp<std::size_t>(max_bytes / bytes, chunk, span);
     }
-    Block block(block_rows * width, response.n_bins);
-    tbb::enumerable_thread_specific<Worker> workers([&] { return Worker(response, chunk); });
+    Block block(block_rows * width, response.n_bins, n_parameters);
+    const bool own_samples = std::any_of(derivatives.begin(), derivatives.end(), has_own_samples);
+    tbb::enumerable_thread_specific<Worker> workers([&] { return Worker(response, chunk, n_parameters, own_samples); });
     for (std::size_t first_row = 0; first_row < height; first_row += block_rows) {
         const std::size_t first = first_row * width, n = std::min(block_rows, height - first_row) * width;
         for (std::size_t from = 0; from < n; from += span) {
@@ -172,14 +307,22 @@ void bin_graphs(std::span<const PathGraph> graphs, std::span<SharedArrivals> sha
             for (SharedArrivals& s : shared) s.prepare(first + from, n_span, threads);
             parallel_chunks(n_span, chunk, threads, [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
                 Worker& worker = workers.local();
-                for (std::size_t i = 0; i < end - begin; ++i) worker.histograms[i].clear();
+                worker.clear(end - begin);
                 const std::size_t pixel = first + from + begin;
                 for (const SharedArrivals& s : shared) bin_shared(worker, s, by_graph, pixel, end - begin);
-                if (shared.empty())
-                    for (const GraphReader& reader : readers) bin_own(worker, reader, timing, pixel, end - begin);
-                for (std::size_t i = 0; i < end - begin; ++i)
+                for (std::size_t g = 0; shared.empty() && g < readers.size(); ++g)
+                    if (n_parameters == 0)
+                        bin_own(worker, readers[g], timing, pixel, end - begin);
+                    else
+                        bin_own_with_derivative(worker, readers[g], derivatives[g], timing,
+                                                double(graphs[g].tracing.samples_per_pixel) / n_paths, pixel,
+                                                end - begin);
+                for (std::size_t i = 0; i < end - begin; ++i) {
                     block.set(from + begin + i, worker.histograms[i], n_paths,
                               by_graph ? double(shared.size()) : n_paths, response.n_bins);
+                    if (n_parameters > 0)
+                        block.set(from + begin + i, worker.derivatives[i], n, n_paths, response.n_bins);
+                }
                 progress.add(end - begin);
             });
         }

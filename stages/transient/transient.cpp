@@ -150,6 +150,89 @@ std::vector<Clusters> read_all_clusters(const Options& options, const std::vecto
     return clusters;
 }
 
+/// Whether light arrives earlier or later when a parameter changes.
+bool changes_lengths(const Derivative& derivative, std::size_t parameter) {
+    for (const Column<float>* dopl : {&derivative.interior.dopl, &derivative.seen.dopl})
+        for (std::size_t i = parameter; i < dopl->size(); i += derivative.n_parameters())
+            if ((*dopl)[i] != 0) return true;
+    return false;
+}
+
+/// Refuses derivatives whose lengths of flight cannot be counted as `timing` does.
+void check_lengths(const Options& options, const Timing& timing, const std::string& file, const Derivative& derivative,
+                   app::Report& report) {
+    if (timing.camera_segment && timing.group_index.empty()) return;
+    const char* how = timing.group_index.empty() ? "--unwarp, or a film without the camera segment" : "--group-index";
+    if (!derivative.boundary.opl.empty())
+        throw InputError(
+            fmt::format("{}: has {} boundary rows, whose lengths count from the camera and with phase indices; leave "
+                        "out {}",
+                        file, derivative.boundary.opl.size(), how));
+    bool moves = false;
+    for (std::size_t p = 0; p < derivative.n_parameters(); ++p) moves = moves || changes_lengths(derivative, p);
+    if (!moves) return;
+    if (!options.group_index.empty())
+        throw InputError(fmt::format(
+            "{}: interior/dopl is of lengths with phase indices, for all segments of a path together; leave "
+            "out --group-index",
+            file));
+    report.warn(
+        "{}: interior/dopl counts the camera segment; the derivative of lengths from the first hit is right "
+        "where camera and first hits stay in place",
+        file);
+}
+
+/// Reads the derivative of each graph and sets the parameters of the header; none without --derivative.
+std::vector<Derivative> read_all_derivatives(const Options& options, const std::vector<PathGraph>& graphs,
+                                             TransientCubeHeader& header) {
+    if (options.derivatives.empty()) return {};
+    if (!options.clusters.empty())
+        throw InputError(
+            "--derivative, --clusters: give only one of them; derivatives are of the light that each path found "
+            "itself, not of light shared by clusters");
+    if (options.derivatives.size() != graphs.size())
+        throw InputError(
+            fmt::format("--derivative: {} files for {} graphs", options.derivatives.size(), graphs.size()));
+    std::vector<Derivative> derivatives;
+    for (std::size_t i = 0; i < options.derivatives.size(); ++i) {
+        const std::string& file = options.derivatives[i];
+        derivatives.push_back(read_derivative(file));
+        require_derivative_of(graphs[i], identify_by_header(graphs[i], options.graphs[i]), derivatives[i], file);
+        const auto& p = derivatives[i].parameters;
+        TransientCubeHeader of_file;
+        of_file.parameters = {p.name, p.unit, std::vector<std::string>(p.name.size(), "none"),
+                              std::vector<double>(p.value.begin(), p.value.end())};
+        if (i == 0)
+            header.parameters = of_file.parameters;
+        else if (const std::string why = parameter_difference_in_words(of_file, header); !why.empty())
+            throw InputError(fmt::format("{}: {} (of {})", file, why, options.derivatives[0]));
+    }
+    return derivatives;
+}
+
+/// Sets for each parameter whether the derivative of its bins is complete, and says so.
+void set_temporal(const Options& options, const std::vector<Derivative>& derivatives, const TimeResponse& response,
+                  TransientCubeHeader& header, app::Report& report) {
+    if (!response.pulse.is_delta() || response.modulation != Modulation::none) return;
+    std::string widened;
+    for (std::size_t p = 0; p < header.n_parameters(); ++p) {
+        const bool moves = std::any_of(derivatives.begin(), derivatives.end(),
+                                       [&](const Derivative& d) { return changes_lengths(d, p); });
+        if (!moves) continue;
+        if (options.temporal == Temporal::refuse)
+            throw InputError(
+                fmt::format("--temporal refuse: {} changes arrival times, and bins jump with a delta pulse; give "
+                            "another --pulse, or --temporal widen",
+                            header.parameters.name[p]));
+        header.parameters.temporal[p] = "widened";
+        widened += (widened.empty() ? "" : ", ") + header.parameters.name[p];
+    }
+    if (!widened.empty())
+        report.info(
+            "delta pulse: light that moves between bins is that of a box pulse one bin long, for the derivatives by {}",
+            widened);
+}
+
 void check_tal(const Options& options, const PathGraph& graph) {
     if (options.tal.empty()) return;
     check_output_path(options.tal);
@@ -209,12 +292,15 @@ struct LightSums {
     }
 };
 
-std::string plan_of(const TimeResponse& response, const TransientCubeHeader& header, bool shares, bool camera_segment) {
-    return fmt::format("on: {}{} pulse, {}; off: {}", shares ? "light shared by clusters at first hits, " : "",
+std::string plan_of(const TransientCubeHeader& header, bool shares, bool camera_segment) {
+    std::string derivatives;
+    const auto& p = header.parameters;
+    for (std::size_t i = 0; i < header.n_parameters(); ++i)
+        derivatives += fmt::format("{}{}{}", i == 0 ? ", derivatives by " : ", ", p.name[i],
+                                   p.temporal[i] == "widened" ? " (response widened by a bin)" : "");
+    return fmt::format("on: {}{} pulse, {}{}; off: {}", shares ? "light shared by clusters at first hits, " : "",
                        header.response.pulse, camera_segment ? "camera segment" : "lengths from the first hit",
-                       response.pulse.is_delta() && response.modulation == Modulation::none
-                           ? "derivatives by interior terms alone (the response jumps at borders of bins)"
-                           : "nothing");
+                       derivatives, derivatives.empty() ? "derivatives" : "nothing");
 }
 
 }  // namespace
@@ -223,6 +309,11 @@ void declare(app::Command& command, Options& options) {
     command.files("graphs", options.graphs, "path graphs (.h5) of one scene with different samples").required();
     command.files("--clusters", options.clusters,
                   "clusters (.h5) of these graphs, in their order; first hits share the light of their cluster");
+    command.files("--derivative", options.derivatives,
+                  "derivatives (.h5) of these graphs, in their order; the cube then holds the derivative of each bin");
+    command.choice("--temporal", options.temporal,
+                   "delta pulse with derivatives that change arrival times: widen the response by a bin, or refuse",
+                   {{"widen", Temporal::widen}, {"refuse", Temporal::refuse}});
     command.output("-o,--output", options.output, "transient cube (.h5)");
     command.output("--tal", options.tal, "also write an NLOS capture in the format of the TAL tools (.h5)");
     command.choice("--unit", options.unit,
@@ -281,7 +372,9 @@ void run(const Options& options, app::Report& report) {
     header.provenance.inputs = identify_parts(options.graphs);
     check_graphs(options.graphs, graphs);
     const std::vector<Clusters> clusters = read_all_clusters(options, graphs, header.provenance.inputs);
-    for (const std::string& file : options.clusters) header.provenance.inputs.push_back(identify(file));
+    const std::vector<Derivative> derivatives = read_all_derivatives(options, graphs, header);
+    for (const auto* files : {&options.clusters, &options.derivatives})
+        for (const std::string& file : *files) header.provenance.inputs.push_back(identify(file));
     check_tal(options, graphs[0]);
 
     // Set the response: pulse and bins.
@@ -295,6 +388,9 @@ void run(const Options& options, app::Report& report) {
         set_phases(options, lengths, response, header);
     else
         set_window(options, lengths, graphs[0], timing, response);
+    for (std::size_t i = 0; i < derivatives.size(); ++i)
+        check_lengths(options, timing, options.derivatives[i], derivatives[i], report);
+    set_temporal(options, derivatives, response, header, report);
 
     // Fill the header of the cube.
     header.film.width = graphs[0].sensor.width;
@@ -307,8 +403,9 @@ void run(const Options& options, app::Report& report) {
                    options.metres_per_unit,
                    timing.camera_segment};
     header.provenance = report.provenance(graphs[0].provenance.seed, std::move(header.provenance.inputs),
-                                          plan_of(response, header, !clusters.empty(), timing.camera_segment));
-    const std::uint64_t cube_bytes = 2 * sizeof(float) * header.row_size() * header.film.height,
+                                          plan_of(header, !clusters.empty(), timing.camera_segment));
+    const std::uint64_t cube_bytes =
+                            2 * sizeof(float) * (1 + header.n_parameters()) * header.row_size() * header.film.height,
                         max_bytes = options.memory_MiB << 20;
     report.info("{} x {} pixels, {} bins of {:.6g} {} from {:.6g}: {}, of which {} in memory", header.film.width,
                 header.film.height, response.n_bins, header.in_unit(response.width),
@@ -325,7 +422,7 @@ void run(const Options& options, app::Report& report) {
         std::vector<SharedArrivals> shared;
         for (std::size_t i = 0; i < clusters.size(); ++i)
             shared.emplace_back(graphs[i], clusters[i], timing, options.threads);
-        bin_graphs(graphs, shared, response, timing, max_bytes, options.threads, progress,
+        bin_graphs(graphs, shared, derivatives, response, timing, max_bytes, options.threads, progress,
                    [&](std::uint32_t first_row, const TransientRows& rows) {
                        writer.write_rows(first_row, rows);
                        if (!options.tal.empty()) add_rows(graphs[0], first_row, rows, tal);
@@ -339,7 +436,8 @@ void run(const Options& options, app::Report& report) {
     Cost cost = report.cost(header.provenance.plan);
     for (const PathGraph& g : graphs) cost.samples += g.n_paths();
     std::vector<std::string> parents = options.graphs;
-    parents.insert(parents.end(), options.clusters.begin(), options.clusters.end());
+    for (const auto* files : {&options.clusters, &options.derivatives})
+        parents.insert(parents.end(), files->begin(), files->end());
     write_cost_of(options.output, cost, parents);
     report.done("{} paths; light: {:.4g} % in the bins, {:.3g} % before, {:.3g} % after, {:.3g} % never", cost.samples,
                 light.percent(light.inside), light.percent(light.before), light.percent(light.after),

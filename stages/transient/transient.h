@@ -8,6 +8,7 @@
 #include <string>
 #include <vector>
 
+#include "formats/derivative.h"
 #include "formats/path_graph.h"
 #include "formats/transient_cube.h"
 #include "stages/core/graph/time_of_flight.h"
@@ -26,13 +27,17 @@ class SharedArrivals;
 namespace loom::transient {
 
 enum class Unit { opl, ns };
+/// Treatment of derivatives that need the slope of a response which has none, that of a delta pulse.
+enum class Temporal { widen, refuse };
 enum class Shape { film, delta, box, gaussian, expgauss, table, sine, square };
 
 struct Options {
-    std::vector<std::string> graphs;    // path graphs of one scene with different samples
-    std::vector<std::string> clusters;  // of these graphs, in their order; empty: paths alone
-    std::string output;                 // transient cube (.h5)
-    std::string tal;                    // also an NLOS capture for the TAL tools (.h5); empty: none
+    std::vector<std::string> graphs;       // path graphs of one scene with different samples
+    std::vector<std::string> clusters;     // of these graphs, in their order; empty: paths alone
+    std::vector<std::string> derivatives;  // of these graphs, in their order; empty: values alone
+    Temporal temporal = Temporal::widen;
+    std::string output;  // transient cube (.h5)
+    std::string tal;     // also an NLOS capture for the TAL tools (.h5); empty: none
 
     // Lengths are in `unit`; unset options are those of the film.
     Unit unit = Unit::opl;
@@ -54,12 +59,18 @@ void declare(app::Command& command, Options& options);
 
 /// Bins paths of several graphs by opl and passes on rows of the cube.
 ///   radiance[k] = mean over paths of sum over light edges of L S_e[k](opl)
+///   derivative[k] = mean over paths of [sum over light edges of (L' S_e[k] + L S_e[k]' opl') + boundary rows of the
+///                   path] + boundary rows that belong to no path
 /// Sums are in double precision, path by path in the order of graphs and samples, for any number of threads.
 /// in:      graphs     of one sensor
 ///          max_bytes  memory for the rows in progress
 ///          shared     the same graphs with their clusters; empty: paths alone
-void bin_graphs(std::span<const PathGraph> graphs, std::span<SharedArrivals> shared, const TimeResponse& response,
-                const Timing& timing, std::uint64_t max_bytes, int threads, app::Progress& progress,
+///          derivatives  of the same graphs, by the same parameters; empty: values alone. The values are the same to
+///                     the bit.
+/// needs:   shared or derivatives are empty
+void bin_graphs(std::span<const PathGraph> graphs, std::span<SharedArrivals> shared,
+                std::span<const Derivative> derivatives, const TimeResponse& response, const Timing& timing,
+                std::uint64_t max_bytes, int threads, app::Progress& progress,
                 const std::function<void(std::uint32_t first_row, const TransientRows&)>& take);
 
 /// Window derived from a graph's light: from the first arrival to where all but 0.1 % has arrived.

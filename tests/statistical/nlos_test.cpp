@@ -79,7 +79,7 @@ Bins bins_of(const PathGraph& graph, const TransientFilm& film, int channel = 0)
         for (std::size_t i = channel; i < from.size(); i += 3) to.push_back(from[i]);
     };
     app::Progress progress(report, "binning", out.n_pixels);
-    transient::bin_graphs({&graph, 1}, {}, response, {film.camera_segment}, std::uint64_t(1) << 30, 0, progress,
+    transient::bin_graphs({&graph, 1}, {}, {}, response, {film.camera_segment}, std::uint64_t(1) << 30, 0, progress,
                           [&](std::uint32_t, const TransientRows& rows) {
                               take(rows.radiance, out.mean);
                               take(rows.var_mean, out.var);

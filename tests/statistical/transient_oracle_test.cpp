@@ -28,7 +28,7 @@ struct Cube {
         report.set_quiet(true);
         app::Progress progress(report, "binning", graph.n_pixels());
         sums.emplace_back();
-        transient::bin_graphs({&graph, 1}, {}, response, timing, std::uint64_t(1) << 32, 0, progress,
+        transient::bin_graphs({&graph, 1}, {}, {}, response, timing, std::uint64_t(1) << 32, 0, progress,
                               [&](std::uint32_t, const TransientRows& rows) {
                                   mean.resize(rows.radiance.size()), var_mean.resize(mean.size());
                                   sums.back().resize(mean.size() / response.n_bins);

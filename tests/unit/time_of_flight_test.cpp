@@ -55,8 +55,8 @@ Cube cube_of(const PathGraph& graph, const TimeResponse& response, const BinOpti
     cube.n_bins = response.n_bins;
     std::vector<SharedArrivals> shared;
     if (options.clusters) shared.emplace_back(graph, *options.clusters, options.timing, options.threads);
-    transient::bin_graphs({&graph, 1}, shared, response, options.timing, options.max_bytes, options.threads, progress,
-                          [&](std::uint32_t, const TransientRows& rows) {
+    transient::bin_graphs({&graph, 1}, shared, {}, response, options.timing, options.max_bytes, options.threads,
+                          progress, [&](std::uint32_t, const TransientRows& rows) {
                               const auto join = [](std::vector<float>& to, std::span<const float> from) {
                                   to.insert(to.end(), from.begin(), from.end());
                               };

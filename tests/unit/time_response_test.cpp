@@ -141,6 +141,105 @@ TEST(TimeResponse, DerivativesAgreeWithDifferences) {
     }
 }
 
+// Detected mutations: sign of the slope; closing border by open + gate where gates tile the time; half a jump lost.
+TEST(TimeResponse, SlopesAreThoseOfTheDual) {
+    using D = Dual<1, double>;
+    for (const auto& [name, r] : responses()) {
+        SCOPED_TRACE(name);
+        for (const double tof : {0.2, 1.613, 1.937, 2.771, 4.211, 7.4999, 9.1})
+            for (std::uint32_t k = 0; k < r.n_bins; ++k)
+                EXPECT_NEAR(r.slope(k, tof), r.weight(k, D::variable(tof, 0)).d[0], 1e-13) << tof << " " << k;
+    }
+}
+
+/// All responses, and those of gates shorter than the pulse, longer, and shorter than the distance between bins.
+std::vector<std::pair<std::string, TimeResponse>> gated_responses() {
+    auto all = responses();
+    std::vector<NamedPulse> pulses = smooth_pulses();
+    pulses.push_back({"delta", Pulse::delta()});
+    pulses.push_back({"short box", Pulse::box(0.05)});
+    for (const auto& [name, pulse] : pulses)
+        for (const double gate : {0.25, 0.01, 0.1, 3.0})
+            all.push_back({std::string(name) + ", gate " + std::to_string(gate), {24, 1.5, 0.25, gate, pulse, {}, 1}});
+    return all;
+}
+
+/// Times of flight all over a window, on its borders, and one rounding beside them.
+std::vector<double> times_of_flight(const TimeResponse& r) {
+    std::vector<double> all;
+    for (double tof = -1; tof < r.end() + 3; tof += 0.0713) all.push_back(tof);
+    for (const double border : {r.start, r.start + r.width, r.start + 7 * r.width, r.end()})
+        for (const double end : {0.0, r.pulse.begin(), r.pulse.end(), 0.5 * r.width, -0.5 * r.width, r.gate}) {
+            const double tof = border - end;
+            for (const double near : {tof, std::nextafter(tof, -1e9), std::nextafter(tof, 1e9)}) all.push_back(near);
+        }
+    return all;
+}
+
+// Visits every bin with a weight or a slope, weights as spread() to the bit.
+// Detected mutations: range of bins not widened, so that a bin whose gate touches the end of a box is lost.
+TEST(TimeResponse, SpreadWithSlopesVisitsEveryWeightAndSlope) {
+    for (const auto& [name, r] : gated_responses()) {
+        SCOPED_TRACE(name);
+        for (const double tof : times_of_flight(r)) {
+            std::vector<double> w(r.n_bins, 0.0), both_w(r.n_bins, 0.0), slope(r.n_bins, 0.0);
+            const auto one = r.spread(tof, [&](std::uint32_t k, double x) { w[k] += x; });
+            const auto both = r.spread_with_slopes(tof, [&](std::uint32_t k, double x, double s) {
+                both_w[k] += x;
+                slope[k] += s;
+            });
+            ASSERT_EQ(w, both_w) << tof;
+            ASSERT_EQ(one.before, both.before);
+            ASSERT_EQ(one.after, both.after);
+            for (std::uint32_t k = 0; k < r.n_bins; ++k)
+                ASSERT_NEAR(slope[k], r.slope(k, tof), 1e-13) << tof << " " << k;
+        }
+    }
+}
+
+// Where gates tile the time, moving light neither makes nor loses any: slopes of bins, before and after sum to 0, at
+// borders and one rounding beside them, and wherever the window starts.
+TEST(TimeResponse, SlopesSumToZero) {
+    for (const auto& [name, at_start] : gated_responses()) {
+        if (at_start.gate != at_start.width) continue;
+        SCOPED_TRACE(name);
+        for (const double shift : {0.0, 0.1, 0.0371, 0.25 / 3}) {
+            TimeResponse r = at_start;
+            if (r.modulation == Modulation::none) r.start += shift;
+            for (const double tof : times_of_flight(r)) {
+                double sum = 0, size = 0;
+                const auto outside = r.spread_with_slopes(tof, [&](std::uint32_t, double, double slope) {
+                    sum += slope;
+                    size += std::abs(slope);
+                });
+                sum += outside.before_slope + outside.after_slope;
+                size += std::abs(outside.before_slope) + std::abs(outside.after_slope);
+                ASSERT_LE(std::abs(sum), 1e-14 * (1 + size)) << tof;
+            }
+        }
+    }
+}
+
+// At a jump the mean of both sides: an arrival on the border of a box as long as a bin.
+TEST(TimeResponse, SlopesAtJumpsAreMeansOfBothSides) {
+    const TimeResponse r{8, 2, 0.5, 0.5, Pulse::box(0.5), {}, 1};
+    // The tent of bin 2, over [2.5, 3.5], turns at 3.
+    EXPECT_EQ(r.slope(2, std::nextafter(3.0, 0.0)), 2);
+    EXPECT_EQ(r.slope(2, std::nextafter(3.0, 9.0)), -2);
+    EXPECT_EQ(r.slope(2, 3.0), 0);
+    EXPECT_EQ(r.slope(2, 2.5), 1);
+    EXPECT_EQ(r.slope(2, 3.5), -1);
+}
+
+// A delta pulse is differentiated as a box of one bin, centred: the value of that box's tent, moved by half a bin.
+TEST(TimeResponse, ADeltaPulseIsWidenedByABin) {
+    const TimeResponse delta{8, 2, 0.5, 0.5, Pulse::delta(), {}, 1};
+    TimeResponse box = delta;
+    box.pulse = Pulse::box(0.5);
+    for (double tof = 1.1; tof < 7; tof += 0.0371)
+        for (int k = 0; k < 8; ++k) EXPECT_EQ(delta.slope(k, tof), box.slope(k, tof - 0.25)) << tof << " " << k;
+}
+
 // Bins, before and after sum to all of the light.
 TEST(TimeResponse, EnergyIsKept) {
     for (const auto& [name, r] : responses()) {

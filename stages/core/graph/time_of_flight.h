@@ -64,19 +64,19 @@ class OpticalLengths {
     bool laser_segment_;
 };
 
-/// Walks along a path and calls on_light(L, opl) for each light that reaches the camera, including the directly visible
-/// emitter.
+/// Walks along a path and calls on_seen(Le, opl) for its directly visible emitter, black or not, then on_edge(k, L, opl)
+/// for each light edge k.
 /// in:      edge  first light edge of the path; out: that of the next path
-template <class OnLight>
-void walk_in_time(const GraphReader& reader, const OpticalLengths& lengths, std::size_t path, std::size_t& edge,
-                  OnLight&& on_light) {
+template <class OnSeen, class OnEdge>
+void walk_edges_in_time(const GraphReader& reader, const OpticalLengths& lengths, std::size_t path, std::size_t& edge,
+                        OnSeen&& on_seen, OnEdge&& on_edge) {
     const PathGraph& g = reader.graph();
     const std::uint64_t begin = g.paths.first_vertex[path];
     const Spectrum Le = rgb(g.paths.Le, path);
     double opl = 0;
     Point3<double> x;
     if (begin == g.paths.first_vertex[path + 1]) {
-        if (!is_black(Le)) on_light(Le, double(INFINITY));
+        on_seen(Le, double(INFINITY));
         return;
     }
     walk_path(
@@ -84,9 +84,23 @@ void walk_in_time(const GraphReader& reader, const OpticalLengths& lengths, std:
         [&](std::size_t j, const ShadingPoint&) {
             opl += j == begin ? lengths.from_camera(path) : lengths.to_vertex(j, x);
             x = position<double>(g, j);
-            if (j == begin && !is_black(Le)) on_light(Le, opl);
+            if (j == begin) on_seen(Le, opl);
         },
-        [&](std::size_t, std::size_t k, const Spectrum& L) { on_light(L, opl + lengths.to_light(k, x)); });
+        [&](std::size_t, std::size_t k, const Spectrum& L) { on_edge(k, L, opl + lengths.to_light(k, x)); });
+}
+
+/// Walks along a path and calls on_light(L, opl) for each light that reaches the camera, including the directly visible
+/// emitter.
+/// in:      edge  first light edge of the path; out: that of the next path
+template <class OnLight>
+void walk_in_time(const GraphReader& reader, const OpticalLengths& lengths, std::size_t path, std::size_t& edge,
+                  OnLight&& on_light) {
+    walk_edges_in_time(
+        reader, lengths, path, edge,
+        [&](const Spectrum& Le, double opl) {
+            if (!is_black(Le)) on_light(Le, opl);
+        },
+        [&](std::size_t, const Spectrum& L, double opl) { on_light(L, opl); });
 }
 
 }  // namespace loom

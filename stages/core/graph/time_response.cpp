@@ -109,18 +109,35 @@ double Pulse::power(double s) const {
         case Kind::delta:
             break;
         case Kind::box:
-            return 1 / length_;
+            return (s == begin_ || s == end_ ? 0.5 : 1.0) / length_;
         case Kind::gaussian:
             return normal_density(s / length_) / length_;
         case Kind::exponential_gaussian:
             return late_part(s / length_, length_ / tail_) / tail_;
         case Kind::table: {
-            if (s == end_) return power_.back();
+            if (s == begin_) return 0.5 * power_.front();
+            if (s == end_) return 0.5 * power_.back();
             const std::size_t i = std::size_t(std::upper_bound(at_.begin(), at_.end(), s) - at_.begin()) - 1;
             return power_[i] + (s - at_[i]) * (power_[i + 1] - power_[i]) / (at_[i + 1] - at_[i]);
         }
     }
     return 0;
+}
+
+double TimeResponse::slope(std::int64_t k, double tof) const {
+    if (modulation == Modulation::none) {
+        const double open = start + double(k) * width;
+        const double close = gate == width ? start + double(k + 1) * width : open + gate;
+        return power(open - tof) - power(close - tof);
+    }
+    if (modulation == Modulation::sine)
+        return -pi_double * std::sin(2 * pi_double * (tof / period - double(k) / n_bins)) / (n_bins * period);
+    // In bins, whose fractional part is common to all of them: kinks of opposite bins cancel exactly.
+    const double x = tof / period * n_bins, whole = std::floor(x), n = n_bins;
+    const double part = x - whole, ahead = whole - double(k) - n * std::floor((whole - double(k)) / n);
+    const double to_middle = 0.5 * n - ahead;
+    if ((ahead == 0 && part == 0) || part == to_middle) return 0;
+    return (part < to_middle ? -4 : 4) / (n * period);
 }
 
 }  // namespace loom

@@ -39,7 +39,8 @@ class Pulse {
     bool is_delta() const { return kind_ == Kind::delta; }
     /// P(s), from 0 to 1.
     double arrived(double s) const;
-    /// dP/ds, the power at s; 0 for a delta pulse, whose derivative is no function.
+    /// dP/ds, the power at s, where it jumps the mean of both sides; 0 for a delta pulse, whose derivative is no
+    /// function.
     double power(double s) const;
     /// P is 0 up to `begin` and 1 from `end`, to double precision.
     double begin() const { return begin_; }
@@ -79,6 +80,9 @@ struct TimeResponse {
     /// jumps.
     template <class T>
     T weight(std::int64_t k, const T& tof) const;
+    /// Returns dS_e[k] / dtof (1/m), where it jumps the mean of both sides. For a delta pulse, where S_e itself jumps,
+    /// that of a box pulse as long as the distance between bins and centred at emission.
+    double slope(std::int64_t k, double tof) const;
 
     /// Shares that arrive before start and after end(), for light of a given time of flight.
     struct Outside {
@@ -87,6 +91,22 @@ struct TimeResponse {
     /// Calls visit(k, S_e[k]) for every bin with S_e > 0.
     template <class Visit>
     Outside spread(double tof, Visit&& visit) const;
+
+    struct SlopedOutside : Outside {
+        double before_slope = 0, after_slope = 0;
+    };
+    /// Calls visit(k, S_e[k], dS_e[k] / dtof) for every bin where one of them is not 0. Shares are those of spread(), to
+    /// the bit. With gates that tile the time, all slopes sum to 0 up to rounding.
+    template <class Visit>
+    SlopedOutside spread_with_slopes(double tof, Visit&& visit) const;
+
+  private:
+    /// Power of the pulse, or of the box that replaces a delta pulse.
+    double power(double s) const {
+        if (!pulse.is_delta()) return pulse.power(s);
+        const double edge = 0.5 * width, distance = std::abs(s);
+        return distance < edge ? 1 / width : distance == edge ? 0.5 / width : 0;
+    }
 };
 
 template <class T>
@@ -144,6 +164,51 @@ TimeResponse::Outside TimeResponse::spread(double tof, Visit&& visit) const {
             if (const double w = weight(std::int64_t(k), tof); w > 0) visit(std::uint32_t(k), w);
     }
     return {pulse.arrived(start - tof), 1 - pulse.arrived(end() - tof)};
+}
+
+template <class Visit>
+TimeResponse::SlopedOutside TimeResponse::spread_with_slopes(double tof, Visit&& visit) const {
+    if (modulation != Modulation::none) {
+        for (std::uint32_t k = 0; k < n_bins; ++k) visit(k, weight(k, tof), slope(k, tof));
+        return {};
+    }
+    const double x = (tof - start) / width, g = gate / width, last_bin = double(n_bins) - 1;
+    // Bins with a weight, as in spread().
+    const double first = std::max(std::floor(x + pulse.begin() / width - g) + 1, 0.0);
+    const double last = std::min(std::floor(x + pulse.end() / width), last_bin);
+    // Bins with a slope: also those whose gate touches an end of the pulse.
+    const bool is_delta = pulse.is_delta();
+    const double begin = is_delta ? -0.5 * width : pulse.begin(), end_of_pulse = is_delta ? 0.5 * width : pulse.end();
+    const double from = std::max(std::floor(x + begin / width - g), 0.0);
+    const double to = std::min(std::floor(x + end_of_pulse / width) + 1, last_bin);
+
+    const bool tiles = gate == width;
+    const auto arrived = [&](double s) { return is_delta ? 0.0 : pulse.arrived(s); };
+    double below = tiles && first <= last ? arrived(start + first * width - tof) : 0;
+    double rise = tiles && from <= to ? power(start + from * width - tof) : 0;
+    for (double k = from; k <= to; ++k) {
+        const double open = start + k * width - tof;
+        // One value for the border of two bins, so that their slopes cancel exactly.
+        const double close = tiles ? start + (k + 1) * width - tof : start + k * width + gate - tof;
+        if (!tiles) rise = power(open);
+        const double fall = power(close);
+        double w = 0;
+        if (k >= first && k <= last) {
+            if (is_delta) {
+                w = 1;
+            } else {
+                if (!tiles) below = arrived(open);
+                const double above = arrived(close);
+                w = std::max(above - below, 0.0);
+                below = above;
+            }
+        }
+        if (w > 0 || rise != fall) visit(std::uint32_t(k), w, rise - fall);
+        rise = fall;
+    }
+    const double before_slope = -power(start - tof), after_slope = power(end() - tof);
+    if (is_delta) return {{x < 0 ? 1.0 : 0.0, std::floor(x) >= n_bins ? 1.0 : 0.0}, before_slope, after_slope};
+    return {{pulse.arrived(start - tof), 1 - pulse.arrived(end() - tof)}, before_slope, after_slope};
 }
 
 }  // namespace loom
