@@ -15,13 +15,14 @@ namespace {
 using Point3d = Point3<double>;
 using Vector3d = Vector3<double>;
 using Float4 = float __attribute__((vector_size(16)));
+using StoredFloat4 = float __attribute__((vector_size(16), may_alias));
 using Mask4 = std::int32_t __attribute__((vector_size(16)));
 
 // Bound of the rounding of a sum of three products of floats, relative to the sum of their sizes, with a margin.
 constexpr float slack = 1e-6f;
 
 Float4 load(const std::array<float, 4>& lanes) {
-    return reinterpret_cast<const Float4&>(lanes);
+    return reinterpret_cast<const StoredFloat4&>(lanes);
 }
 Float4 all(float x) {
     return Float4{x, x, x, x};
@@ -129,7 +130,7 @@ void EdgeTree::collect(const Shaft& shaft, std::vector<EdgeSegment>& found) cons
                 const std::uint32_t edge_idx = width * block_idx + std::uint32_t(std::countr_zero(open));
                 if (edge_idx >= set_.edges.size()) break;
                 const Edge& edge = set_.edges[edge_idx];
-                if (!shaft.sees_silhouette(edge)) continue;
+                if (!shaft.is_silhouette(edge)) continue;
                 const int n = shaft.clip(edge, inside);
                 for (int i = 0; i < n; ++i) {
                     const auto [s0, s1] = inside[std::size_t(i)];
@@ -137,7 +138,7 @@ void EdgeTree::collect(const Shaft& shaft, std::vector<EdgeSegment>& found) cons
                 }
             }
         } else {
-            // The last child first onto the stack, for ascending edges.
+            // Push the last child first, for ascending edges.
             const Node& node = nodes_[at];
             for (unsigned open = open_children(node, query); open;) {
                 const int child = std::bit_width(open) - 1;
@@ -276,13 +277,12 @@ struct EdgeTree::Builder {
             node.center[k][lane] = center[c];
             node.half[k][lane] = rounded_up(std::max(double(box.hi[c]) - center[c], double(center[c]) - box.lo[c]));
         }
-        // Without a cone: every eye sees silhouettes.
+        // Without a cone, as with a border: there may be silhouettes from everywhere.
         node.sin2[lane] = 1;
         // The axis is the mean of the normals, each pair on the side of the mean so far.
         Vector3d sum;
         for (std::size_t i = range.begin; i < range.end; ++i) {
             const Edge& edge = edges[order[i]];
-            if (edge.kind == EdgeKind::border) return;
             const Vector3d both = Vector3d(edge.n0) + Vector3d(edge.n1);
             sum = dot(both, sum) < 0 ? sum - both : sum + both;
         }

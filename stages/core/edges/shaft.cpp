@@ -97,7 +97,8 @@ Shaft Shaft::along(const Vector3f& direction) {
 }
 
 void Shaft::clip_by_cone(const Vector3d& start, const Vector3d& along, EdgeInterval& part) const {
-    // Inside: sin^2 (e . axis)^2 - cos^2 |e across the axis|^2 >= 0 and e . axis > 0 for e = start + s along.
+    // Inside: sin^2 (e . axis)^2 - cos^2 |e across the axis|^2 >= 0 for e = start + s along. The planes have removed what
+    // is behind the apex.
     const double start_axial = dot(start, axis_), along_axial = dot(along, axis_);
     const Vector3d start_across = start - axis_ * start_axial, along_across = along - axis_ * along_axial;
     const double a = sin2_ * sqr(along_axial) - cos2_ * length2(along_across);
@@ -119,8 +120,6 @@ void Shaft::clip_by_cone(const Vector3d& start, const Vector3d& along, EdgeInter
     } else {
         part.s1 = std::min(part.s1, low);
     }
-    // The opposite cone, behind the apex.
-    if (start_axial + along_axial * 0.5 * (part.s0 + part.s1) <= 0) nothing();
 }
 
 int Shaft::clip(const Edge& edge, std::array<EdgeInterval, 2>& inside) const {

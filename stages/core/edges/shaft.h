@@ -33,7 +33,7 @@ class Shaft {
 
     bool empty() const { return empty_; }
     /// Whether an edge is a silhouette as seen from the apex.
-    bool sees_silhouette(const Edge& edge) const {
+    bool is_silhouette(const Edge& edge) const {
         return is_silhouette_along(edge, eye_ - Vector3<double>(edge.a) * weight_);
     }
     /// Computes the parts of an edge inside, in ascending order, none of length 0. Two only where the edge runs through
