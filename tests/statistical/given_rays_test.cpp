@@ -35,7 +35,7 @@ void expect_equal(const Estimate& mean, const Estimate& reference, double bias) 
 }
 
 // A ray that is edge d of paths of at most N edges sees 1 + rho + ... + rho^(N - d).
-// Detected mutations: depths counted from 1 at the ray; its emission weighted against next-event estimation.
+// Detected mutations: depths counted from 1 at the ray; its emission weighted.
 TEST(GivenRayMean, InAFurnaceIsTheGeometricSeries) {
     const auto scene = load_scene(source_dir() / "scenes/furnace.xml", {});
     for (int depth = 1; depth <= 6; ++depth) {
@@ -50,7 +50,7 @@ TEST(GivenRayMean, InAFurnaceIsTheGeometricSeries) {
 
 // A ray that leaves a surface against the camera ray from there: one edge more on each path and for roulette. Behind the
 // glass pane that it hits lies a lit corner of two walls.
-// Detected mutations: depths counted from 1 at the ray; light that it hits weighted; its vertices start without a light.
+// Detected mutation: depths counted from 1 at the ray.
 TEST(GivenRayMean, EqualsThePixelOfACameraThatLooksAlongTheRay) {
     const testing::InlineScene description{
         .sensor =

@@ -1,10 +1,9 @@
 // Paths that start with given rays: those of the camera against the traced graph, to the last bit; those that leave a
 // vertex against the rest of the path through it.
 //
-// Detected mutations: depths counted from 1 at the ray (Rests, MaxDepth); its emission weighted against next-event
-// estimation (Rests); emission found by camera rays only, or hidden from all rays (HiddenEmitters); media of the ray
-// ignored (Glass, Rests of glass); the first record continued from another path's (Equal, Rests); rays numbered by their
-// order in the batch (Pairs, Batches); a batch's first row joined to the one before (Equal).
+// Detected mutations: depths counted from 1 at the ray; its emission weighted; emission beyond max_depth; camera rays that
+// hit hidden emitters, other rays that do not; the media of the ray ignored; random numbers by the order in the batch; the
+// first vertex taken for a continuation; n_vertices with those before the ray.
 
 #include <fmt/format.h>
 #include <gtest/gtest.h>
