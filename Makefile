@@ -3,7 +3,7 @@
 
 .DEFAULT_GOAL := demo
 .DELETE_ON_ERROR:
-pipelines := demo image edit edit-techniques edit-images transient chart chart-all chart-transient chart-edit-graph chart-edit-cost report \
+pipelines := demo image edit edit-techniques edit-images transient derive chart chart-all chart-transient chart-edit-graph chart-edit-cost report \
 	table table-edit choices peers peers-transient
 .PHONY: $(pipelines) edit-pictures oidn format lint tools build stages test test-full stability asan bench clean help
 SHELL := /bin/sh
@@ -59,6 +59,9 @@ edit-pictures: edit-images
 
 transient: stages ## cube of SCENE over time, OUT/cube.h5, with frames, streaks and curves
 	@$(MAKE) --no-print-directory -f pipelines/transient.mk transient
+
+derive: stages ## cube of SCENE and its derivatives by the parameters WRT, OUT/cube.h5
+	@$(MAKE) --no-print-directory -f pipelines/derive.mk derive
 
 ##@ Charts and tables
 

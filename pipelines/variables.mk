@@ -10,12 +10,13 @@ wholes := SPP PASSES BATCH K ITERATIONS BINS JOBS BASE_SPP REFERENCE_SPP IMAGE_S
 whole_lists := SPPS
 wholes_from_0 := SEED BASE_SEED GRAPH_SEED THREADS
 switches := KEEP DENOISE MAP CONTROL UNBIASED
-numbers := START WIDTH LENGTH EXPOSURE
+numbers := START WIDTH LENGTH EXPOSURE EFFORT
 words := METHOD REFERENCE_METHOD SAMPLER DIRECT GRAPH UNIT PULSE CHOICES COST ERROR
 word_lists := METHODS SAMPLERS ROWS NAME SENSOR
-option_lists := TRACE CLUSTER REFINE GATHER MERGE TRANSIENT FRAMES
+option_lists := TRACE CLUSTER REFINE GATHER MERGE DERIVE TRANSIENT FRAMES
 define_lists := DEFINES OLD_DEFINES NEW_DEFINES
-kinds := commands files folders scene_lists wholes whole_lists wholes_from_0 switches numbers words word_lists option_lists define_lists
+name_lists := WRT
+kinds := commands files folders scene_lists wholes whole_lists wholes_from_0 switches numbers words word_lists option_lists define_lists name_lists
 
 empty :=
 space := $(empty) $(empty)
@@ -63,6 +64,8 @@ is_define = $(findstring =,$(patsubst =%,,$(1)))
 wrong_signs = $(if $(call any_of,$(1),$(2)),must not have $(firstword $(call any_of,$(1),$(2))) in it)
 wrong_scene_lists = $(call wrong_signs,$(signs_of_make),$(1))
 wrong_folders = $(or $(if $(word 2,$(1)),must not have blanks in it: make cannot handle them in the names of what it makes),$(if $(filter -%,$(1)),must not start with -),$(call wrong_signs,$(signs_of_make),$(1)))
+# Names in a scene, which may have any character: their uses quote each.
+wrong_name_lists = $(if $(filter -%,$(1)),names must not start with -)
 wrong_files =
 
 given = $(filter command environment,$(firstword $(origin $(1))))

@@ -25,7 +25,16 @@ Plot peak(const TransientCube& cube);
 Plot strip(const TransientCube& cube, const std::string& name, const std::vector<std::size_t>& bins, double white);
 /// Plots luminance over time, of squares around given pixels, with bands of two standard errors: curves.svg,
 /// curves.png; data curves.tsv. Pixels are independent of each other, so the bands are as reliable as the cube's
-/// variances.
-Plot curves(const TransientCube& cube, const std::vector<std::size_t>& pixels, std::size_t radius);
+/// variances. With a derivative, plots it below the value.
+Plot curves(const TransientCube& cube, const std::vector<std::size_t>& pixels, std::size_t radius,
+            const DerivativeView* derivative = nullptr);
+
+/// Plots a derivative over time and position, as streaks() does: blue below 0, white at 0, red above, on one signed
+/// scale, linear within +-reach / 100 and logarithmic up to +-reach.
+Plot derivative_streaks(const TransientCube& cube, const DerivativeView& derivative, std::size_t row,
+                        std::size_t column);
+/// Plots frames of a derivative as strip() does; full colour is +-reach.
+Plot derivative_strip(const TransientCube& cube, const DerivativeView& derivative, const std::string& name,
+                      const std::vector<std::size_t>& bins, double reach);
 
 }  // namespace loom::frames

@@ -1,16 +1,114 @@
+#include <fmt/format.h>
+
 #include <algorithm>
 #include <array>
 #include <cmath>
 #include <limits>
+#include <set>
 
+#include "formats/io/error.h"
 #include "stages/core/math/vector.h"
 #include "stages/frames/frames.h"
 
 namespace loom::frames {
+namespace {
+
+/// Number of bytes of the UTF-8 character at text[i]; 0: none that is valid.
+std::size_t utf8_length(const std::string& text, std::size_t i) {
+    const auto byte = [&](std::size_t at) { return at < text.size() ? static_cast<unsigned char>(text[at]) : 0u; };
+    const auto follows = [&](std::size_t at) { return (byte(at) & 0xc0) == 0x80; };
+    const unsigned first = byte(i), second = byte(i + 1);
+    if (first < 0x80) return 1;
+    if (first >= 0xc2 && first < 0xe0) return follows(i + 1) ? 2 : 0;
+    if (first >= 0xe0 && first < 0xf0) {
+        const bool overlong = first == 0xe0 && second < 0xa0, surrogate = first == 0xed && second >= 0xa0;
+        return follows(i + 1) && follows(i + 2) && !overlong && !surrogate ? 3 : 0;
+    }
+    if (first >= 0xf0 && first < 0xf5) {
+        const bool overlong = first == 0xf0 && second < 0x90, beyond = first == 0xf4 && second >= 0x90;
+        return follows(i + 1) && follows(i + 2) && follows(i + 3) && !overlong && !beyond ? 4 : 0;
+    }
+    return 0;
+}
+
+/// Value that the fraction `share` of `values` do not exceed; 0 when there are none.
+double quantile_of(std::vector<float>& values, double share) {
+    if (values.empty()) return 0;
+    const auto at = values.begin() + std::ptrdiff_t(share * double(values.size() - 1));
+    std::nth_element(values.begin(), at, values.end());
+    return double(*at);
+}
+
+}  // namespace
+
+DerivativeView derivative_view(const TransientCube& cube, std::size_t parameter_idx) {
+    const std::size_t pixels = 3 * cube.n_pixels(), bins = pixels * cube.time.n_bins;
+    DerivativeView view;
+    view.values = std::span<const float>(cube.derivative.bins.data() + parameter_idx * bins, bins);
+    view.var_mean = std::span<const float>(cube.derivative.var_mean.data() + parameter_idx * bins, bins);
+    view.steady = std::span<const float>(cube.derivative.steady.data() + parameter_idx * pixels, pixels);
+    view.name = label_of(cube.parameters.name[parameter_idx]);
+    view.unit = label_of(cube.parameters.unit[parameter_idx]);
+    return view;
+}
+
+void require_derivatives(const TransientCube& cube, const std::string& file) {
+    if (cube.n_parameters() == 0)
+        throw InputError(
+            fmt::format("{}: has no derivatives; loom-derive and loom-transient --derivative make them", file));
+}
+
+std::size_t parameter_of(const TransientCube& cube, const std::string& name, const std::string& file) {
+    require_derivatives(cube, file);
+    const auto& names = cube.parameters.name;
+    const auto found = std::find(names.begin(), names.end(), name);
+    if (found == names.end()) {
+        std::string all;
+        for (std::size_t i = 0; i < std::min<std::size_t>(names.size(), 20); ++i)
+            all += (i == 0 ? "" : ", ") + label_of(names[i], 80);
+        throw InputError(fmt::format("--parameter {}: {} has {}{}", name, file, all, names.size() > 20 ? ", ..." : ""));
+    }
+    return std::size_t(found - names.begin());
+}
+
+std::vector<std::string> derivative_folders(const std::vector<std::string>& names) {
+    std::vector<std::string> folders;
+    std::set<std::string> taken;
+    for (const std::string& name : names) {
+        std::string safe = "derivative-";
+        for (const char c : name.substr(0, 80)) {
+            const bool plain = (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9');
+            safe += plain || c == '-' || c == '_' || c == '.' ? c : '_';
+        }
+        std::string folder = safe;
+        for (int n = 2; !taken.insert(folder).second; ++n) folder = fmt::format("{}-{}", safe, n);
+        folders.push_back(folder);
+    }
+    return folders;
+}
+
+std::string label_of(const std::string& text, std::size_t longest) {
+    std::string label;
+    std::size_t n_characters = 0;
+    for (std::size_t i = 0; i < text.size();) {
+        if (++n_characters > longest) return label + "…";
+        const std::size_t length = utf8_length(text, i);
+        const auto c = static_cast<unsigned char>(text[i]);
+        const bool control = c < 0x20 || c == 0x7f || (c == 0xc2 && static_cast<unsigned char>(text[i + 1]) < 0xa0);
+        label += length == 0 || control ? "?" : text.substr(i, length);
+        i += std::max<std::size_t>(length, 1);
+    }
+    return label;
+}
+
+double luminance_of(std::span<const float> values, std::size_t n_bins, std::size_t pixel, std::size_t bin) {
+    const float* rgb = values.data() + 3 * (pixel * n_bins + bin);
+    return luminance(Rgb<double>(rgb[0], rgb[1], rgb[2]));
+}
 
 double luminance_of(const TransientCube& cube, std::size_t pixel, std::size_t bin) {
-    const float* rgb = cube.radiance.data() + 3 * (pixel * cube.time.n_bins + bin);
-    return luminance(Rgb<double>(rgb[0], rgb[1], rgb[2]));
+    return luminance_of(std::span<const float>(cube.radiance.data(), cube.radiance.size()), cube.time.n_bins, pixel,
+                        bin);
 }
 
 double time_of(const TransientCube& cube, double bin) {
@@ -30,10 +128,17 @@ double luminance_quantile(const TransientCube& cube, double share) {
     for (std::size_t pixel = 0; pixel < cube.n_pixels(); ++pixel)
         for (std::size_t bin = 0; bin < cube.time.n_bins; ++bin)
             if (const double Y = luminance_of(cube, pixel, bin); Y > 0 && std::isfinite(Y)) lit.push_back(float(Y));
-    if (lit.empty()) return 0;
-    const auto at = lit.begin() + std::ptrdiff_t(share * double(lit.size() - 1));
-    std::nth_element(lit.begin(), at, lit.end());
-    return double(*at);
+    return quantile_of(lit, share);
+}
+
+double derivative_quantile(const TransientCube& cube, const DerivativeView& derivative, double share) {
+    std::vector<float> sizes;
+    for (std::size_t pixel = 0; pixel < cube.n_pixels(); ++pixel)
+        for (std::size_t bin = 0; bin < cube.time.n_bins; ++bin)
+            if (const double d = std::abs(luminance_of(derivative.values, cube.time.n_bins, pixel, bin));
+                d > 0 && std::isfinite(d))
+                sizes.push_back(float(d));
+    return quantile_of(sizes, share);
 }
 
 std::vector<float> peak_times(const TransientCube& cube) {

@@ -6,6 +6,7 @@
 
 #include <cmath>
 
+#include "formats/io/error.h"
 #include "stages/frames/pictures.h"
 
 namespace loom::frames {
@@ -93,6 +94,105 @@ TEST(Frames, BandsAreThoseOfTheMeanOfPixels) {
     EXPECT_NEAR(high - low, 4 * 0.02 / 3, 1e-5);
     // At a corner fewer pixels are there.
     EXPECT_NE(curves(made.get(), {0}, 1).data.at("curves.tsv").find("\t2\t"), std::string::npos);
+}
+
+// Detected mutation: "a_b" of "a/b" taken twice.
+TEST(Frames, FoldersOfDerivativesAreDistinctPlainNames) {
+    const std::vector<std::string> names{
+        "theta",    "shape:ball/pose",    "../x", "a/b", "a_b", "a_b-2", "a b", "'; touch PWNED\n", "",
+        "\xc3\xa4", std::string(300, 'x')};
+    const std::vector<std::string> folders = derivative_folders(names);
+    ASSERT_EQ(folders.size(), names.size());
+    EXPECT_EQ(folders[0], "derivative-theta");
+    EXPECT_EQ(folders[1], "derivative-shape_ball_pose");
+    EXPECT_EQ(folders[2], "derivative-.._x");
+    for (std::size_t i = 0; i < folders.size(); ++i) {
+        EXPECT_LT(folders[i].size(), 100u);
+        EXPECT_EQ(folders[i].find_first_not_of("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789-_."),
+                  std::string::npos)
+            << folders[i];
+        for (std::size_t j = 0; j < i; ++j) EXPECT_NE(folders[i], folders[j]);
+    }
+}
+
+TEST(Frames, LabelsAreOneLineOfValidText) {
+    EXPECT_EQ(label_of("shape:ball/pose"), "shape:ball/pose");
+    EXPECT_EQ(label_of("a\nb\tc\x7fx"), "a?b?c?x");
+    EXPECT_EQ(label_of("ä€𝄞"), "ä€𝄞");
+    EXPECT_EQ(label_of("\xff\xc3[\xed\xa0\x80\xc0\x80\xf5"), "??[??????");  // alone, cut short, surrogate, overlong
+    EXPECT_EQ(label_of("\xc2\x85"), "?");                                   // a control character of two bytes
+    EXPECT_EQ(label_of("abcdef", 3), "abc…");
+    EXPECT_EQ(label_of("äöü", 3), "äöü");
+    EXPECT_EQ(label_of("\xe2\x82"), "??");  // ends within a character
+}
+
+/// A cube with the derivatives by two parameters: `by`, and ten times that.
+struct WithDerivatives : HandMade {
+    std::vector<float> by;
+    WithDerivatives(std::uint32_t width, std::uint32_t height, std::uint32_t bins)
+        : HandMade(width, height, bins), by(radiance.size()) {}
+    const TransientCube& get() {
+        HandMade::get();
+        cube.parameters.name = {"x", "y\nsystem 'touch PWNED'"};
+        cube.parameters.unit = {"m", "1"};
+        cube.parameters.temporal = {"none", "none"};
+        cube.parameters.value = std::vector<double>{0, 0};
+        std::vector<float> both = by;
+        for (const float d : by) both.push_back(10 * d);
+        cube.derivative.bins = both;
+        cube.derivative.var_mean = std::vector<float>(both.size(), 0.0009f);
+        cube.derivative.steady = std::vector<float>(2 * 3 * cube.n_pixels(), -1.0f);
+        return cube;
+    }
+};
+
+// Detected mutation: the variances of the value in place of those of the derivative.
+TEST(Frames, DerivativesHaveSignedBandsBelowTheValue) {
+    WithDerivatives made(3, 3, 2);
+    for (std::size_t i = 3; i < made.by.size(); i += 6)  // bin 1
+        for (std::size_t c = 0; c < 3; ++c) made.by[i + c] = -2;
+    const DerivativeView derivative = derivative_view(made.get(), 1);
+    const Plot plot = curves(made.cube, {4}, 1, &derivative);
+    const std::string data = plot.data.at("curves.tsv");
+    double t, value, value_low, value_high, mean, low, high;
+    int bin;
+    ASSERT_EQ(std::sscanf(data.c_str() + data.rfind("\n1\t"), "%d %lf %lf %lf %lf %lf %lf %lf", &bin, &t, &value,
+                          &value_low, &value_high, &mean, &low, &high),
+              8)
+        << data;
+    EXPECT_EQ(value, 0);
+    EXPECT_NEAR(mean, -20, 1e-4);
+    EXPECT_NEAR(low, -20 - 2 * 0.03 / 3, 1e-4);
+    EXPECT_NEAR(high, -20 + 2 * 0.03 / 3, 1e-4);
+    EXPECT_EQ(derivative.steady.size(), 27u);
+}
+
+TEST(Frames, ScaleOfADerivativeIsAQuantileOfItsSizes) {
+    WithDerivatives made(10, 1, 10);
+    for (std::size_t i = 0; i < 100; ++i)
+        for (std::size_t c = 0; c < 3; ++c)
+            made.by[3 * i + c] = i < 50 ? 0 : float(i - 49) * (i % 2 == 0 ? -1.0f : 1.0f);
+    const TransientCube& cube = made.get();
+    EXPECT_NEAR(derivative_quantile(cube, derivative_view(cube, 0), 1), 50, 1e-4);
+    EXPECT_NEAR(derivative_quantile(cube, derivative_view(cube, 1), 0.5), 250, 1e-3);
+    made.by.assign(made.by.size(), 0);
+    const TransientCube& zero = made.get();
+    EXPECT_EQ(derivative_quantile(zero, derivative_view(zero, 0), 0.99), 0);
+}
+
+// A name from a file is text in the commands of gnuplot. Caught: a newline that ends the text.
+TEST(Frames, NamesOfParametersAreNoCommands) {
+    WithDerivatives made(4, 4, 8);
+    const DerivativeView derivative = derivative_view(made.get(), 1);
+    for (const Plot& plot : {curves(made.cube, {4}, 1, &derivative), derivative_streaks(made.cube, derivative, 1, 2),
+                             derivative_strip(made.cube, derivative, "strip.png", {1, 2}, 1)}) {
+        EXPECT_NE(plot.commands.find("y?system ''touch PWNED''"), std::string::npos) << plot.commands;
+        EXPECT_EQ(plot.commands.find("\nsystem"), std::string::npos);
+    }
+    EXPECT_EQ(parameter_of(made.cube, "x", "c.h5"), 0u);
+    EXPECT_THROW(parameter_of(made.cube, "z", "c.h5"), InputError);
+    HandMade without(1, 1, 1);
+    EXPECT_THROW(require_derivatives(without.get(), "c.h5"), InputError);
 }
 
 }  // namespace

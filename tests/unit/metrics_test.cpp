@@ -231,6 +231,12 @@ TEST(Metrics, FalseColoursAreSignedAndHaveALegend) {
     EXPECT_EQ(red[120], 1);
     EXPECT_EQ(blue[120], 1);
     EXPECT_EQ(red[180], 0);
+    EXPECT_EQ(signed_colour(0), (std::array<float, 3>{1, 1, 1}));
+    EXPECT_EQ(signed_colour(2), signed_colour(1));
+    for (const double t : {0.05, 0.5, 1.0}) {
+        EXPECT_GT(signed_colour(t)[0], signed_colour(t)[2]) << t;
+        EXPECT_LT(signed_colour(-t)[0], signed_colour(-t)[2]) << t;
+    }
 }
 
 }  // namespace

@@ -36,20 +36,6 @@ constexpr std::array<Glyph, 14> glyphs{{
 }};
 constexpr std::size_t glyph_width = 6, glyph_height = 7;  // one dot of space to the right
 
-/// Maps t in [-1, 1] to linear RGB.
-Colour colour_of(double t) {
-    if (std::isnan(t)) return {0, 0, 0};
-    // Linear values of dark blue, light blue, white, orange and dark red.
-    constexpr std::array<std::array<double, 3>, 5> stops{
-        {{0.005, 0.03, 0.22}, {0.12, 0.38, 0.72}, {1, 1, 1}, {0.90, 0.29, 0.10}, {0.24, 0.005, 0.015}}};
-    const double at = 2 * std::clamp(t, -1.0, 1.0) + 2;
-    const std::size_t k = std::min<std::size_t>(3, std::size_t(at));
-    const double f = at - double(k);
-    Colour colour;
-    for (std::size_t c = 0; c < 3; ++c) colour[c] = float((1 - f) * stops[k][c] + f * stops[k + 1][c]);
-    return colour;
-}
-
 /// An image to draw on, initially white.
 class Canvas {
   public:
@@ -92,6 +78,19 @@ double percentile_99(const std::vector<double>& values) {
 
 }  // namespace
 
+Colour signed_colour(double t) {
+    if (std::isnan(t)) return {0, 0, 0};
+    // Linear values of dark blue, light blue, white, orange and dark red.
+    constexpr std::array<std::array<double, 3>, 5> stops{
+        {{0.005, 0.03, 0.22}, {0.12, 0.38, 0.72}, {1, 1, 1}, {0.90, 0.29, 0.10}, {0.24, 0.005, 0.015}}};
+    const double at = 2 * std::clamp(t, -1.0, 1.0) + 2;
+    const std::size_t k = std::min<std::size_t>(3, std::size_t(at));
+    const double f = at - double(k);
+    Colour colour;
+    for (std::size_t c = 0; c < 3; ++c) colour[c] = float((1 - f) * stops[k][c] + f * stops[k + 1][c]);
+    return colour;
+}
+
 Image false_colours(const Image& image, std::string_view layer, double reach) {
     const std::vector<float> rgb = image.interleaved(layer);
     std::vector<double> values(image.n_pixels());
@@ -107,10 +106,10 @@ Image false_colours(const Image& image, std::string_view layer, double reach) {
     Canvas canvas(width, height);
     for (std::size_t y = 0; y < picture_height; ++y)
         for (std::size_t x = 0; x < width; ++x)
-            canvas.set(x, y, colour_of(values[y / zoom * image.width + x / zoom] / reach));
+            canvas.set(x, y, signed_colour(values[y / zoom * image.width + x / zoom] / reach));
     for (std::size_t x = margin; x < width - margin; ++x) {
         const double t = 2 * double(x - margin) / double(width - 2 * margin - 1) - 1;
-        for (std::size_t y = 0; y < bar_height; ++y) canvas.set(x, picture_height + margin + y, colour_of(t));
+        for (std::size_t y = 0; y < bar_height; ++y) canvas.set(x, picture_height + margin + y, signed_colour(t));
     }
     const std::size_t line = picture_height + margin + bar_height + margin;
     const std::string low = fmt::format("{:.2g}", -reach), high = fmt::format("+{:.2g}", reach);

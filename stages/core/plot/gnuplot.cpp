@@ -81,7 +81,7 @@ std::string in_quotes(const std::string& text) {
     std::string out = "'";
     for (char c : text) {
         if (c == '\'') out += '\'';
-        out += c;
+        out += static_cast<unsigned char>(c) < 0x20 ? ' ' : c;  // a newline would end the text, and start a command
     }
     return out + "'";
 }

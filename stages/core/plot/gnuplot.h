@@ -19,7 +19,7 @@ void make_pictures(const std::filesystem::path& folder, const std::map<std::stri
                    const std::string& commands, const std::vector<std::string>& pictures,
                    const std::map<std::string, std::string>& passing = {});
 
-/// Quotes a text for gnuplot.
+/// Quotes a text for gnuplot; control characters become blanks.
 std::string in_quotes(const std::string& text);
 
 /// Runs a program in a folder, its output in the file `log`. It runs in the C locale, and of the user's variables only
