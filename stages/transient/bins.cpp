@@ -283,7 +283,8 @@ void bin_graphs(std::span<const PathGraph> graphs, std::span<SharedArrivals> sha
     const std::size_t block_rows = std::clamp<std::size_t>(max_bytes / row_bytes, 1, height);
     // Neighbouring pixels whose histograms fit into a cache together.
     const std::size_t pixel_bytes = (1 + n_parameters) * response.n_bins * 3 * 2 * sizeof(double);
-    const std::size_t chunk = std::clamp<std::size_t>((256 << 10) / pixel_bytes, 1, 256);
+    const std::size_t cached = n_parameters == 0 ? 256 << 10 : 768 << 10;
+    const std::size_t chunk = std::clamp<std::size_t>(cached / pixel_bytes, 1, 256);
     std::vector<GraphReader> readers;
     double n_paths = 0;
     for (const PathGraph& g : graphs) {

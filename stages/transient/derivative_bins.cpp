@@ -90,8 +90,9 @@ void DerivativeBinner::add_boundary(double opl, const float* dL, double scale) {
 template <class Take>
 void DerivativeBinner::drain(Take&& take) {
     for (const std::uint32_t k : touched_) {
-        take(k, &sums_[k * width_]);
-        std::fill_n(&sums_[k * width_], width_, 0.0);
+        double* values = &sums_[k * width_];
+        take(k, values);
+        each([&](std::size_t i) { values[i] = 0; });
         is_touched_[k] = 0;
     }
     touched_.clear();
@@ -100,10 +101,10 @@ void DerivativeBinner::drain(Take&& take) {
 void DerivativeBinner::end_path(DerivativeHistogram& pixel) {
     drain([&](std::uint32_t k, const double* values) {
         double *sum = &pixel.sum[k * width_], *square = &pixel.square[k * width_];
-        for (std::size_t i = 0; i < width_; ++i) {
+        each([&](std::size_t i) {
             sum[i] += values[i];
             square[i] += sqr(values[i]);
-        }
+        });
     });
 }
 

@@ -118,11 +118,21 @@ class DerivativeBinner {
         return &sums_[k * width_];
     }
     double* column(Share share) { return column(response_.n_bins + std::uint32_t(share)); }
+    /// Calls body(i) for the numbers of a column; one parameter is a loop of known length.
+    template <class Body>
+    void each(Body&& body) const {
+        if (width_ == 3)
+            for (std::size_t i = 0; i < 3; ++i) body(i);
+        else
+            for (std::size_t i = 0; i < width_; ++i) body(i);
+    }
     void add(double* to, double weight) const {
-        for (std::size_t i = 0; i < width_; ++i) to[i] += dL_[i] * weight;
+        each([&, dL = dL_.data()](std::size_t i) { to[i] += dL[i] * weight; });
     }
     void add(double* to, double weight, double slope) const {
-        for (std::size_t i = 0; i < width_; ++i) to[i] += dL_[i] * weight + L_dopl_[i] * slope;
+        each([&, dL = dL_.data(), L_dopl = L_dopl_.data()](std::size_t i) {
+            to[i] += dL[i] * weight + L_dopl[i] * slope;
+        });
     }
     /// Calls take(column index) for each touched column, and clears it.
     template <class Take>
@@ -142,10 +152,12 @@ template <class OnBin>
 TimeResponse::Outside DerivativeBinner::add_light(const Rgb<double>& L, double opl, const float* dL, const float* dopl,
                                                   OnBin&& on_bin) {
     bool moves = false;
-    for (std::size_t i = 0; i < width_; ++i) {
-        dL_[i] = dL[i];
-        L_dopl_[i] = L[int(i % 3)] * double(dopl[i / 3]);
-        moves = moves || L_dopl_[i] != 0;
+    for (std::size_t p = 0, i = 0; i < width_; ++p) {
+        moves = moves || dopl[p] != 0;
+        for (int c = 0; c < 3; ++c, ++i) {
+            dL_[i] = dL[i];
+            L_dopl_[i] = L[c] * double(dopl[p]);
+        }
     }
     add(column(Share::steady), 1);
     if (std::isinf(opl)) {

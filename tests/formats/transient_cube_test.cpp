@@ -2,11 +2,13 @@
 #include "formats/transient_cube.h"
 
 #include <gtest/gtest.h>
+#include <hdf5.h>
 
 #include <filesystem>
 #include <random>
 
 #include "formats/io/error.h"
+#include "formats/io/hdf5_handle.h"
 #include "stages/core/app/report.h"
 #include "stages/inspect/inspect.h"
 #include "stages/merge/merge.h"
@@ -135,6 +137,189 @@ TEST_F(TransientCubes, UnlikePartsAreRefused) {
     h.time.start_opl += 0.02;
     EXPECT_EQ(difference_in_words(h, header(2), 0.1), "");
     EXPECT_NE(difference_in_words(h, header(2), 0.01), "");
+}
+
+class DerivativeCubes : public TransientCubes {
+  protected:
+    static TransientCubeHeader header(std::uint64_t samples, std::string temporal = "widened") {
+        TransientCubeHeader h = TransientCubes::header(samples);
+        h.parameters = {{"x", "albedo"}, {"m", "1"}, {std::move(temporal), "none"}, {0.25, 0.5}};
+        return h;
+    }
+    /// Writes rows bottom first. Number i of derivative array a is f(a, i).
+    template <class F>
+    void write_cube(const std::string& name, const TransientCubeHeader& h, F f) const {
+        const std::size_t n = h.n_parameters(), bins = h.row_size(), pixels = 3 * h.film.width, height = h.film.height;
+        TransientCubeWriter writer(folder / name, h);
+        for (std::uint32_t y = std::uint32_t(height); y-- > 0;) {
+            const std::vector<float> value(bins, float(y + 1)), value_of_pixels(pixels, float(y + 2));
+            std::vector<float> rows[7];
+            for (std::size_t a = 0; a < 7; ++a) {
+                const std::size_t row = a < 2 ? bins : pixels;
+                for (std::size_t p = 0; p < n; ++p)
+                    for (std::size_t i = 0; i < row; ++i) rows[a].push_back(f(a, (p * height + y) * row + i));
+            }
+            writer.write_rows(y, {value,
+                                  value,
+                                  value_of_pixels,
+                                  value_of_pixels,
+                                  value_of_pixels,
+                                  value_of_pixels,
+                                  {rows[0], rows[1], rows[2], rows[3], rows[4], rows[5], rows[6]}});
+        }
+        writer.commit(Sync::no);
+    }
+    static float number(std::size_t array, std::size_t i) { return float(1000 * (array + 1) + i); }
+    static std::vector<const Column<float>*> arrays(const TransientCube& c) {
+        const auto& d = c.derivative;
+        return {&d.bins, &d.var_mean, &d.before, &d.after, &d.never, &d.steady, &d.steady_var_mean};
+    }
+    template <class Body>
+    void edit(Body body) const {
+        const Hdf5Handle open(H5Fopen((folder / "c.h5").c_str(), H5F_ACC_RDWR, H5P_DEFAULT), H5Fclose);
+        body(open.get());
+    }
+    std::string complaint() const {
+        try {
+            read_transient_cube(folder / "c.h5");
+        } catch (const InputError& error) {
+            return error.what();
+        }
+        return "nothing";
+    }
+};
+
+// Detected mutation: rows of all parameters written one after the other in the file.
+TEST_F(DerivativeCubes, ReadAsWritten) {
+    write_cube("c.h5", header(4), number);
+    const TransientCube c = read_transient_cube(folder / "c.h5");
+    EXPECT_EQ(c.parameters.name, (std::vector<std::string>{"x", "albedo"}));
+    EXPECT_EQ(c.parameters.unit, (std::vector<std::string>{"m", "1"}));
+    EXPECT_EQ(c.parameters.temporal, (std::vector<std::string>{"widened", "none"}));
+    EXPECT_EQ(c.parameters.value[1], 0.5);
+    const auto all = arrays(c);
+    for (std::size_t a = 0; a < all.size(); ++a) {
+        ASSERT_EQ(all[a]->size(), a < 2 ? 2u * 72 : 2u * 18);
+        for (std::size_t i = 0; i < all[a]->size(); ++i) ASSERT_EQ((*all[a])[i], number(a, i)) << a << " " << i;
+    }
+    // One parameter in place of the radiance.
+    const TransientCube one = read_any_derivative(folder / "c.h5", "albedo");
+    EXPECT_EQ(one.n_parameters(), 0u);
+    for (std::size_t i = 0; i < 72; ++i) {
+        ASSERT_EQ(one.radiance[i], number(0, 72 + i));
+        ASSERT_EQ(one.var_mean[i], number(1, 72 + i));
+    }
+    EXPECT_EQ(one.before[17], number(2, 35));
+    EXPECT_EQ(one.steady[0], number(5, 18));
+    try {
+        read_any_derivative(folder / "c.h5", "y");
+        FAIL();
+    } catch (const InputError& error) {
+        EXPECT_NE(std::string(error.what()).find("has no derivative by y, only by x, albedo"), std::string::npos);
+    }
+}
+
+TEST_F(DerivativeCubes, WithoutParametersTheFileIsThatOfVersion1_0) {
+    write_cube("c.h5", TransientCubes::header(4), number);
+    const Hdf5Handle file = open_hdf5(folder / "c.h5");
+    EXPECT_EQ(integer_attribute(file.get(), "version"), (std::vector<std::uint64_t>{1, 0}));
+    EXPECT_EQ(H5Lexists(file.get(), "parameters", H5P_DEFAULT), 0);
+    EXPECT_EQ(H5Lexists(file.get(), "derivative", H5P_DEFAULT), 0);
+    write_cube("d.h5", header(4), number);
+    EXPECT_EQ(integer_attribute(open_hdf5(folder / "d.h5").get(), "version"), (std::vector<std::uint64_t>{1, 1}));
+}
+
+TEST_F(DerivativeCubes, DamagedFilesAreRefused) {
+    const auto damaged = [&](const char* dataset) {
+        write_cube("c.h5", header(4), number);
+        edit([&](hid_t open) { H5Ldelete(open, dataset, H5P_DEFAULT); });
+        return complaint();
+    };
+    for (const char* dataset : {"derivative", "derivative_var_mean", "derivative_before", "derivative_after",
+                                "derivative_never", "derivative_steady", "derivative_steady_var_mean"})
+        EXPECT_NE(damaged(dataset).find(std::string(dataset) + ": has 0 numbers, but 2 parameters need"),
+                  std::string::npos)
+            << complaint();
+    EXPECT_NE(damaged("parameters/unit").find("parameters: 2 names, 0 units"), std::string::npos) << complaint();
+    EXPECT_NE(damaged("parameters/value").find("parameters: 2 names"), std::string::npos) << complaint();
+    EXPECT_NE(damaged("parameters").find("c.h5: derivative"), std::string::npos) << complaint();
+    write_cube("c.h5", header(4, "guessed"), number);
+    EXPECT_NE(complaint().find("parameters/temporal: row 0 is guessed"), std::string::npos) << complaint();
+    // Extents that another parameter, or another film, would have.
+    for (const auto& extents : {std::vector<hsize_t>{2, 2, 3, 5, 3}, {3, 2, 3, 4, 3}, {2, 2, 3, 4}, {2, 3, 2, 4, 3}}) {
+        write_cube("c.h5", header(4), number);
+        edit([&](hid_t open) {
+            H5Ldelete(open, "derivative", H5P_DEFAULT);
+            const Hdf5Handle space(H5Screate_simple(int(extents.size()), extents.data(), nullptr), H5Sclose);
+            const Hdf5Handle made(
+                H5Dcreate2(open, "derivative", H5T_IEEE_F32LE, space.get(), H5P_DEFAULT, H5P_DEFAULT, H5P_DEFAULT),
+                H5Dclose);
+            const std::vector<float> zeros(2 * 2 * 3 * 5 * 3);
+            H5Dwrite(made.get(), H5T_NATIVE_FLOAT, H5S_ALL, H5S_ALL, H5P_DEFAULT, zeros.data());
+        });
+        EXPECT_NE(complaint().find("c.h5: "), std::string::npos);
+        EXPECT_NE(complaint().find("derivative"), std::string::npos) << complaint();
+    }
+}
+
+// Parts of 3 and 1 samples. Detected mutations: rows of parameter 1 taken from parameter 0; parts weighted alike.
+TEST_F(DerivativeCubes, MergedPartsAreWeightedBySamples) {
+    const auto other = [](std::size_t array, std::size_t i) { return array % 5 == 1 ? 0.0f : -2 * number(array, i); };
+    write_cube("a.h5", header(3, "none"), number);
+    write_cube("b.h5", header(1), other);
+    merge({"a.h5", "b.h5"}, "merged.h5");
+    const TransientCube c = read_transient_cube(folder / "merged.h5");
+    EXPECT_EQ(c.parameters.temporal, (std::vector<std::string>{"widened", "none"}));
+    const auto all = arrays(c);
+    for (std::size_t a = 0; a < all.size(); ++a)
+        for (std::size_t i = 0; i < all[a]->size(); ++i) {
+            const bool is_variance = a % 5 == 1;  // arrays 1 and 6
+            const double mean_of = a == 1 ? number(0, i) : number(5, i), mean = mean_of / 4;
+            // s^2 = [(n_1 - 1) n_1 v_1 + n_1 (m_1 - m)^2 + n_2 (m_2 - m)^2] / (N - 1)
+            const double expected =
+                is_variance
+                    ? (2.0 * 3 * number(a, i) + 3 * std::pow(mean_of - mean, 2) + std::pow(-2 * mean_of - mean, 2)) /
+                          3 / 4
+                    : double(number(a, i)) / 4;
+            ASSERT_NEAR((*all[a])[i], expected, 1e-6 * std::abs(expected)) << a << " " << i;
+        }
+}
+
+TEST_F(DerivativeCubes, UnlikeParametersAreNotMerged) {
+    write_cube("a.h5", header(3), number);
+    TransientCubeHeader h = header(2);
+    h.parameters.name[1] = "alpha";
+    write_cube("name.h5", h, number);
+    EXPECT_NE(refusal({"a.h5", "name.h5"}).find("name.h5: has parameter alpha in place 1, not albedo"),
+              std::string::npos);
+    h = header(2);
+    h.parameters.unit[0] = "mm";
+    write_cube("unit.h5", h, number);
+    EXPECT_NE(refusal({"a.h5", "unit.h5"}).find("has parameter x in mm, not in m"), std::string::npos);
+    h = header(2);
+    h.parameters.value = std::vector<double>{0.25, 0.6};
+    write_cube("value.h5", h, number);
+    EXPECT_NE(refusal({"a.h5", "value.h5"}).find("has parameter albedo at 0.6, not at 0.5"), std::string::npos);
+    write_cube("none.h5", TransientCubes::header(2), number);
+    EXPECT_NE(refusal({"a.h5", "none.h5"}).find("has derivatives by 0 parameters, not by 2"), std::string::npos);
+    write_cube("exact.h5", header(2, "exact"), number);
+    EXPECT_NE(refusal({"a.h5", "exact.h5"}).find("derivatives by x are exact in time, those of other parts widened"),
+              std::string::npos);
+}
+
+TEST_F(DerivativeCubes, InspectDescribesEachParameter) {
+    write_cube("c.h5", header(4), [](std::size_t array, std::size_t i) {
+        return array == 0 ? (i < 72 ? -0.5f : 0.25f) : array == 5 ? 3.0f : array == 6 ? 0.06f : 0.0f;
+    });
+    const std::string file = folder / "c.h5", text = inspect::text_of(survey_file(file), file);
+    EXPECT_NE(text.find("derivative by x at 0.25 m: 3 +- 0.1 (mean luminance), of it -2 in the bins; sum of magnitudes "
+                        "over the bins 2; moving between bins: widened\n"),
+              std::string::npos)
+        << text;
+    EXPECT_NE(text.find("derivative by albedo at 0.5 1: 3 +- 0.1 (mean luminance), of it 1 in the bins;"),
+              std::string::npos)
+        << text;
+    EXPECT_NE(inspect::json_of(survey_file(file), file).find("\"parameter\": \"albedo\""), std::string::npos);
 }
 
 TEST_F(TransientCubes, InspectSaysWhereTheLightIs) {
