@@ -178,6 +178,48 @@ void set_rows(std::vector<BoundaryRows>& parts, std::size_t n_parameters, Deriva
     out.boundary.sample = reordered(all.sample, order);
 }
 
+/// Sum over all rows of the squares of their derivatives: the variance of their pixels, but for the square of the mean.
+double second_moment(const std::vector<BoundaryRows>& rows) {
+    double sum = 0;
+    for (const BoundaryRows& part : rows)
+        for (const float x : part.dL) sum += sqr(double(x));
+    return sum;
+}
+
+/// Returns by emitter whether light points (family 2) are the cheaper way for first hits, by variance times cost of a
+/// few samples of each. Costs are counts of rays and look-ups, so that the choice does not depend on the machine.
+std::vector<char> choose_light_points(const BoundaryScene& s, app::Report& report) {
+    constexpr double n_vertices = 32768, n_lights = 2048;
+    const std::size_t n_emitters = s.scene.emitters.size();
+    std::vector<char> light_points(n_emitters);
+    const double share = std::min(1.0, n_vertices / double(s.graph.n_paths()));
+    constexpr std::size_t most = 16;  // pilots; further emitters follow the majority
+    std::size_t n_pilots = 0, n_chosen = 0;
+    app::Report silent(report.name());
+    silent.set_quiet(true);
+    for (std::size_t e = 0; e < n_emitters; ++e) {
+        if (s.scene.emitters[e].kind != EmitterKind::area) continue;
+        if (++n_pilots > most) {
+            light_points[e] = 2 * n_chosen > most;
+            continue;
+        }
+        std::vector<char> only(n_emitters);
+        only[e] = 1;
+        std::vector<BoundaryRows> by_vertex, by_light;
+        std::vector<std::uint64_t> n_by_vertex(n_boundary_families), n_by_light(n_boundary_families);
+        const double vertex_rays = double(add_vertex_light(s, share, only, false, by_vertex, n_by_vertex, silent)),
+                     light_rays =
+                         double(add_edge_light(s, std::uint64_t(n_lights), only, by_light, n_by_light, silent));
+        const double vertex_cost = vertex_rays + double(n_by_vertex[1]), light_cost = light_rays + 2 * n_lights;
+        const double vertex_work = second_moment(by_vertex) * vertex_cost,
+                     light_work = second_moment(by_light) * light_cost;
+        // Nothing found by vertices may mean too few of them.
+        light_points[e] = vertex_work == 0 ? light_work > 0 : light_work > 0 && light_work < vertex_work;
+        n_chosen += std::size_t(light_points[e]);
+    }
+    return light_points;
+}
+
 }  // namespace
 
 void differentiate_boundary(const PathGraph& graph, const Scene& scene, const SceneTangents& tangents,
@@ -194,17 +236,20 @@ void differentiate_boundary(const PathGraph& graph, const Scene& scene, const Sc
     if (parts.primary) counts.rays += add_primary(s, count(0.1), rows, samples, report);
     bool environment = false;
     if (parts.direct) {
-        // Lights without area have one family; of the others a pilot chooses.
-        std::vector<char> by_light(scene.emitters.size()), by_vertex(scene.emitters.size());
-        for (std::size_t e = 0; e < scene.emitters.size(); ++e) {
+        std::vector<char> by_light = choose_light_points(s, report), by_vertex(by_light.size());
+        bool any_light = false, any_area = false;
+        std::string said;
+        for (std::size_t e = 0; e < by_light.size(); ++e) {
             const Emitter& emitter = scene.emitters[e];
             environment |= emitter.kind == EmitterKind::constant || emitter.kind == EmitterKind::envmap;
-            by_light[e] = emitter.is_delta();
-            by_vertex[e] = emitter.kind == EmitterKind::area;
+            by_light[e] |= char(emitter.is_delta());
+            by_vertex[e] = emitter.kind == EmitterKind::area && !by_light[e];
+            any_light |= by_light[e] != 0;
+            any_area |= emitter.kind == EmitterKind::area;
         }
-        counts.rays += add_vertex_light(s, options.effort, by_vertex, rows, samples, report);
-        if (std::find(by_light.begin(), by_light.end(), char(1)) != by_light.end())
-            counts.rays += add_edge_light(s, count(0.1), by_light, rows, samples, report);
+        if (any_area)
+            counts.rays += add_vertex_light(s, std::min(options.effort, 1.0), by_vertex, true, rows, samples, report);
+        if (any_light) counts.rays += add_edge_light(s, count(0.05), by_light, rows, samples, report);
     }
     if (parts.indirect || environment)
         counts.rays += add_indirect(s, 0.1 * options.effort, parts.indirect, environment, rows, samples, report);

@@ -108,8 +108,9 @@ void for_pixels_at(const Sensor& sensor, Point2f film, F&& f) {
 /// The four families. Each adds its samples to `samples[family]` and returns the rays that it traced.
 std::uint64_t add_primary(const BoundaryScene& s, std::uint64_t n_samples, std::vector<BoundaryRows>& rows,
                           std::span<std::uint64_t> samples, app::Report& report);
-/// in:      wanted  by emitter: whether first hits sample it too, not only deeper vertices
-std::uint64_t add_vertex_light(const BoundaryScene& s, double share, const std::vector<char>& wanted,
+/// in:      share     probability of each vertex to be sampled
+///          at_first  by emitter: whether first hits sample it; deeper: whether deeper vertices do
+std::uint64_t add_vertex_light(const BoundaryScene& s, double share, const std::vector<char>& at_first, bool deeper,
                                std::vector<BoundaryRows>& rows, std::span<std::uint64_t> samples, app::Report& report);
 /// in:      wanted  by emitter
 std::uint64_t add_edge_light(const BoundaryScene& s, std::uint64_t n_samples, const std::vector<char>& wanted,

@@ -1,6 +1,7 @@
-// Family 0: edges as the camera sees them. Light jumps across an edge that moves on the film: silhouettes, borders, and
-// creases of moving or sliding surfaces.
-//   integral over edges of h(film) v_film . n (L_front - L_back) along the film; both sides by paths of equal numbers
+// Family 0: edges as the camera sees them. Light jumps across a curve that moves on the film: silhouettes, borders,
+// creases of moving or sliding surfaces, and the terminators of smooth shading, where an interpolated normal turns away
+// from the camera before the surface does, so that a one-sided surface is black.
+//   integral over curves of h(film) v_film . n (L_front - L_back) along the film; both sides by paths of equal numbers
 
 #include <tbb/enumerable_thread_specific.h>
 
@@ -20,18 +21,20 @@ namespace {
 using Vec = Vector3<double>;
 using Pt = Point3<double>;
 
-/// A visible curve: a part of an edge, straight on the film, or a round.
+/// A visible curve: a part of an edge, straight on the film, a round, or the terminator within a triangle.
 struct FilmCurve {
-    std::uint32_t index;  // of the edge, or of the round
-    bool is_round;
-    Vec a, b;  // ends of the part of an edge, camera coordinates
+    enum class Kind : std::uint8_t { edge, round, terminator } kind = Kind::edge;
+    std::uint32_t index = 0;      // of the edge, the round, or the triangle of a shape
+    std::uint32_t shape_idx = 0;  // of a terminator
+    // Of an edge:
+    Vec a, b;  // ends of its part, camera coordinates
     Point2<double> film_a, film_b;
     double s_a = 0, s_b = 1;  // on the edge
 };
 
 /// Clips a segment in camera coordinates to the space in front of the near plane, and on the film to its borders.
 std::optional<FilmCurve> clipped(const FilmMap& map, const Sensor& sensor, const Edge& edge) {
-    FilmCurve curve{};
+    FilmCurve curve;
     const Vec a = map.in_camera(Pt(edge.a)), b = map.in_camera(Pt(edge.b));
     double lo = 0, hi = 1;
     const double near = sensor.near_clip;
@@ -113,9 +116,9 @@ class Primary {
         }
         rounds_ = map_.perspective() ? s.rounds_from(Pt(sensor.origin), all) : s.rounds_along(-axis, all);
         for (std::uint32_t i = 0; i < rounds_.size(); ++i) {
-            FilmCurve curve{};
+            FilmCurve curve;
             curve.index = i;
-            curve.is_round = true;
+            curve.kind = FilmCurve::Kind::round;
             double weight = 0;
             constexpr int looked_at = 64;
             for (int k = 0; k < looked_at; ++k) {
@@ -130,6 +133,7 @@ class Primary {
             curves_.push_back(curve);
             weights.push_back(weight * speed_of_round(rounds_[i], v));
         }
+        add_terminators(all, weights);
         double sum = 0;
         for (const double w : weights) sum += w;
         if (sum > 0) choice_ = Distribution1(weights);
@@ -143,18 +147,24 @@ class Primary {
         Pt p;
         Vec camera;
         Point2<double> normal;  // unit, on the film, away from the occluder
+        Vec beside;             // unit, in space, off the surfaces that meet at the point
         std::uint32_t shape_idx = 0;
         double density = 0;  // per pixel of length
         std::vector<double> rates;
+        Hit front, back;  // surfaces that end at the curve, on its two sides; none: whatever a ray beside it hits
+        bool back_black = false;  // nothing is seen on that side
     };
     bool sample(Point2f u, float u_place, std::vector<Vec>& v, Sample& out) const {
+        out = {};
         float choice = u.x;
         const std::size_t k = choice_.sample(choice);
         const FilmCurve& curve = curves_[k];
         const Sensor& sensor = s_.scene.sensor;
         Vec outward_dir;
         Point2<double> along;
-        if (curve.is_round) {
+        if (curve.kind == FilmCurve::Kind::terminator)
+            return sample_terminator(curve, double(choice_.pmf(k)), u, u_place, v, out);
+        if (curve.kind == FilmCurve::Kind::round) {
             const Round& round = rounds_[curve.index];
             const double phi = 2 * pi_double * double(u_place);
             out.p = round.point(phi);
@@ -168,6 +178,9 @@ class Primary {
             out.density = double(choice_.pmf(k)) / (2 * pi_double * speed);
             outward_dir = outward(normalize(round.tangent(phi)), direction(out.p), round.middle - out.p);
             out.shape_idx = round.shape_idx;
+            out.front.shape_idx = round.shape_idx;
+            if (s_.scene.shapes[round.shape_idx].kind == ShapeKind::disk)
+                out.front.u = float(std::cos(phi)), out.front.v = float(std::sin(phi));
             s_.shape_velocity(round.shape_idx, 0, out.p, v);
         } else {
             const double t = double(u_place);
@@ -184,8 +197,10 @@ class Primary {
             out.density = double(choice_.pmf(k)) / len;
             outward_dir = outward(edge, direction(out.p));
             out.shape_idx = edge.shape_idx;
+            find_sides(edge, outward_dir, out);
             s_.edge_velocity(tree_.set(), edge, s, v);
         }
+        out.beside = lifted(curve, outward_dir, direction(out.p));
         out.normal = {-along.y, along.x};
         const Point2<double> outside = map_.velocity(out.camera, outward_dir);
         if (outside.x * out.normal.x + outside.y * out.normal.y < 0) out.normal = {along.y, -along.x};
@@ -196,6 +211,192 @@ class Primary {
     const FilmMap& map() const { return map_; }
 
   private:
+    /// The function whose zero is the terminator of a triangle, N . (eye - p), over barycentric coordinates.
+    struct Terminator {
+        Pt p0;
+        Vec e1, e2, n0, n_u, n_v;
+        Pt eye;
+        Vec axis;  // orthographic: the direction to the eye
+        bool perspective;
+
+        Vec normal(double u, double v) const { return n0 + n_u * u + n_v * v; }
+        Pt point(double u, double v) const { return p0 + e1 * u + e2 * v; }
+        Vec to_eye(double u, double v) const { return perspective ? eye - point(u, v) : axis; }
+        double operator()(double u, double v) const { return dot(normal(u, v), to_eye(u, v)); }
+        Point2<double> gradient(double u, double v) const {
+            const Vec n = normal(u, v), w = to_eye(u, v);
+            const double near = perspective ? 1 : 0;
+            return {dot(n_u, w) - near * dot(n, e1), dot(n_v, w) - near * dot(n, e2)};
+        }
+    };
+    /// Finds the faces of an edge on its two sides; of two on one side, the one in front.
+    void find_sides(const Edge& edge, const Vec& out, Sample& at) const {
+        const Mesh& mesh = s_.scene.shapes[edge.shape_idx].mesh;
+        const Vec view = direction(at.p);
+        double nearest[2] = {INFINITY, INFINITY};
+        for (const std::uint32_t face : tree_.set().faces_of(edge)) {
+            const std::uint32_t* i = &mesh.indices[3 * std::size_t(face)];
+            for (int corner = 0; corner < 3; ++corner) {
+                const Point3f& p = mesh.positions[i[corner]];
+                if (p == edge.a || p == edge.b) continue;
+                // The face rises from the edge towards this corner: across the view, and along it.
+                const Vec w = Pt(p) - at.p;
+                const double across = dot(out, w) / length(out);
+                if (across == 0) continue;
+                const int side = across > 0 ? 1 : 0;
+                const Vec t = normalize(Pt(edge.b) - Pt(edge.a));
+                const Vec level = view - t * dot(view, t);
+                const double depth = dot(level, w) / std::abs(across);
+                if (!(depth < nearest[side])) continue;
+                nearest[side] = depth;
+                Hit& hit = side ? at.back : at.front;
+                const Point2<double> b = s_.motions.barycentric_of(edge.shape_idx, face, at.p);
+                hit.shape_idx = edge.shape_idx;
+                hit.primitive_idx = face;
+                hit.u = float(b.x), hit.v = float(b.y);
+            }
+        }
+    }
+
+    /// Direction from a curve's point to the open space in front of it: beside a silhouette, above a crease.
+    Vec lifted(const FilmCurve& curve, const Vec& outward_dir, const Vec& view) const {
+        const Vec beside = normalize(outward_dir);
+        if (curve.kind != FilmCurve::Kind::edge) return beside;
+        const Edge& edge = tree_.edge(curve.index);
+        if (is_silhouette_along(edge, -view)) return beside;
+        const Vec above = Vec(edge.n0) + Vec(edge.n1);
+        return normalize(dot(above, view) > 0 ? -above : above);
+    }
+    Terminator terminator(std::uint32_t shape_idx, std::uint32_t triangle) const {
+        const Mesh& mesh = s_.scene.shapes[shape_idx].mesh;
+        const std::uint32_t* i = &mesh.indices[3 * std::size_t(triangle)];
+        const Pt p0(mesh.positions[i[0]]);
+        const Vec n0(mesh.normals[i[0]]);
+        return {p0,
+                Pt(mesh.positions[i[1]]) - p0,
+                Pt(mesh.positions[i[2]]) - p0,
+                n0,
+                Vec(mesh.normals[i[1]]) - n0,
+                Vec(mesh.normals[i[2]]) - n0,
+                Pt(s_.scene.sensor.origin),
+                -direction({}),
+                map_.perspective()};
+    }
+
+    /// Adds triangles in which the interpolated normal turns away from the camera.
+    void add_terminators(bool all, std::vector<double>& weights) {
+        const Sensor& sensor = s_.scene.sensor;
+        for (std::uint32_t k = 0; k < s_.scene.shapes.size(); ++k) {
+            const Shape& shape = s_.scene.shapes[k];
+            const bool turns = !s_.tangents.shading_normals[k].empty();
+            if (shape.mesh.normals.empty() || !(all || turns || s_.tangents.moves(k))) continue;
+            if (s_.scene.materials[shape.material_idx].model.two_sided && shape.emitter_idx < 0) continue;
+            for (std::uint32_t t = 0; t < shape.mesh.n_triangles(); ++t) {
+                const Terminator g = terminator(k, t);
+                // Zero at a corner counts as positive.
+                const int n_lit = int(g(0, 0) >= 0) + int(g(1, 0) >= 0) + int(g(0, 1) >= 0);
+                if (n_lit == 0 || n_lit == 3) continue;
+                const Vec a = map_.in_camera(g.p0), b = map_.in_camera(g.p0 + g.e1), c = map_.in_camera(g.p0 + g.e2);
+                if (!(std::min({a.z, b.z, c.z}) > sensor.near_clip)) continue;
+                const Point2<double> fa = map_.film(a), fb = map_.film(b), fc = map_.film(c);
+                const double reach = sensor.filter_radius;
+                if (std::max({fa.x, fb.x, fc.x}) < -reach || std::min({fa.x, fb.x, fc.x}) > sensor.width + reach ||
+                    std::max({fa.y, fb.y, fc.y}) < -reach || std::min({fa.y, fb.y, fc.y}) > sensor.height + reach)
+                    continue;
+                FilmCurve curve;
+                curve.kind = FilmCurve::Kind::terminator;
+                curve.index = t;
+                curve.shape_idx = k;
+                curves_.push_back(curve);
+                // The terminator's length on the film is at most that of the triangle's sides.
+                weights.push_back(std::hypot(fb.x - fa.x, fb.y - fa.y) + std::hypot(fc.x - fa.x, fc.y - fa.y));
+            }
+        }
+    }
+
+    /// A root along one of the two axes of the triangle, weighted by the squared cosine between axis and gradient, so
+    /// that no direction of the curve is singular.
+    bool sample_terminator(const FilmCurve& curve, double pmf, Point2f u, float u_place, std::vector<Vec>& velocity,
+                           Sample& out) const {
+        const Terminator g = terminator(curve.shape_idx, curve.index);
+        const bool along_u = u.y < 0.5f;
+        const double fixed = double(u_place);
+        const auto at = [&](double x) { return along_u ? Point2<double>{x, fixed} : Point2<double>{fixed, x}; };
+        // Quadratic along the line: from three values.
+        const double end = 1 - fixed;
+        const auto value = [&](double x) { return g(at(x).x, at(x).y); };
+        const double y0 = value(0), y1 = value(0.5 * end), y2 = value(end);
+        const double a = 2 * (y0 - 2 * y1 + y2), b = 4 * y1 - 3 * y0 - y2, c = y0;
+        std::array<double, 2> roots{};
+        int n_roots = 0;
+        const auto keep = [&](double x) {
+            if (x >= 0 && x < 1) roots[std::size_t(n_roots++)] = x * end;
+        };
+        const double discriminant = b * b - 4 * a * c;
+        if (!(discriminant > 0)) return false;
+        const double q = -0.5 * (b + std::copysign(std::sqrt(discriminant), b));
+        if (a != 0) keep(q / a);
+        if (q != 0) keep(c / q);
+        if (n_roots == 0) return false;
+        const float u_root = along_u ? 2 * u.y : 2 * u.y - 1;
+        const double root = roots[std::min(std::size_t(u_root * float(n_roots)), std::size_t(n_roots) - 1)];
+        const Point2<double> uv = at(root), gradient = g.gradient(uv.x, uv.y);
+        const double g2 = sqr(gradient.x) + sqr(gradient.y), g_axis = along_u ? gradient.x : gradient.y;
+        if (!(g2 > 0) || g_axis == 0) return false;
+
+        out.p = g.point(uv.x, uv.y);
+        out.camera = map_.in_camera(out.p);
+        if (!(out.camera.z > s_.scene.sensor.near_clip)) return false;
+        out.film = map_.film(out.camera);
+        out.shape_idx = curve.shape_idx;
+        const Point2<double> j1 = map_.velocity(out.camera, g.e1), j2 = map_.velocity(out.camera, g.e2);
+        const double det = j1.x * j2.y - j1.y * j2.x;
+        if (det == 0) return false;
+        // Of g over the film: the inverse transpose of the map.
+        const Point2<double> on_film{(j2.y * gradient.x - j1.y * gradient.y) / det,
+                                     (j1.x * gradient.y - j2.x * gradient.x) / det};
+        const double slope = std::hypot(on_film.x, on_film.y);
+        out.normal = {-on_film.x / slope, -on_film.y / slope};
+        out.density = pmf * 0.5 / n_roots * std::abs(g_axis) * g2 / (sqr(g_axis) * std::abs(det));
+
+        // The lit side, a little off the root.
+        const double step = 1e-3 * std::min(1.0, std::sqrt(1 / g2) * std::abs(y0) + 1e-3);
+        out.front.shape_idx = curve.shape_idx;
+        out.front.primitive_idx = curve.index;
+        out.front.u = float(uv.x + step * gradient.x / std::sqrt(g2));
+        out.front.v = float(uv.y + step * gradient.y / std::sqrt(g2));
+        out.back_black = true;
+        const Vec face = normalize(cross(g.e1, g.e2));
+        out.beside = dot(face, g.to_eye(uv.x, uv.y)) < 0 ? -face : face;
+
+        // Rate of g at a point that stays on the film.
+        SurfacePoint place;
+        place.p = Point3f(out.p);
+        place.shape_idx = curve.shape_idx;
+        place.primitive_idx = curve.index;
+        place.ng = Normal3f(normalize(cross(g.e1, g.e2)));
+        const Pt from = map_.perspective() ? g.eye : out.p - direction(out.p) * out.camera.z;
+        s_.film_velocity(place, from, direction(out.p), velocity);
+        std::vector<Vec> material(s_.n());
+        s_.shape_velocity(curve.shape_idx, curve.index, out.p, material);
+        out.rates.assign(s_.n(), 0);
+        const Vec n = g.normal(uv.x, uv.y), w = g.to_eye(uv.x, uv.y);
+        for (std::size_t k = 0; k < s_.n(); ++k) {
+            const Point2<double> b =
+                s_.motions.barycentric_of_vector(curve.shape_idx, curve.index, velocity[k] - material[k]);
+            out.rates[k] = dot(g.n_u * b.x + g.n_v * b.y, w) - (map_.perspective() ? dot(n, velocity[k]) : 0);
+        }
+        const double size = length(n);
+        const auto turn = [&](const Effects<AffineVelocity>& effects) {
+            for (const auto& [k, motion] : effects) out.rates[k] += size * dot(motion.of_normal(n / size), w);
+        };
+        turn(s_.tangents.shapes[curve.shape_idx]);
+        turn(s_.tangents.shading_normals[curve.shape_idx]);
+        for (const auto& [k, motion] : s_.tangents.camera)
+            out.rates[k] += dot(n, map_.perspective() ? motion.at(g.eye) : motion.turned(w));
+        return std::any_of(out.rates.begin(), out.rates.end(), [](double r) { return r != 0; });
+    }
+
     Vec direction(const Pt& p) const {
         if (map_.perspective()) return normalize(p - Pt(s_.scene.sensor.origin));
         const auto& m = s_.scene.sensor.world_from_camera;
@@ -256,10 +457,21 @@ class Primary {
     Distribution1 choice_;
 };
 
+/// Whether nothing lies between the camera and a point of a curve.
+bool visible(const BoundaryScene& s, const Point3f& camera, const Primary::Sample& at) {
+    const Vec d = at.p - Pt(camera);
+    const Pt end = at.p + at.beside * s.clearance(at.p, length(d));
+    const Ray ray = spawn_segment({camera}, {Point3f(end)});
+    const Hit hit = s.scene.intersect_from_camera(ray);
+    return !hit || hit.t >= ray.t_max;
+}
+
 /// State of one thread.
 struct Worker {
     RayLight light;
     std::vector<GivenRay> rays;
+    std::vector<double> signs;             // [ray]
+    std::vector<std::uint32_t> sample_of;  // [ray]
     std::vector<Primary::Sample> samples;
     std::vector<std::uint64_t> sample_ids;
     std::vector<Vec> v;
@@ -286,34 +498,43 @@ std::uint64_t add_primary(const BoundaryScene& s, std::uint64_t n_samples, std::
         Worker& w = workers.local();
         w.rays.clear();
         w.samples.clear();
+        w.signs.clear();
+        w.sample_of.clear();
         w.sample_ids.clear();
         for (std::uint64_t k = begin; k < end; ++k) {
             const Sampler sampler(SamplerKind::independent, streams::family(s.options.seed, 4), k, 0);
             Primary::Sample sample;
             if (!primary.sample(sampler.pair(0), sampler.pair(1).x, w.v, sample)) continue;
-            const auto ray = [&](double side) {
-                const Ray camera = primary.map().ray(scene.sensor, {sample.film.x + side * beside * sample.normal.x,
-                                                                    sample.film.y + side * beside * sample.normal.y});
-                return GivenRay{camera, {k, 0}, scene.sensor_media.at(scene, camera.o), 1};
+            const auto ray = [&](double side, const Hit& hit) {
+                const double off = hit ? 0 : side * beside;
+                const Ray camera = primary.map().ray(
+                    scene.sensor, {sample.film.x + off * sample.normal.x, sample.film.y + off * sample.normal.y});
+                GivenRay given{camera, {k, 0}, scene.sensor_media.at(scene, camera.o), 1, hit};
+                if (hit) given.hit.t = float(length(sample.p - Pt(camera.o)));
+                return given;
             };
-            const GivenRay front = ray(-1);
-            const Hit hit = scene.intersect_from_camera(front.ray);
             ++w.n_checks;
-            const double r = length(sample.p - Pt(front.ray.o));
-            if (!hit || hit.shape_idx != sample.shape_idx || !(double(hit.t) > r * (1 - 1e-3))) continue;
+            const GivenRay front = ray(-1, sample.front);
+            if (!visible(s, front.ray.o, sample)) continue;
+            w.signs.push_back(1);
+            w.sample_of.push_back(std::uint32_t(w.samples.size()));
             w.rays.push_back(front);
-            w.rays.push_back(ray(1));
+            if (!sample.back_black) {
+                w.signs.push_back(-1);
+                w.sample_of.push_back(std::uint32_t(w.samples.size()));
+                w.rays.push_back(ray(1, sample.back));
+            }
             w.samples.push_back(std::move(sample));
             w.sample_ids.push_back(k);
         }
         w.light.trace(w.rays, [&](std::size_t path, const PathGraph&, std::size_t& edge) {
-            const Primary::Sample& at = w.samples[path / 2];
-            const double sign = path % 2 == 0 ? 1 : -1;
+            const Primary::Sample& at = w.samples[w.sample_of[path]];
+            const double sign = w.signs[path];
             w.light.walk(path, edge, [&](const Spectrum& L, double opl) {
                 for_pixels_at(scene.sensor, {float(at.film.x), float(at.film.y)}, [&](std::uint64_t pixel, double h) {
                     rows[first + i].add(pixel, std::isfinite(opl) ? opl : -1,
                                         Rgb<double>(L) * Rgb<double>(sign * h / (at.density * double(n_samples))),
-                                        at.rates, BoundaryFamily::primary, w.sample_ids[path / 2]);
+                                        at.rates, BoundaryFamily::primary, w.sample_ids[w.sample_of[path]]);
                 });
             });
         });

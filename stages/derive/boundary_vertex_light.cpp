@@ -69,8 +69,10 @@ class Sampling {
 
     std::uint64_t n_rays = 0, n_samples = 0;
 
-    void sample_path(std::size_t path, double share, const std::vector<char>& at_first, BoundaryRows& rows) {
+    void sample_path(std::size_t path, double share, const std::vector<char>& at_first, bool deeper,
+                     BoundaryRows& rows) {
         walker_.walk_vertices(path, [&](const VertexState& x) {
+            if (!deeper && x.vertex != s_.graph.paths.first_vertex[path]) return;
             if (!(s_.graph.vertices.flags[x.vertex] & vertex_flag::attempted_nee)) return;
             const Sampler sampler(SamplerKind::independent, streams::family(s_.options.seed, 1), x.vertex, 0);
             const Point2f pick = sampler.pair(0);
@@ -216,7 +218,7 @@ class Sampling {
 
 }  // namespace
 
-std::uint64_t add_vertex_light(const BoundaryScene& s, double share, const std::vector<char>& wanted,
+std::uint64_t add_vertex_light(const BoundaryScene& s, double share, const std::vector<char>& at_first, bool deeper,
                                std::vector<BoundaryRows>& rows, std::span<std::uint64_t> samples, app::Report& report) {
     constexpr std::uint64_t chunk = 4096;
     const std::size_t first = rows.size();
@@ -227,7 +229,7 @@ std::uint64_t add_vertex_light(const BoundaryScene& s, double share, const std::
     parallel_chunks(n_paths, chunk, s.options.threads, [&](std::uint64_t i, std::uint64_t begin, std::uint64_t end) {
         Sampling& worker = workers.local();
         for (std::size_t path = begin; path < end; ++path)
-            worker.sample_path(path, std::min(share, 1.0), wanted, rows[first + i]);
+            worker.sample_path(path, std::min(share, 1.0), at_first, deeper, rows[first + i]);
         progress.add(end - begin);
     });
     std::uint64_t rays = 0;

@@ -12,6 +12,7 @@
 #include "stages/core/graph/graph_reader.h"
 #include "stages/core/graph/own_samples.h"
 #include "stages/core/scene/build.h"
+#include "stages/derive/boundary.h"
 #include "stages/derive/interior.h"
 
 namespace loom::derive {
@@ -137,6 +138,7 @@ Derivative differentiate(const PathGraph& graph, const Scene& scene, const Scene
     d.boundary_samples = std::vector<std::uint64_t>(n_boundary_families, 0);
     if (parts.interior)
         differentiate_interior(graph, scene, tangents, boundary.threads, report, d, counts.touched_paths);
+    differentiate_boundary(graph, scene, tangents, parts, boundary, report, d, counts);
     return d;
 }
 

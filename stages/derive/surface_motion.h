@@ -116,6 +116,13 @@ class SurfaceMotions {
         return barycentric(at, p - Point3<double>(scene_.shapes[shape].triangles[primitive].p0));
     }
 
+    /// Their change along a vector in the plane of the triangle.
+    Point2<double> barycentric_of_vector(std::uint32_t shape, std::uint32_t primitive, const Vector3<double>& v) const {
+        SurfacePlace at;
+        at.shape_idx = shape, at.primitive_idx = primitive;
+        return barycentric(at, v);
+    }
+
     const Scene& scene() const { return scene_; }
     const SceneTangents& tangents() const { return tangents_; }
 

@@ -59,7 +59,8 @@ struct PathBatch::Impl {
     PathOptions options;
     std::vector<Sampler> samplers;
     std::vector<PathState> started;
-    std::span<PathState> paths;  // `started`, or the paths to resume
+    std::span<PathState> paths;            // `started`, or the paths to resume
+    std::span<const GivenRay> given_rays;  // of `started`; empty: none
     std::vector<ShadowRequest> shadows;
     std::vector<Hit> hits;
     std::vector<LightQuery> lights;
@@ -127,7 +128,9 @@ struct PathBatch::Impl {
             records.paths[i].origin = given[i].ray.o;
         }
         paths = started;
+        given_rays = given;
         follow_joining<true>(&records);
+        given_rays = {};
         for (std::size_t i = 0; i < given.size(); ++i) {
             results[i] = paths[i].result;
             results[i].n_vertices -= std::uint32_t(given[i].depth - 1);
@@ -171,6 +174,10 @@ struct PathBatch::Impl {
             const std::size_t n = active.size();
             for (std::size_t k = 0; k < n; ++k) rays[k] = &paths[active[k]].ray;
             (depth == 1 ? scene.camera_rays : scene.rays)->intersect(rays.data(), n, hits.data(), depth == 1);
+            if (!given_rays.empty())
+                for (std::size_t k = 0; k < n; ++k)
+                    if (const Hit& given = given_rays[active[k]].hit; paths[active[k]].is_first && given)
+                        hits[k] = given;
             sampler_pairs(options.sampler, key_lo.data(), key_hi.data(), index.data(),
                           dimension(depth, Dimension::light), n, light_x.data(), light_y.data());
             sampler_pairs(options.sampler, key_lo.data(), key_hi.data(), index.data(),

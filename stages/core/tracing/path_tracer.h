@@ -67,6 +67,8 @@ struct GivenRay {
     // number of the edge that it makes, from which max_depth and roulette count on. 1: a camera ray, which does not hit
     // hidden emitters; above: a ray from a surface, which does
     int depth = 1;
+    // what it hits, where that is known better than a ray can find it, as on the edge of a triangle; none: traced
+    Hit hit{};
 };
 
 /// Traces many paths at once: rays sixteen at a time, random numbers as a structure of arrays. One batch belongs to one
