@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <functional>
+#include <tuple>
 
 #include "formats/io/error.h"
 #include "formats/io/hdf5_format.h"
@@ -62,11 +63,10 @@ std::string Derivative::problem() const {
                            parameters.value.size());
     if (boundary_samples.size() != n_boundary_families)
         return fmt::format("boundary/samples: has {} rows, expected {}", boundary_samples.size(), n_boundary_families);
-    if (const std::size_t i = first_unsorted(interior.edge, n_light_edges); i < interior.edge.size())
-        return fmt::format("interior/edge: row {} is {}, not increasing or not below graph/n_light_edges", i,
-                           interior.edge[i]);
-    if (const std::size_t i = first_unsorted(seen.path, n_paths); i < seen.path.size())
-        return fmt::format("seen/path: row {} is {}, not increasing or not below graph/n_paths", i, seen.path[i]);
+    for (const auto& [name, rows, end] :
+         {std::tuple{"interior/edge", &interior.edge, n_light_edges}, std::tuple{"seen/path", &seen.path, n_paths}})
+        if (const std::size_t i = first_unsorted(*rows, end); i < rows->size())
+            return fmt::format("{}: row {} is {}, not increasing or not below {}", name, i, (*rows)[i], end);
     if (!std::is_sorted(boundary.pixel.begin(), boundary.pixel.end())) return "boundary/pixel: is not sorted";
     for (std::size_t i = 0; i < boundary.family.size(); ++i) {
         const std::uint8_t family = boundary.family[i];

@@ -141,7 +141,7 @@ TransientCube read_transient_cube(const std::filesystem::path& path) {
 
 namespace {
 
-/// Reads the numbers of a foreign dataset [y, x, bin, channel]; a single channel is copied to three.
+/// Reads the numbers of a foreign dataset [y, x, bin, channel] or [y, x, bin]; a single channel is copied to three.
 std::vector<float> foreign_numbers(const std::filesystem::path& path, hid_t file, const char* name,
                                    std::vector<std::size_t>& extents) {
     const auto refuse = [&](const std::string& why) { throw InputError(fmt::format("{}: {}", path.native(), why)); };
@@ -151,6 +151,7 @@ std::vector<float> foreign_numbers(const std::filesystem::path& path, hid_t file
     if (!dataset) refuse(fmt::format("{}: not a dataset, or damaged", name));
     const Hdf5Handle space(H5Dget_space(dataset.get()), H5Sclose);
     extents = extents_of(space.get());
+    if (extents.size() == 3) extents.push_back(1);
     if (extents.size() != 4 || (extents[3] != 1 && extents[3] != 3) || extents[0] * extents[1] * extents[2] == 0)
         refuse(fmt::format("{}: expected axes y, x, bin, channel, with one channel or three", name));
     const std::size_t n = extents[0] * extents[1] * extents[2];
@@ -215,8 +216,12 @@ TransientCube read_any_cube(const std::filesystem::path& path) {
 TransientCube read_any_derivative(const std::filesystem::path& path, const std::string& parameter) {
     {
         const Hdf5Handle file = open_hdf5(path);
-        if (!text_attribute(file.get(), "filetype"))
+        if (!text_attribute(file.get(), "filetype")) {
+            if (const auto by = text_attribute(file.get(), "parameter"); by && *by != std::vector{parameter})
+                throw InputError(fmt::format("{}: is a derivative by {}, not by {}", path.native(),
+                                             fmt::join(*by, ", "), parameter));
             return read_foreign_cube(path, file.get(), "derivative", "derivative_var_mean");
+        }
     }
     TransientCube cube = read_transient_cube(path);
     const auto& names = cube.parameters.name;

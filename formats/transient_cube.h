@@ -117,11 +117,12 @@ class TransientCubeWriter {
 TransientCube read_transient_cube(const std::filesystem::path& path);
 
 /// Reads any HDF5 file with float datasets `mean` and `var_mean` [y, x, bin, channel] and numeric attributes
-/// `start_opl`, `bin_width_opl`, `spp`. A single channel is copied to all three. Before, after, never, steady and the
+/// `start_opl`, `bin_width_opl`, `spp`. A single channel, or none, is copied to all three. Before, after, never, steady and the
 /// pulse stay empty.
 TransientCube read_any_cube(const std::filesystem::path& path);
 /// Reads the derivative by one parameter in place of the radiance, with its variance and its shares outside of the bins.
-/// Another program's file has it in float datasets `derivative` and `derivative_var_mean` [y, x, bin, channel].
+/// Another program's file has it in float datasets `derivative` and `derivative_var_mean` [y, x, bin, channel]; its text
+/// attribute `parameter`, if any, must agree.
 /// throws:  InputError that lists the parameters of the cube when it lacks this one
 TransientCube read_any_derivative(const std::filesystem::path& path, const std::string& parameter);
 /// Whether a file is a transient_cube by its attributes; false for a file that is not HDF5.

@@ -224,9 +224,10 @@ void test_bins(Loaded& loaded, const Picture& reference, const Options& options)
     Group& group = loaded.group;
     const double R = double(loaded.rgb.size());
     double p_pixels = unknown, p_bins = unknown, z_rms = unknown;
+    const Estimators estimators = options.parameter.empty() ? Estimators::alike : Estimators::different;
     if (R > 1 || !loaded.first.var_sums.empty())
         p_pixels = test_pixels(loaded.sums, loaded.first.var_sums, double(group.samples()), reference.sums,
-                               reference.var_sums, double(reference.samples));
+                               reference.var_sums, double(reference.samples), estimators);
     if (!loaded.var_mean.empty()) {
         std::vector<float> mean(reference.rgb.size()), var_mean = std::move(loaded.var_mean);
         for (std::size_t i = 0; i < mean.size(); ++i) {
@@ -239,7 +240,7 @@ void test_bins(Loaded& loaded, const Picture& reference, const Options& options)
             group.pools.push_back(test_pools({mean, var_mean, R * double(group.samples())},
                                              {reference.rgb, reference.var_mean, double(reference.samples)},
                                              reference.width, reference.height, reference.n_bins(), pooling,
-                                             options.pool_error));
+                                             options.pool_error, estimators));
         p_bins = corrected_p(std::min(group.pools[0].p, group.pools[1].p), 2);
         z_rms = group.pools[0].rms_z;
     }

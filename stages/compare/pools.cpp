@@ -27,8 +27,9 @@ std::vector<std::uint32_t> z_order(std::size_t width, std::size_t height) {
     return pixels;
 }
 
-/// Returns the variance of x - r from the samples of both, assumed to have one distribution.
-double variance_by_all(double n_x, double var_x, double n_r, double var_r) {
+/// Returns the variance of x - r from the samples of both: together where they have one distribution.
+double variance_by_all(double n_x, double var_x, double n_r, double var_r, Estimators estimators) {
+    if (estimators == Estimators::different) return var_x + var_r;
     return (n_x * n_x * var_x + n_r * n_r * var_r) / (n_x + n_r) * (1 / n_x + 1 / n_r);
 }
 
@@ -53,7 +54,7 @@ struct Pool {
 }  // namespace
 
 PoolTests test_pools(const SampledCube& x, const SampledCube& r, std::size_t width, std::size_t height,
-                     std::size_t n_bins, Pooling pooling, double relative_error) {
+                     std::size_t n_bins, Pooling pooling, double relative_error, Estimators estimators) {
     PoolTests tests;
     tests.name = pooling == Pooling::pixels ? "pools of pixels" : "bins of the image";
     const std::vector<std::uint32_t> order = z_order(width, height);
@@ -85,7 +86,7 @@ PoolTests test_pools(const SampledCube& x, const SampledCube& r, std::size_t wid
                 one.empty = false, one.pixel = pixel, one.bin = bin;
                 one.difference = mx - mr, one.variance = vx + vr;
                 one.mean = std::abs(n_x * mx + n_r * mr) / n;
-                one.expected_variance = variance_by_all(n_x, vx, n_r, vr);
+                one.expected_variance = variance_by_all(n_x, vx, n_r, vr, estimators);
                 open.add(one);
                 if (pooling == Pooling::pixels && open.is_enough(relative_error)) {
                     close();
@@ -114,7 +115,8 @@ PoolTests test_pools(const SampledCube& x, const SampledCube& r, std::size_t wid
 }
 
 double test_pixels(std::span<const std::vector<float>> sums, std::span<const float> var_sums, double n_x,
-                   std::span<const float> reference, std::span<const float> var_reference, double n_r) {
+                   std::span<const float> reference, std::span<const float> var_reference, double n_r,
+                   Estimators estimators) {
     const bool welch = sums.size() > 1;
     if (!(n_r > 0)) n_r = n_x;
     double least = 1;
@@ -128,7 +130,8 @@ double test_pixels(std::span<const std::vector<float>> sums, std::span<const flo
             difference = {ours.mean, std::hypot(ours.se, std::sqrt(var_r)), ours.dof};
         } else {
             const double var_x = double(var_sums[i]);
-            difference = {values[0], std::sqrt(std::max(var_x + var_r, variance_by_all(n_x, var_x, n_r, var_r))),
+            difference = {values[0],
+                          std::sqrt(std::max(var_x + var_r, variance_by_all(n_x, var_x, n_r, var_r, estimators))),
                           infinite};
         }
         difference.mean -= double(reference[i]);

@@ -9,6 +9,9 @@
 
 namespace loom::compare {
 
+/// Whether two cubes have one distribution of samples, or derivatives by different estimators, such as differences.
+enum class Estimators { alike, different };
+
 /// Means of a cube [y, x, bin, rgb], the variances of these means, and the samples per pixel.
 struct SampledCube {
     std::span<const float> mean, var_mean;
@@ -28,7 +31,8 @@ enum class Pooling { pixels, image };
 
 /// Z tests of pools of bins: z = sum (x - r) / sqrt(V). V is the larger of two values. One is sum (var_x + var_r). The
 /// other is the variance that follows from the variance of a sample, estimated from both cubes together. Few samples
-/// have a small variance exactly when they miss the bright ones; without the second value z would be skewed.
+/// have a small variance exactly when they miss the bright ones; without the second value z would be skewed. Samples of
+/// different estimators have no common variance; then V is the first value.
 ///   pixels  neighbouring pixels (along a Z-order curve) of one bin; as many as make the standard error of the
 ///           expected difference at most `relative_error` of the sum of their magnitudes
 ///   image   all pixels of one bin: little noise, exact in time
@@ -40,13 +44,15 @@ enum class Pooling { pixels, image };
 /// differs: variances are those of the samples, which are too large for stratified ones. Where samples share light, V
 ///          is computed as for independent samples of the reference; z is then too small
 PoolTests test_pools(const SampledCube& x, const SampledCube& r, std::size_t width, std::size_t height,
-                     std::size_t n_bins, Pooling pooling, double relative_error);
+                     std::size_t n_bins, Pooling pooling, double relative_error,
+                     Estimators estimators = Estimators::alike);
 
 /// Returns the smallest p of the sums over bins of single pixels, corrected for their number.
 /// in:      sums  replicates [y, x, rgb]: Welch's t with R - 1 degrees of freedom; for one replicate Z with the V of
 ///          test_pools and bins taken as independent
 /// in:      n_x, n_r  samples per pixel; n_r = 0: unknown, taken as n_x
 double test_pixels(std::span<const std::vector<float>> sums, std::span<const float> var_sums, double n_x,
-                   std::span<const float> reference, std::span<const float> var_reference, double n_r);
+                   std::span<const float> reference, std::span<const float> var_reference, double n_r,
+                   Estimators estimators = Estimators::alike);
 
 }  // namespace loom::compare

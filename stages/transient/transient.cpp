@@ -186,10 +186,6 @@ void check_lengths(const Options& options, const Timing& timing, const std::stri
 std::vector<Derivative> read_all_derivatives(const Options& options, const std::vector<PathGraph>& graphs,
                                              TransientCubeHeader& header) {
     if (options.derivatives.empty()) return {};
-    if (!options.clusters.empty())
-        throw InputError(
-            "--derivative, --clusters: give only one of them; derivatives are of the light that each path found "
-            "itself, not of light shared by clusters");
     if (options.derivatives.size() != graphs.size())
         throw InputError(
             fmt::format("--derivative: {} files for {} graphs", options.derivatives.size(), graphs.size()));
@@ -361,6 +357,10 @@ void declare(app::Command& command, Options& options) {
 
 void run(const Options& options, app::Report& report) {
     if (options.output.empty()) throw InputError("--output: missing (an .h5 file)");
+    if (!options.clusters.empty() && !options.derivatives.empty())
+        throw InputError(
+            "--derivative, --clusters: give only one of them; derivatives are of the light that each path found "
+            "itself, not of light shared by clusters");
     check_output_path(options.output);
     const Lengths lengths(options);
     std::vector<PathGraph> graphs;
