@@ -152,7 +152,6 @@ class Primary {
         double density = 0;  // per pixel of length
         std::vector<double> rates;
         Hit front, back;  // surfaces that end at the curve, on its two sides; none: whatever a ray beside it hits
-        bool back_black = false;  // nothing is seen on that side
     };
     bool sample(Point2f u, float u_place, std::vector<Vec>& v, Sample& out) const {
         out = {};
@@ -223,6 +222,19 @@ class Primary {
         Pt point(double u, double v) const { return p0 + e1 * u + e2 * v; }
         Vec to_eye(double u, double v) const { return perspective ? eye - point(u, v) : axis; }
         double operator()(double u, double v) const { return dot(normal(u, v), to_eye(u, v)); }
+        /// False where the quadratic has one sign over the whole triangle, by its Bernstein coefficients.
+        bool may_vanish() const {
+            const double a = (*this)(0, 0), b = (*this)(1, 0), c = (*this)(0, 1);
+            const auto between = [](double middle, double p, double q) { return 2 * middle - 0.5 * (p + q); };
+            const std::array<double, 6> coefficients{a,
+                                                     b,
+                                                     c,
+                                                     between((*this)(0.5, 0), a, b),
+                                                     between((*this)(0, 0.5), a, c),
+                                                     between((*this)(0.5, 0.5), b, c)};
+            const auto [low, high] = std::minmax_element(coefficients.begin(), coefficients.end());
+            return *low <= 0 && *high >= 0;
+        }
         Point2<double> gradient(double u, double v) const {
             const Vec n = normal(u, v), w = to_eye(u, v);
             const double near = perspective ? 1 : 0;
@@ -290,12 +302,9 @@ class Primary {
             const Shape& shape = s_.scene.shapes[k];
             const bool turns = !s_.tangents.shading_normals[k].empty();
             if (shape.mesh.normals.empty() || !(all || turns || s_.tangents.moves(k))) continue;
-            if (s_.scene.materials[shape.material_idx].model.two_sided && shape.emitter_idx < 0) continue;
             for (std::uint32_t t = 0; t < shape.mesh.n_triangles(); ++t) {
                 const Terminator g = terminator(k, t);
-                // Zero at a corner counts as positive.
-                const int n_lit = int(g(0, 0) >= 0) + int(g(1, 0) >= 0) + int(g(0, 1) >= 0);
-                if (n_lit == 0 || n_lit == 3) continue;
+                if (!g.may_vanish()) continue;
                 const Vec a = map_.in_camera(g.p0), b = map_.in_camera(g.p0 + g.e1), c = map_.in_camera(g.p0 + g.e2);
                 if (!(std::min({a.z, b.z, c.z}) > sensor.near_clip)) continue;
                 const Point2<double> fa = map_.film(a), fb = map_.film(b), fc = map_.film(c);
@@ -309,7 +318,10 @@ class Primary {
                 curve.shape_idx = k;
                 curves_.push_back(curve);
                 // The terminator's length on the film is at most that of the triangle's sides.
-                weights.push_back(std::hypot(fb.x - fa.x, fb.y - fa.y) + std::hypot(fc.x - fa.x, fc.y - fa.y));
+                std::vector<Vec> v(s_.n());
+                s_.shape_velocity(k, t, g.p0, v);
+                weights.push_back((std::hypot(fb.x - fa.x, fb.y - fa.y) + std::hypot(fc.x - fa.x, fc.y - fa.y)) *
+                                  speed_on_film(a, g.p0, v));
             }
         }
     }
@@ -359,13 +371,16 @@ class Primary {
         out.normal = {-on_film.x / slope, -on_film.y / slope};
         out.density = pmf * 0.5 / n_roots * std::abs(g_axis) * g2 / (sqr(g_axis) * std::abs(det));
 
-        // The lit side, a little off the root.
-        const double step = 1e-3 * std::min(1.0, std::sqrt(1 / g2) * std::abs(y0) + 1e-3);
+        // The lit side: off the root by more than stored normals are rounded.
+        constexpr double cosine = 2e-4;
+        const double step = cosine * length(g.normal(uv.x, uv.y)) * length(g.to_eye(uv.x, uv.y)) / std::sqrt(g2);
         out.front.shape_idx = curve.shape_idx;
         out.front.primitive_idx = curve.index;
         out.front.u = float(uv.x + step * gradient.x / std::sqrt(g2));
         out.front.v = float(uv.y + step * gradient.y / std::sqrt(g2));
-        out.back_black = true;
+        out.back = out.front;
+        out.back.u = float(uv.x - step * gradient.x / std::sqrt(g2));
+        out.back.v = float(uv.y - step * gradient.y / std::sqrt(g2));
         const Vec face = normalize(cross(g.e1, g.e2));
         out.beside = dot(face, g.to_eye(uv.x, uv.y)) < 0 ? -face : face;
 
@@ -429,6 +444,18 @@ class Primary {
             sum += std::abs(at.rates[k]) + 0.02 * std::hypot(f.x, f.y);
         }
         return len * sum;
+    }
+    /// Sum over parameters of the speed on the film of a point in space, at least a little.
+    double speed_on_film(const Vec& camera, const Pt& p, std::vector<Vec>& v) const {
+        for (const auto& [k, motion] : s_.tangents.camera) v[k] = v[k] - motion.at(p);
+        double sum = 1e-6;
+        for (const Vec& world : v) {
+            const Point2<double> f = map_.velocity(camera, world);
+            sum += std::hypot(f.x, f.y);
+        }
+        const Point2<double> lens = map_.lens_velocity(camera);
+        for (const auto& [k, relative] : s_.tangents.lens) sum += std::abs(relative) * std::hypot(lens.x, lens.y);
+        return sum;
     }
     double speed_of_round(const Round& round, std::vector<Vec>& v) const {
         s_.shape_velocity(round.shape_idx, 0, round.middle, v);
@@ -519,11 +546,9 @@ std::uint64_t add_primary(const BoundaryScene& s, std::uint64_t n_samples, std::
             w.signs.push_back(1);
             w.sample_of.push_back(std::uint32_t(w.samples.size()));
             w.rays.push_back(front);
-            if (!sample.back_black) {
-                w.signs.push_back(-1);
-                w.sample_of.push_back(std::uint32_t(w.samples.size()));
-                w.rays.push_back(ray(1, sample.back));
-            }
+            w.signs.push_back(-1);
+            w.sample_of.push_back(std::uint32_t(w.samples.size()));
+            w.rays.push_back(ray(1, sample.back));
             w.samples.push_back(std::move(sample));
             w.sample_ids.push_back(k);
         }
