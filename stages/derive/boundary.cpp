@@ -236,13 +236,15 @@ void differentiate_boundary(const PathGraph& graph, const Scene& scene, const Sc
     if (parts.primary) counts.rays += add_primary(s, count(0.1), rows, samples, report);
     bool environment = false;
     if (parts.direct) {
-        std::vector<char> by_light = choose_light_points(s, report), by_vertex(by_light.size());
+        std::vector<char> by_light = options.direct == Direct::automatic ? choose_light_points(s, report)
+                                                                         : std::vector<char>(scene.emitters.size()),
+                          by_vertex(by_light.size());
         bool any_light = false, any_area = false;
-        std::string said;
         for (std::size_t e = 0; e < by_light.size(); ++e) {
             const Emitter& emitter = scene.emitters[e];
             environment |= emitter.kind == EmitterKind::constant || emitter.kind == EmitterKind::envmap;
-            by_light[e] |= char(emitter.is_delta());
+            by_light[e] |=
+                char(emitter.is_delta() || (options.direct == Direct::lights && emitter.kind == EmitterKind::area));
             by_vertex[e] = emitter.kind == EmitterKind::area && !by_light[e];
             any_light |= by_light[e] != 0;
             any_area |= emitter.kind == EmitterKind::area;

@@ -531,7 +531,10 @@ std::uint64_t add_primary(const BoundaryScene& s, std::uint64_t n_samples, std::
         for (std::uint64_t k = begin; k < end; ++k) {
             const Sampler sampler(SamplerKind::independent, streams::family(s.options.seed, 4), k, 0);
             Primary::Sample sample;
-            if (!primary.sample(sampler.pair(0), sampler.pair(1).x, w.v, sample)) continue;
+            // Stratified: sums over the curves have almost no variance of their own.
+            Point2f u = sampler.pair(0);
+            u.x = float(std::min((double(k) + double(u.x)) / double(n_samples), 1 - 0x1p-24));
+            if (!primary.sample(u, sampler.pair(1).x, w.v, sample)) continue;
             const auto ray = [&](double side, const Hit& hit) {
                 const double off = hit ? 0 : side * beside;
                 const Ray camera = primary.map().ray(

@@ -155,6 +155,11 @@ void declare(app::Command& command, Options& options) {
                    "sensor of the graph, by id or by number from 0 in the order of the file (default: the first)");
     command.option("--off", options.off, "part to leave out: interior, primary, direct, indirect; may be repeated");
     command.option("--effort", options.effort, "boundary samples per path of the graph", app::Range<double>{1e-6, 1e6});
+    command.choice(
+        "--direct", options.direct,
+        "sampling of the shadow edges of area lights at first hits: by a pilot for each emitter, from stored "
+        "vertices, or from points of the emitter",
+        {{"auto", Direct::automatic}, {"vertices", Direct::vertices}, {"lights", Direct::lights}});
     command.option("--seed", options.seed, "seed of the boundary samples");
     command.threads(options.threads);
     command.flag("--plan", options.plan, "print the plan and stop");
@@ -195,7 +200,8 @@ void run(const Options& options, app::Report& report) {
 
     DeriveCounts counts;
     Derivative derivative =
-        differentiate(graph, *scene, tangents, parts, {options.effort, options.seed, options.threads}, report, counts);
+        differentiate(graph, *scene, tangents, parts, {options.effort, options.seed, options.threads, options.direct},
+                      report, counts);
     derivative.graph = graph_id.hash;
     derivative.provenance = report.provenance(
         options.seed, {{app::base_name(options.scene), graph.provenance.inputs[0].hash}, graph_id}, parts.plan);

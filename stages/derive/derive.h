@@ -17,6 +17,13 @@ class Report;
 
 namespace loom::derive {
 
+/// How shadow edges of area lights are sampled at first hits.
+enum class Direct : std::uint8_t {
+    automatic,  // by a pilot, emitter by emitter
+    vertices,   // from stored vertices
+    lights      // from light points
+};
+
 struct Options {
     std::string scene, graph, output;
     std::vector<std::string> wrt;      // $parameters or named parts
@@ -24,6 +31,7 @@ struct Options {
     std::string sensor;                // id or index, from 0; empty: the first
     std::vector<std::string> off;      // parts to leave out
     double effort = 1;                 // boundary samples per path of the graph
+    Direct direct = Direct::automatic;
     std::uint64_t seed = 0;
     int threads = 0;    // 0: all
     bool plan = false;  // print the plan and stop
@@ -44,6 +52,7 @@ struct BoundaryOptions {
     double effort = 1;  // samples per path
     std::uint64_t seed = 0;
     int threads = 0;
+    Direct direct = Direct::automatic;
 };
 
 /// Number of paths and rays that a derivative took.
