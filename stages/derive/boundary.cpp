@@ -33,7 +33,13 @@ BoundaryScene::BoundaryScene(const PathGraph& g, const Scene& s, const SceneTang
       reader(g),
       motions(s, t),
       all_edges(tree_of(s, {})),
-      moving_edges(tree_of(s, moving_shapes(s, t))) {}
+      moving_edges(tree_of(s, moving_shapes(s, t))),
+      by_ray(o.attachment == Attachment::ray) {
+    if (!by_ray) return;
+    for (std::uint32_t i = 0; i < all_edges.n_edges(); ++i)
+        if (all_edges.edge(i).kind == EdgeKind::shared && is_crease(all_edges.set(), all_edges.edge(i)))
+            creases.push_back(i);
+}
 
 void BoundaryScene::shape_velocity(std::uint32_t shape, std::uint32_t primitive, const Pt& p, Velocities out) const {
     std::fill(out.begin(), out.end(), Vec{});
@@ -135,6 +141,58 @@ std::vector<Round> BoundaryScene::rounds_along(const Vec& direction, bool ends_m
             rounds.push_back({center, frame.s * radius, frame.t * radius, s, center});
     }
     return rounds;
+}
+
+BoundaryScene::Sides BoundaryScene::sides_of(const EdgeSet& set, const Edge& edge, const Pt& p, const Vec& view,
+                                             const Vec& out) const {
+    const Mesh& mesh = scene.shapes[edge.shape_idx].mesh;
+    const Vec t = normalize(Pt(edge.b) - Pt(edge.a)), level = view - t * dot(view, t);
+    double nearest[2] = {INFINITY, INFINITY};
+    Sides sides;
+    for (const std::uint32_t face : set.faces_of(edge)) {
+        const std::uint32_t* i = &mesh.indices[3 * std::size_t(face)];
+        for (int corner = 0; corner < 3; ++corner) {
+            const Point3f& q = mesh.positions[i[corner]];
+            if (q == edge.a || q == edge.b) continue;
+            // The face rises from the edge towards this corner: across the view, and along it.
+            const Vec w = Pt(q) - p;
+            const double across = dot(out, w) / length(out);
+            if (across == 0) continue;
+            const int side = across > 0 ? 1 : 0;
+            const double depth = dot(level, w) / std::abs(across);
+            if (!(depth < nearest[side])) continue;
+            nearest[side] = depth;
+            Hit& hit = side ? sides.back : sides.front;
+            // A little inside of the face: its edge may touch another surface, whose light it would miss.
+            constexpr double least = 1e-4, most = 1e-2;
+            const double inside = std::clamp(2 * clearance(p, length(w)) / std::abs(across), least, most);
+            const Point2<double> b = motions.barycentric_of(edge.shape_idx, face, p + w * inside);
+            hit.shape_idx = edge.shape_idx;
+            hit.primitive_idx = face;
+            hit.u = float(b.x), hit.v = float(b.y);
+        }
+    }
+    return sides;
+}
+
+bool BoundaryScene::is_crease(const EdgeSet& set, const Edge& edge) const {
+    const Mesh& mesh = scene.shapes[edge.shape_idx].mesh;
+    if (mesh.normals.empty()) return true;
+    const std::span<const std::uint32_t> faces = set.faces_of(edge);
+    if (faces.size() < 2) return true;
+    for (const Point3f& end : {edge.a, edge.b}) {
+        Normal3f first;
+        bool known = false;
+        for (const std::uint32_t face : faces)
+            for (int corner = 0; corner < 3; ++corner) {
+                const std::uint32_t i = mesh.indices[3 * std::size_t(face) + std::size_t(corner)];
+                if (!(mesh.positions[i] == end)) continue;
+                if (known && length(Vector3f(mesh.normals[i]) - Vector3f(first)) > 1e-4f) return true;
+                first = mesh.normals[i];
+                known = true;
+            }
+    }
+    return false;
 }
 
 double BoundaryScene::clearance(const Pt& x, double distance) const {

@@ -65,7 +65,9 @@ class BoundaryScene {
     const BoundaryOptions& options;
     GraphReader reader;
     SurfaceMotions motions;
-    EdgeTree all_edges, moving_edges;  // of all shapes, and of those that move
+    EdgeTree all_edges, moving_edges;    // of all shapes, and of those that move
+    bool by_ray = false;                 // vertices keep the directions that lead to them
+    std::vector<std::uint32_t> creases;  // of all_edges
 
     std::size_t n() const { return tangents.n(); }
     /// Edges that matter between points of which one moves, or neither.
@@ -87,6 +89,16 @@ class BoundaryScene {
     std::vector<Round> rounds_from(const Point3<double>& eye, bool ends_move) const;
     /// The same along a unit direction towards the eye.
     std::vector<Round> rounds_along(const Vector3<double>& direction, bool ends_move) const;
+
+    /// Surfaces that end at a point of an edge, on the two sides of it: front, against `out`, and back. Of two faces on one
+    /// side the nearer one counts.
+    struct Sides {
+        Hit front, back;  // none: no face there
+    };
+    Sides sides_of(const EdgeSet& set, const Edge& edge, const Point3<double>& p, const Vector3<double>& view,
+                   const Vector3<double>& out) const;
+    /// Whether light differs on the two faces of a shared edge that both show: their shading normals do.
+    bool is_crease(const EdgeSet& set, const Edge& edge) const;
 
     /// Distance beside an edge point by which a ray passes it, so that the edge's own faces do not block it.
     double clearance(const Point3<double>& x, double distance) const;

@@ -1,6 +1,9 @@
-// Family 3: from a stored vertex, the edges in front of surfaces and of an environment; the light beside the edge by a
-// path of its own.
-//   sum over visible silhouettes of beta f_cos(omega) L(x_L -> x_S) swept / r_B^2 dl_B
+// Family 3: from a stored vertex, the edges in front of surfaces and of an environment; the light beside the edge by
+// paths of their own.
+//   sum over visible silhouettes of beta f_cos(omega) dL swept / r_B^2 dl_B
+// Attached to surfaces: dL is the light beside the edge, L(x_L -> x_S), for the surface in front keeps its own.
+// Attached to rays: dL is the light beside the edge less that of the surface in front, and the edge moves past a ray that
+// turns with x_S; creases count as well, for points slide over them.
 
 #include <tbb/enumerable_thread_specific.h>
 
@@ -21,14 +24,20 @@ namespace {
 using Vec = Vector3<double>;
 using Pt = Point3<double>;
 
-/// A sample whose light beside the edge is yet to be traced.
+/// A sample whose light is yet to be traced.
 struct Pending {
-    std::uint64_t path = 0;
+    std::uint64_t path = 0, vertex = 0;
     Rgb<double> value;  // all but the light and the rate
     double opl = 0;     // up to the vertex
     Pt x_s;
     OutlinePoint b;
     std::vector<Vec> v_s, v_b;
+    std::vector<double> by_ray;  // rates past a ray that turns with the vertex
+};
+/// A ray of a sample.
+struct Side {
+    std::uint32_t pending_idx;
+    double sign;  // -1: the surface in front
 };
 
 class Sampling {
@@ -39,12 +48,12 @@ class Sampling {
           surfaces_(surfaces),
           environment_(environment),
           outline_(s),
-          walker_(s.graph, s.scene, s.tangents),
+          walker_(s.graph, s.scene, s.tangents, s.by_ray),
           light_(s, streams::family(s.options.seed, 3)),
           v_light_(s.n()),
           rates_(s.n()) {}
 
-    std::uint64_t n_samples = 0, n_rays() const { return light_.n_rays; }
+    std::uint64_t n_samples = 0, n_rays() const { return light_.n_rays + n_checks_; }
 
     void sample_path(std::size_t path, BoundaryRows& rows) {
         const std::size_t first = s_.graph.paths.first_vertex[path];
@@ -58,7 +67,7 @@ class Sampling {
                 double(sampler.pair(0).x) < share_) {
                 ++n_samples;
                 sample_vertex(x, path, int(x.vertex - first), media, sampler);
-                if (pending_.size() == PathBatch::capacity) finish(rows);
+                if (rays_.size() + 2 > PathBatch::capacity) finish(rows);
             }
             if (s_.scene.features.dielectric && (flags & vertex_flag::continued)) follow(x, media);
         });
@@ -67,37 +76,40 @@ class Sampling {
     /// Traces the light of the samples so far.
     void finish(BoundaryRows& rows) {
         light_.trace(rays_, [&](std::size_t i, const PathGraph& g, std::size_t& edge) {
-            const Pending& p = pending_[i];
+            const Pending& p = pending_[sides_[i].pending_idx];
+            const double sign = sides_[i].sign;
             const std::size_t begin = g.paths.first_vertex[i], end = g.paths.first_vertex[i + 1];
-            const bool escaped = begin == end;
-            if (escaped) {
-                // Its direction turns about the vertex.
-                const auto e = std::size_t(std::max(s_.scene.environment_idx, 0));
+            if (begin == end) {
+                // Light of an environment keeps its direction, or turns with its emitter.
                 if (environment_ && s_.scene.environment_idx >= 0) {
-                    s_.emitter_velocity(e, Pt(p.b.omega), v_light_);
-                    set_rates(p, 0, p.b.r);
+                    s_.emitter_velocity(std::size_t(s_.scene.environment_idx), Pt(p.b.omega), v_light_);
+                    for (std::size_t k = 0; k < s_.n(); ++k)
+                        rates_[k] = swept(p.b.out, p.v_b[k] - p.v_s[k] - v_light_[k] * p.b.r);
                 }
                 light_.walk(i, edge, [&](const Spectrum& L, double) {
                     if (environment_) add(p, Rgb<double>(L), -1, rows);
                 });
                 return;
             }
-            const std::uint32_t shape = g.vertices.shape[begin];
             const Pt x_l = position<double>(g, begin);
             const double r = length(x_l - p.x_s);
-            const bool beside = r > p.b.r * (1 - 1e-6) && surfaces_;
-            if (beside) {
-                s_.shape_velocity(shape, g.vertices.primitive[begin], x_l, v_light_);
-                set_rates(p, p.b.r / r, 1);
+            const bool counts = surfaces_ && (s_.by_ray || r > p.b.r * (1 - 1e-6));
+            if (counts && s_.by_ray) {
+                rates_ = p.by_ray;
+            } else if (counts) {
+                s_.shape_velocity(g.vertices.shape[begin], g.vertices.primitive[begin], x_l, v_light_);
+                for (std::size_t k = 0; k < s_.n(); ++k)
+                    rates_[k] = swept(p.b.out, relative_velocity(p.b.r / r, p.v_b[k], p.v_s[k], v_light_[k]));
             }
             // Emission at the first hit belongs to the family of emitters.
             bool emitted_first = !is_black(rgb(g.paths.Le, i));
             light_.walk(i, edge, [&](const Spectrum& L, double opl) {
                 if (std::exchange(emitted_first, false)) return;
-                if (beside) add(p, Rgb<double>(L), opl, rows);
+                if (counts) add(p, Rgb<double>(L) * Rgb<double>(sign), opl, rows);
             });
         });
         pending_.clear();
+        sides_.clear();
         rays_.clear();
     }
 
@@ -113,25 +125,72 @@ class Sampling {
         const RayEnd from{at.p, interface ? Normal3f{} : facing(at.ng, at.wo), hit_error};
         Pending p;
         p.x_s = Pt(at.p);
-        // What lies behind an edge may move although neither the edge nor the vertex does.
-        if (!outline_.collect(Shaft::to_infinity(from), p.x_s, false, x.velocity, s_.all_edges, true)) return;
-        if (!outline_.sample(sampler.pair(1), p.b)) return;
+        const Shaft shaft = Shaft::to_infinity(from);
+        const auto moving = [](std::span<const Vec> v) {
+            return std::any_of(v.begin(), v.end(), [](const Vec& x) { return !(x == Vec{}); });
+        };
+        // Attached to surfaces, what lies behind an edge may move although neither the edge nor the vertex does.
+        const bool all = !s_.by_ray || moving(x.velocity) || moving(x.turn);
+        bool any = outline_.collect(shaft, p.x_s, false, x.velocity, s_.edges(all), all);
+        if (s_.by_ray && all && !s_.creases.empty()) any = outline_.add_creases(shaft, sampler.pair(2).x);
+        if (!any || !outline_.sample(sampler.pair(1), p.b)) return;
         const Vector3f wi(p.b.omega);
         const Spectrum f_cos = f_cos_pdf(at, wi).f_cos;
         if (is_black(f_cos)) return;
         p.path = path;
+        p.vertex = x.vertex;
         p.opl = x.opl;
         p.value = x.beta * Rgb<double>(f_cos) *
                   Rgb<double>(1 / (p.b.r * p.b.r * p.b.density * share_ * double(s_.graph.tracing.samples_per_pixel)));
         p.v_s.assign(x.velocity.begin(), x.velocity.end());
         p.v_b.assign(outline_.velocity().begin(), outline_.velocity().end());
-        const Vec beside = p.b.omega + p.b.out * (s_.clearance(p.b.p, p.b.r) / (length(p.b.out) * p.b.r));
-        const Vector3f d(normalize(beside));
+        if (s_.by_ray) {
+            p.by_ray.resize(s_.n());
+            for (std::size_t k = 0; k < s_.n(); ++k)
+                p.by_ray[k] = swept(p.b.out, p.v_b[k] - p.v_s[k] - cross(x.turn[k], p.b.omega) * p.b.r);
+        }
         MediumStack media = arriving;
-        if (interface && dot(at.n_side, d) * dot(at.n_side, at.wo) < 0)
-            media.pass(surface(x.vertex), dot(at.n_side, d) < 0, *at.bsdf.model);
-        rays_.push_back({spawn_ray({at.p, at.ng, hit_error}, d), {x.vertex, 0}, media, edge_number});
+        if (interface && dot(at.n_side, wi) * dot(at.n_side, at.wo) < 0)
+            media.pass(surface(x.vertex), dot(at.n_side, wi) < 0, *at.bsdf.model);
+        const RayEnd end{at.p, at.ng, hit_error};
+        const double clearance = s_.clearance(p.b.p, p.b.r);
+        const auto pending_idx = std::uint32_t(pending_.size());
+        BoundaryScene::Sides sides;
+        if (s_.by_ray) {
+            if (p.b.edge) {
+                sides = s_.sides_of(s_.edges(all).set(), *p.b.edge, p.b.p, p.b.omega, p.b.out);
+            } else {
+                sides.front.shape_idx = p.b.shape_idx;
+                sides.front.u = float(std::cos(p.b.phi)), sides.front.v = float(std::sin(p.b.phi));
+            }
+            // Nothing may lie between: to the open space beside a silhouette or above a crease.
+            const Vec lift = p.b.is_crease ? lifted(*p.b.edge, p.b.omega) : p.b.out / length(p.b.out);
+            ++n_checks_;
+            if (s_.scene.occluded(spawn_segment(end, {Point3f(p.b.p + lift * clearance)}))) return;
+            push(end, p, sides.front, media, edge_number, pending_idx, -1);
+        }
+        if (s_.by_ray && p.b.is_crease) {
+            push(end, p, sides.back, media, edge_number, pending_idx, 1);
+        } else {
+            const Vec beside = p.b.omega + p.b.out * (clearance / (length(p.b.out) * p.b.r));
+            rays_.push_back({spawn_ray(end, Vector3f(normalize(beside))), {x.vertex, 0}, media, edge_number, {}});
+            sides_.push_back({pending_idx, 1});
+        }
         pending_.push_back(std::move(p));
+    }
+
+    static Vec lifted(const Edge& edge, const Vec& view) {
+        const Vec above = Vec(edge.n0) + Vec(edge.n1);
+        return normalize(dot(above, view) > 0 ? -above : above);
+    }
+
+    /// Adds a ray that hits a known surface at the edge point.
+    void push(const RayEnd& from, const Pending& p, Hit hit, const MediumStack& media, int edge_number,
+              std::uint32_t pending_idx, double sign) {
+        if (!hit) return;
+        hit.t = float(p.b.r);
+        rays_.push_back({Ray{from.p, Vector3f(p.b.omega), 0, INFINITY}, {p.vertex, 0}, media, edge_number, hit});
+        sides_.push_back({pending_idx, sign});
     }
 
     SurfaceIdx surface(std::size_t vertex) const {
@@ -145,14 +204,6 @@ class Sampling {
         media.pass(surface(x.vertex), wi.z < 0, *x.at->bsdf.model);
     }
 
-    /// in:      share  |x_S x_B| / |x_S x_L|; scale  of the far velocity
-    void set_rates(const Pending& p, double share, double scale) {
-        for (std::size_t k = 0; k < s_.n(); ++k) {
-            const Vec v_rel = share > 0 ? relative_velocity(share, p.v_b[k], p.v_s[k], v_light_[k])
-                                        : p.v_b[k] - p.v_s[k] - v_light_[k] * scale;
-            rates_[k] = swept(p.b.out, v_rel);
-        }
-    }
     void add(const Pending& p, const Rgb<double>& L, double opl, BoundaryRows& rows) {
         if (std::all_of(rates_.begin(), rates_.end(), [](double r) { return r == 0; })) return;
         const bool arrives = opl >= 0 && std::isfinite(opl);
@@ -168,7 +219,9 @@ class Sampling {
     RayLight light_;
     std::vector<Vec> v_light_;
     std::vector<double> rates_;
+    std::uint64_t n_checks_ = 0;
     std::vector<Pending> pending_;
+    std::vector<Side> sides_;  // [ray]
     std::vector<GivenRay> rays_;
 };
 

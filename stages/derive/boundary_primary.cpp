@@ -70,27 +70,6 @@ std::optional<FilmCurve> clipped(const FilmMap& map, const Sensor& sensor, const
     return curve;
 }
 
-/// Whether the light of a shared edge's faces differs: their shading normals do.
-bool is_crease(const Scene& scene, const EdgeSet& set, const Edge& edge) {
-    const Mesh& mesh = scene.shapes[edge.shape_idx].mesh;
-    if (mesh.normals.empty()) return true;
-    const std::span<const std::uint32_t> faces = set.faces_of(edge);
-    if (faces.size() < 2) return true;
-    for (const Point3f& end : {edge.a, edge.b}) {
-        Normal3f first;
-        bool known = false;
-        for (const std::uint32_t face : faces)
-            for (int corner = 0; corner < 3; ++corner) {
-                const std::uint32_t i = mesh.indices[3 * std::size_t(face) + std::size_t(corner)];
-                if (!(mesh.positions[i] == end)) continue;
-                if (known && length(Vector3f(mesh.normals[i]) - Vector3f(first)) > 1e-4f) return true;
-                first = mesh.normals[i];
-                known = true;
-            }
-    }
-    return false;
-}
-
 class Primary {
   public:
     Primary(const BoundaryScene& s) : s_(s), map_(s.scene.sensor), tree_(s.edges(s.tangents.camera_moves())) {
@@ -104,7 +83,7 @@ class Primary {
             const Edge& edge = tree_.edge(i);
             const bool silhouette =
                 map_.perspective() ? is_silhouette(edge, Pt(sensor.origin)) : is_silhouette_along(edge, -axis);
-            if (!silhouette && !is_crease(s.scene, tree_.set(), edge)) continue;
+            if (!silhouette && !s.is_crease(tree_.set(), edge)) continue;
             std::optional<FilmCurve> curve = clipped(map_, sensor, edge);
             if (!curve) continue;
             curve->index = i;
@@ -196,7 +175,8 @@ class Primary {
             out.density = double(choice_.pmf(k)) / len;
             outward_dir = outward(edge, direction(out.p));
             out.shape_idx = edge.shape_idx;
-            find_sides(edge, outward_dir, out);
+            const auto sides = s_.sides_of(tree_.set(), edge, out.p, direction(out.p), outward_dir);
+            out.front = sides.front, out.back = sides.back;
             s_.edge_velocity(tree_.set(), edge, s, v);
         }
         out.beside = lifted(curve, outward_dir, direction(out.p));
@@ -241,35 +221,6 @@ class Primary {
             return {dot(n_u, w) - near * dot(n, e1), dot(n_v, w) - near * dot(n, e2)};
         }
     };
-    /// Finds the faces of an edge on its two sides; of two on one side, the one in front.
-    void find_sides(const Edge& edge, const Vec& out, Sample& at) const {
-        const Mesh& mesh = s_.scene.shapes[edge.shape_idx].mesh;
-        const Vec view = direction(at.p);
-        double nearest[2] = {INFINITY, INFINITY};
-        for (const std::uint32_t face : tree_.set().faces_of(edge)) {
-            const std::uint32_t* i = &mesh.indices[3 * std::size_t(face)];
-            for (int corner = 0; corner < 3; ++corner) {
-                const Point3f& p = mesh.positions[i[corner]];
-                if (p == edge.a || p == edge.b) continue;
-                // The face rises from the edge towards this corner: across the view, and along it.
-                const Vec w = Pt(p) - at.p;
-                const double across = dot(out, w) / length(out);
-                if (across == 0) continue;
-                const int side = across > 0 ? 1 : 0;
-                const Vec t = normalize(Pt(edge.b) - Pt(edge.a));
-                const Vec level = view - t * dot(view, t);
-                const double depth = dot(level, w) / std::abs(across);
-                if (!(depth < nearest[side])) continue;
-                nearest[side] = depth;
-                Hit& hit = side ? at.back : at.front;
-                const Point2<double> b = s_.motions.barycentric_of(edge.shape_idx, face, at.p);
-                hit.shape_idx = edge.shape_idx;
-                hit.primitive_idx = face;
-                hit.u = float(b.x), hit.v = float(b.y);
-            }
-        }
-    }
-
     /// Direction from a curve's point to the open space in front of it: beside a silhouette, above a crease.
     Vec lifted(const FilmCurve& curve, const Vec& outward_dir, const Vec& view) const {
         const Vec beside = normalize(outward_dir);

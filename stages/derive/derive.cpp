@@ -50,12 +50,13 @@ Column<T> joined(std::vector<Rows>& chunks, std::vector<T> Rows::*member) {
     return all;
 }
 
-void differentiate_interior(const PathGraph& graph, const Scene& scene, const SceneTangents& tangents, int threads,
-                            app::Report& report, Derivative& out, std::uint64_t& n_touched) {
+void differentiate_interior(const PathGraph& graph, const Scene& scene, const SceneTangents& tangents, bool by_ray,
+                            int threads, app::Report& report, Derivative& out, std::uint64_t& n_touched) {
     constexpr std::uint64_t chunk = 4096;
     std::vector<Rows> chunks((graph.n_paths() + chunk - 1) / chunk);
     app::Progress progress(report, "interior", graph.n_paths());
-    tbb::enumerable_thread_specific<InteriorWalker> walkers([&] { return InteriorWalker(graph, scene, tangents); });
+    tbb::enumerable_thread_specific<InteriorWalker> walkers(
+        [&] { return InteriorWalker(graph, scene, tangents, by_ray); });
     parallel_chunks(graph.n_paths(), chunk, threads, [&](std::uint64_t i, std::uint64_t begin, std::uint64_t end) {
         const InteriorWalker& walker = walkers.local();
         Rows& rows = chunks[i];
@@ -137,7 +138,8 @@ Derivative differentiate(const PathGraph& graph, const Scene& scene, const Scene
     d.parameters.value = std::move(values);
     d.boundary_samples = std::vector<std::uint64_t>(n_boundary_families, 0);
     if (parts.interior)
-        differentiate_interior(graph, scene, tangents, boundary.threads, report, d, counts.touched_paths);
+        differentiate_interior(graph, scene, tangents, boundary.attachment == Attachment::ray, boundary.threads, report,
+                               d, counts.touched_paths);
     differentiate_boundary(graph, scene, tangents, parts, boundary, report, d, counts);
     return d;
 }
@@ -160,6 +162,10 @@ void declare(app::Command& command, Options& options) {
         "sampling of the shadow edges of area lights at first hits: by a pilot for each emitter, from stored "
         "vertices, or from points of the emitter",
         {{"auto", Direct::automatic}, {"vertices", Direct::vertices}, {"lights", Direct::lights}});
+    command.choice("--attach", options.attachment,
+                   "what a vertex keeps while the scene moves: its place on its surface, or the sampled direction that "
+                   "leads to it; auto: whichever has less variance",
+                   {{"auto", Attachment::automatic}, {"surface", Attachment::surface}, {"ray", Attachment::ray}});
     command.option("--seed", options.seed, "seed of the boundary samples");
     command.threads(options.threads);
     command.flag("--plan", options.plan, "print the plan and stop");
@@ -188,7 +194,8 @@ void run(const Options& options, app::Report& report) {
         throw InputError(fmt::format("--wrt: {} parameters, but one run differentiates by {} at most", tangents.n(),
                                      max_parameters));
     const double load_s = report.cost().cpu_s - before_s;
-    if (const std::string missing = missing_columns(graph, *scene, tangents); !missing.empty())
+    if (const std::string missing = missing_columns(graph, *scene, tangents, options.attachment == Attachment::ray);
+        !missing.empty())
         throw InputError(
             fmt::format("{}: lacks columns for these parameters; trace it with loom-trace {}", options.graph, missing));
     const Parts parts = required_parts(*scene, graph, tangents, options.off);
@@ -199,9 +206,9 @@ void run(const Options& options, app::Report& report) {
     report.info("plan: {}", parts.plan);
 
     DeriveCounts counts;
-    Derivative derivative =
-        differentiate(graph, *scene, tangents, parts, {options.effort, options.seed, options.threads, options.direct},
-                      report, counts);
+    Derivative derivative = differentiate(
+        graph, *scene, tangents, parts,
+        {options.effort, options.seed, options.threads, options.direct, options.attachment}, report, counts);
     derivative.graph = graph_id.hash;
     derivative.provenance = report.provenance(
         options.seed, {{app::base_name(options.scene), graph.provenance.inputs[0].hash}, graph_id}, parts.plan);

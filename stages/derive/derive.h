@@ -24,6 +24,13 @@ enum class Direct : std::uint8_t {
     lights      // from light points
 };
 
+/// What a vertex beyond a scattering keeps while the scene moves.
+enum class Attachment : std::uint8_t {
+    automatic,  // by a pilot
+    surface,    // its place on its surface: no boundary term of the surfaces' own light
+    ray         // the direction that was sampled: finite variance where surfaces meet
+};
+
 struct Options {
     std::string scene, graph, output;
     std::vector<std::string> wrt;      // $parameters or named parts
@@ -32,6 +39,7 @@ struct Options {
     std::vector<std::string> off;      // parts to leave out
     double effort = 1;                 // boundary samples per path of the graph
     Direct direct = Direct::automatic;
+    Attachment attachment = Attachment::automatic;
     std::uint64_t seed = 0;
     int threads = 0;    // 0: all
     bool plan = false;  // print the plan and stop
@@ -53,6 +61,7 @@ struct BoundaryOptions {
     std::uint64_t seed = 0;
     int threads = 0;
     Direct direct = Direct::automatic;
+    Attachment attachment = Attachment::automatic;
 };
 
 /// Number of paths and rays that a derivative took.

@@ -76,8 +76,10 @@ struct Source {
     SurfaceMotions motions;
     std::vector<char> shape_matters, material_matters, emitter_matters;
 
-    Source(const PathGraph& g, const Scene& s, const SceneTangents& t)
-        : graph(g), scene(s), tangents(t), reader(g), motions(s, t) {
+    bool by_ray;
+
+    Source(const PathGraph& g, const Scene& s, const SceneTangents& t, bool rays)
+        : graph(g), scene(s), tangents(t), reader(g), motions(s, t), by_ray(rays) {
         for (std::uint32_t i = 0; i < s.shapes.size(); ++i) {
             shape_matters.push_back(t.moves(i) || !t.shading_normals[i].empty());
         }
@@ -110,7 +112,7 @@ class Walk {
     using Vectors = VectorTangent<n>;
     using Colours = ColourTangent<n>;
 
-    /// on_edge(k, dL, dopl), on_seen(path, dLe, dopl), on_vertex(j, at, beta, opl, velocities)
+    /// on_edge(k, dL, dopl), on_seen(path, dLe, dopl), on_vertex(j, at, beta, opl, motion)
     template <class OnEdge, class OnSeen, class OnVertex>
     void path(std::size_t path, std::size_t& edge, OnEdge&& on_edge, OnSeen&& on_seen, OnVertex&& on_vertex) {
         const auto [begin, end] = vertices_of(g_, path);
@@ -124,7 +126,7 @@ class Walk {
             const ShadingPoint at = s_.reader.vertex(j);
             Arrival here = arrive(j, at);
             if (j == begin) see(path, at, here, on_seen);
-            on_vertex(j, at, here.beta, here.opl, here.motion.p);
+            on_vertex(j, at, here.beta, here.opl, here.motion);
             for (; edge < edges.size() && edges[edge] == j; ++edge) light(j, edge, at, here, on_edge);
             if (j + 1 < end) leave(j, at, here);
         }
@@ -461,7 +463,7 @@ class Walk {
         }
         const Vec wi(continuation_direction(g_, j));
         a_ = start_at(at, here, scatter(at, here, wi, inv_pdf));
-        a_.by_ray = reaches_delta(j);
+        a_.by_ray = s_.by_ray || reaches_delta(j);
         if (a_.by_ray) set_ray(a_.frame, a_.frame.to_local(wi), {}, here, a_);
     }
 
@@ -677,10 +679,14 @@ class Walk {
 struct InteriorWalker::Impl {
     Source source;
     mutable std::vector<float> dL, dopl;
-    mutable std::vector<Vec> velocity;
+    mutable std::vector<Vec> velocity, turn;
 
-    Impl(const PathGraph& graph, const Scene& scene, const SceneTangents& tangents)
-        : source(graph, scene, tangents), dL(3 * tangents.n()), dopl(tangents.n()), velocity(tangents.n()) {}
+    Impl(const PathGraph& graph, const Scene& scene, const SceneTangents& tangents, bool by_ray)
+        : source(graph, scene, tangents, by_ray),
+          dL(3 * tangents.n()),
+          dopl(tangents.n()),
+          velocity(tangents.n()),
+          turn(tangents.n()) {}
 
     /// Calls f(Walk<n>) with the smallest n that holds all parameters.
     template <class F>
@@ -706,8 +712,8 @@ struct InteriorWalker::Impl {
     }
 };
 
-InteriorWalker::InteriorWalker(const PathGraph& graph, const Scene& scene, const SceneTangents& tangents)
-    : impl_(std::make_unique<Impl>(graph, scene, tangents)) {}
+InteriorWalker::InteriorWalker(const PathGraph& graph, const Scene& scene, const SceneTangents& tangents, bool by_ray)
+    : impl_(std::make_unique<Impl>(graph, scene, tangents, by_ray)) {}
 InteriorWalker::~InteriorWalker() = default;
 InteriorWalker::InteriorWalker(InteriorWalker&&) noexcept = default;
 
@@ -747,6 +753,7 @@ void InteriorWalker::walk_vertices(std::size_t path, const OnVertex& on_vertex) 
         // Everything rests.
         const GraphReader& reader = impl_->source.reader;
         std::fill(impl_->velocity.begin(), impl_->velocity.end(), Vec{});
+        std::fill(impl_->turn.begin(), impl_->turn.end(), Vec{});
         const auto [begin, end] = vertices_of(g, path);
         Pt from = camera_origin<double>(g, path);
         Rgb<double> beta(1);
@@ -756,7 +763,7 @@ void InteriorWalker::walk_vertices(std::size_t path, const OnVertex& on_vertex) 
             const Pt p = position<double>(g, j);
             opl += (g.vertices.eta.empty() ? 1.0 : double(g.vertices.eta[j])) * length(p - from);
             from = p;
-            on_vertex({j, &at, beta, opl, impl_->velocity});
+            on_vertex({j, &at, beta, opl, impl_->velocity, impl_->turn});
             if (j + 1 < end) beta *= Rgb<double>(own_continuation(reader, at, j, continuation_direction(g, j)));
         }
         return;
@@ -764,16 +771,19 @@ void InteriorWalker::walk_vertices(std::size_t path, const OnVertex& on_vertex) 
     std::size_t edge = g.n_light_edges();
     const auto no_row = [](std::size_t, const auto&, const auto&) {};
     impl_->with_walk([&](auto&& walk) {
-        walk.path(
-            path, edge, no_row, no_row,
-            [&](std::size_t j, const ShadingPoint& at, const Rgb<double>& beta, double opl, const auto& velocity) {
-                for (std::size_t p = 0; p < impl_->velocity.size(); ++p) impl_->velocity[p] = velocity(int(p));
-                on_vertex({j, &at, beta, opl, impl_->velocity});
-            });
+        walk.path(path, edge, no_row, no_row,
+                  [&](std::size_t j, const ShadingPoint& at, const Rgb<double>& beta, double opl, const auto& motion) {
+                      const Vec n(at.frame.n);
+                      for (std::size_t p = 0; p < impl_->velocity.size(); ++p) {
+                          impl_->velocity[p] = motion.p(int(p));
+                          impl_->turn[p] = cross(n, motion.ns(int(p))) + n * motion.twist.d[p];
+                      }
+                      on_vertex({j, &at, beta, opl, impl_->velocity, impl_->turn});
+                  });
     });
 }
 
-std::string missing_columns(const PathGraph& graph, const Scene& scene, const SceneTangents& tangents) {
+std::string missing_columns(const PathGraph& graph, const Scene& scene, const SceneTangents& tangents, bool by_ray) {
     const SurfaceMotions motions(scene, tangents);
     bool primitives = false, media = false;
     for (std::uint32_t s = 0; s < scene.shapes.size(); ++s)
@@ -781,7 +791,7 @@ std::string missing_columns(const PathGraph& graph, const Scene& scene, const Sc
             !tangents.vertices[s].empty() || (scene.shapes[s].kind == ShapeKind::mesh &&
                                               (tangents.camera_moves() || tangents.moves(s)) && motions.varies(s));
     // Behind mirrors and glass all vertices slide when one of them moves.
-    if (scene.features.delta_lobes && tangents.any_shape_moves())
+    if ((by_ray || scene.features.delta_lobes) && (tangents.any_shape_moves() || tangents.camera_moves()))
         for (std::uint32_t s = 0; s < scene.shapes.size(); ++s)
             primitives |= scene.shapes[s].kind == ShapeKind::mesh && motions.varies(s);
     for (const auto& effects : tangents.materials)

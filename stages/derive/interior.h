@@ -31,13 +31,15 @@ struct VertexState {
     const ShadingPoint* at = nullptr;
     Rgb<double> beta;                           // throughput from the camera to the vertex
     double opl = 0;                             // from the camera, phase indices
-    std::span<const Vector3<double>> velocity;  // [parameter]
+    std::span<const Vector3<double>> velocity;  // [parameter], m per unit
+    std::span<const Vector3<double>> turn;      // [parameter]: angular velocity of the shading frame, rad per unit
 };
 
 /// Walks along stored paths with their derivatives. Borrows all arguments of the constructor; one per thread.
 class InteriorWalker {
   public:
-    InteriorWalker(const PathGraph& graph, const Scene& scene, const SceneTangents& tangents);
+    /// in:      by_ray  vertices keep the direction that leads to them, not their place on the surface
+    InteriorWalker(const PathGraph& graph, const Scene& scene, const SceneTangents& tangents, bool by_ray);
     ~InteriorWalker();
     InteriorWalker(InteriorWalker&&) noexcept;
 
@@ -57,6 +59,6 @@ class InteriorWalker {
 
 /// The primitive column that a graph must have for these parameters, and the column of media; empty: it has them.
 /// out:     what is missing and the command that stores it
-std::string missing_columns(const PathGraph& graph, const Scene& scene, const SceneTangents& tangents);
+std::string missing_columns(const PathGraph& graph, const Scene& scene, const SceneTangents& tangents, bool by_ray);
 
 }  // namespace loom::derive

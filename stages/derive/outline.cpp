@@ -38,31 +38,11 @@ bool Outline::collect(const Shaft& shaft, const Pt& eye, bool at_infinity, Const
     cumulative_.clear();
     segments_.clear();
     if (tree.n_edges() > 0) tree.collect(shaft, segments_);
+    creases_.clear();
     double total = 0;
     OutlinePoint point;
     for (const EdgeSegment& segment : segments_) {
-        const Edge& edge = tree.edge(segment.edge_idx);
-        const double len = edge.length();
-        const double begin = segment.s0 * len, end = segment.s1 * len;
-        Arc arc{begin, end, 1, 0};
-        if (!at_infinity) {
-            const Vec t = (Pt(edge.b) - Pt(edge.a)) / len, to_eye = eye - Pt(edge.a);
-            arc.foot = dot(to_eye, t);
-            arc.height = length(to_eye - t * arc.foot);
-            if (arc.height > 0) {
-                arc.begin = std::atan2(begin - arc.foot, arc.height);
-                arc.end = std::atan2(end - arc.foot, arc.height);
-            }
-        }
-        point.p = edge.point(0.5 * (segment.s0 + segment.s1));
-        look(point);
-        point.out = outward(edge, point.omega);
-        s_.edge_velocity(tree.set(), edge, 0.5 * (segment.s0 + segment.s1), velocity_);
-        const double extent = arc.height > 0 ? arc.end - arc.begin : 0;
-        // Light per angle falls with the distance; the sine of the edge's slant is in the angle.
-        const double sine = std::max(length(point.out), 1e-6);
-        total += extent * importance(point.p, point.out) / sine;
-        arcs_.push_back(arc);
+        total += add_segment(segment);
         cumulative_.push_back(total);
     }
     rounds_ = at_infinity ? s_.rounds_along(Vec(eye), all) : s_.rounds_from(eye, all);
@@ -82,13 +62,65 @@ bool Outline::collect(const Shaft& shaft, const Pt& eye, bool at_infinity, Const
         arcs_.push_back({0, 2 * pi_double, 1, 0});
         cumulative_.push_back(total);
     }
+    first_crease_ = arcs_.size();
     return total > 0;
 }
 
+bool Outline::add_creases(const Shaft& shaft, float u) {
+    constexpr std::size_t most = 256;
+    const std::size_t n = s_.creases.size(), n_listed = std::min(n, most);
+    crease_share_ = n > 0 ? double(n_listed) / double(n) : 1;
+    double total = cumulative_.empty() ? 0 : cumulative_.back();
+    for (std::size_t k = 0; k < n_listed; ++k) {
+        // Evenly spaced, from a random start.
+        const std::size_t i = n <= most ? k : std::size_t((double(k) + double(u)) * double(n) / double(most));
+        const std::uint32_t edge_idx = s_.creases[std::min(i, n - 1)];
+        const Edge& edge = s_.all_edges.edge(edge_idx);
+        std::array<EdgeInterval, 2> inside;
+        if (shaft.is_silhouette(edge) || shaft.clip(edge, inside) == 0) continue;
+        const EdgeSegment segment{inside[0].s0, inside[0].s1, edge_idx,
+                                  float(edge.length() * (inside[0].s1 - inside[0].s0))};
+        total += add_segment(segment) / crease_share_;
+        cumulative_.push_back(total);
+        creases_.push_back(segment);
+    }
+    return total > 0;
+}
+
+double Outline::add_segment(const EdgeSegment& segment) {
+    OutlinePoint point;
+    const Edge& edge = tree_->edge(segment.edge_idx);
+    const double len = edge.length();
+    const double begin = segment.s0 * len, end = segment.s1 * len;
+    Arc arc{begin, end, 1, 0};
+    if (!at_infinity_) {
+        const Vec t = (Pt(edge.b) - Pt(edge.a)) / len, to_eye = eye_ - Pt(edge.a);
+        arc.foot = dot(to_eye, t);
+        arc.height = length(to_eye - t * arc.foot);
+        if (arc.height > 0) {
+            arc.begin = std::atan2(begin - arc.foot, arc.height);
+            arc.end = std::atan2(end - arc.foot, arc.height);
+        }
+    }
+    const double middle = 0.5 * (segment.s0 + segment.s1);
+    point.p = edge.point(middle);
+    look(point);
+    point.out = outward(edge, point.omega);
+    s_.edge_velocity(tree_->set(), edge, middle, velocity_);
+    arcs_.push_back(arc);
+    if (!(arc.height > 0)) return 0;
+    // Light per angle falls with the distance; the sine of the edge's slant is in the angle.
+    const double sine = std::max(length(point.out), 1e-6);
+    return (arc.end - arc.begin) * importance(point.p, point.out) / sine;
+}
+
 bool Outline::place_on_edge(std::size_t i, double t, OutlinePoint& point) {
-    const EdgeSegment& segment = segments_[i];
+    const bool is_crease = i >= first_crease_;
+    const EdgeSegment& segment = is_crease ? creases_[i - first_crease_] : segments_[i];
     const Edge& edge = tree_->edge(segment.edge_idx);
     const Arc& arc = arcs_[i];
+    point.edge = &edge;
+    point.is_crease = is_crease;
     const double len = edge.length(), angle = arc.begin + (arc.end - arc.begin) * t;
     const double along = at_infinity_ ? angle : arc.foot + arc.height * std::tan(angle);
     const double s = std::clamp(along / len, segment.s0, segment.s1);
@@ -98,6 +130,7 @@ bool Outline::place_on_edge(std::size_t i, double t, OutlinePoint& point) {
     point.shape_idx = edge.shape_idx;
     // d angle / d length = height / r^2
     point.density = (at_infinity_ ? 1 : arc.height / sqr(point.r)) / (arc.end - arc.begin);
+    if (is_crease) point.density *= crease_share_;
     s_.edge_velocity(tree_->set(), edge, s, velocity_);
     return true;
 }
@@ -108,6 +141,9 @@ bool Outline::place_on_round(std::size_t i, double t, OutlinePoint& point) {
     const Vec tangent = round.tangent(phi);
     const double speed = length(tangent);
     point.p = round.point(phi);
+    point.edge = nullptr;
+    point.is_crease = false;
+    point.phi = phi;
     look(point);
     if (!(speed > 0)) return false;
     point.out = outward(tangent / speed, point.omega, round.middle - point.p);
@@ -124,8 +160,8 @@ bool Outline::sample(Point2f u, OutlinePoint& point) {
                  cumulative_.size() - 1);
     const double weight = cumulative_[i] - (i > 0 ? cumulative_[i - 1] : 0);
     if (!(weight > 0)) return false;
-    if (!(i < segments_.size() ? place_on_edge(i, double(u.y), point) : place_on_round(i, double(u.y), point)))
-        return false;
+    const bool is_round = i >= segments_.size() && i < first_crease_;
+    if (!(is_round ? place_on_round(i, double(u.y), point) : place_on_edge(i, double(u.y), point))) return false;
     point.density *= weight / total;
     return length2(point.out) > 0;
 }

@@ -16,6 +16,9 @@ struct OutlinePoint {
     Vector3<double> out;    // t x omega, turned away from the occluder
     double density = 0;     // per m of the silhouette
     std::uint32_t shape_idx = 0;
+    const Edge* edge = nullptr;  // null: of a round
+    double phi = 0;              // of a round
+    bool is_crease = false;      // both faces show
 };
 
 /// Lists silhouettes, weights them by angle and speed, and samples points of them. State of one thread.
@@ -30,6 +33,9 @@ class Outline {
     /// out:     whether there is anything
     bool collect(const Shaft& shaft, const Point3<double>& eye, bool at_infinity, ConstVelocities v_eye,
                  const EdgeTree& tree, bool all);
+    /// Adds creases in a shaft, a part of them where there are many. Must follow collect() over BoundaryScene::all_edges.
+    /// in:      u  uniform: which part
+    bool add_creases(const Shaft& shaft, float u);
 
     /// Draws a point. Its velocity is in velocity().
     /// in:      u  uniform: the choice, and the place along it
@@ -48,6 +54,7 @@ class Outline {
     bool place_on_edge(std::size_t i, double t, OutlinePoint& point);
     bool place_on_round(std::size_t i, double t, OutlinePoint& point);
     void look(OutlinePoint& point) const;
+    double add_segment(const EdgeSegment& segment);
 
     const BoundaryScene& s_;
     const EdgeTree* tree_ = nullptr;
@@ -56,6 +63,9 @@ class Outline {
     std::vector<Vector3<double>> velocity_, v_eye_;
     std::vector<EdgeSegment> segments_;
     std::vector<Round> rounds_;
+    std::size_t first_crease_ = 0;  // among arcs_: silhouettes, rounds, creases
+    double crease_share_ = 1;       // probability of a crease to be listed
+    std::vector<EdgeSegment> creases_;
     std::vector<Arc> arcs_;           // [segment, then round]
     std::vector<double> cumulative_;  // of the weights
 };
