@@ -34,8 +34,8 @@ BoundaryScene::BoundaryScene(const PathGraph& g, const Scene& s, const SceneTang
       motions(s, t),
       all_edges(tree_of(s, {})),
       moving_edges(tree_of(s, moving_shapes(s, t))),
-      by_ray(o.attachment == Attachment::ray) {
-    if (!by_ray) return;
+      attached(attached_of(s, o.attachment)) {
+    if (attached.reach == 0) return;
     for (std::uint32_t i = 0; i < all_edges.n_edges(); ++i)
         if (all_edges.edge(i).kind == EdgeKind::shared && is_crease(all_edges.set(), all_edges.edge(i)))
             creases.push_back(i);
@@ -88,6 +88,21 @@ void BoundaryScene::film_velocity(const SurfacePoint& at, const Pt& from, const 
         }
     }
     for (std::size_t k = 0; k < out.size(); ++k) out[k] = ray[k] + d * (dot(Vec(at.ng), out[k] - ray[k]) / cosine);
+}
+
+void BoundaryScene::far_velocity(std::uint32_t shape, std::uint32_t primitive, std::uint32_t material, const Vec& ng,
+                                 const Pt& p, const Pt& from, ConstVelocities v_from, ConstVelocities turn,
+                                 Velocities out) const {
+    shape_velocity(shape, primitive, p, out);
+    const Vec d = p - from;
+    const double r = length(d), share = has_delta_lobe(scene.materials[material].model.kind) ? 1 : attached.share(r);
+    if (share == 0) return;
+    const Vec u = d / r;
+    const double cosine = dot(ng, u);
+    for (std::size_t k = 0; k < out.size(); ++k) {
+        const Vec ray = v_from[k] + cross(turn[k], d);
+        out[k] = out[k] + (ray + u * (dot(ng, out[k] - ray) / cosine) - out[k]) * share;
+    }
 }
 
 void BoundaryScene::emitter_velocity(std::size_t emitter, const Pt& y, Velocities out) const {

@@ -65,9 +65,9 @@ class BoundaryScene {
     const BoundaryOptions& options;
     GraphReader reader;
     SurfaceMotions motions;
-    EdgeTree all_edges, moving_edges;    // of all shapes, and of those that move
-    bool by_ray = false;                 // vertices keep the directions that lead to them
-    std::vector<std::uint32_t> creases;  // of all_edges
+    EdgeTree all_edges, moving_edges;  // of all shapes, and of those that move
+    Attached attached;
+    std::vector<std::uint32_t> creases;  // of all_edges; empty where all vertices stay on their surfaces
 
     std::size_t n() const { return tangents.n(); }
     /// Edges that matter between points of which one moves, or neither.
@@ -81,6 +81,11 @@ class BoundaryScene {
     /// in:      from, d  origin and unit direction of the ray
     void film_velocity(const SurfacePoint& at, const Point3<double>& from, const Vector3<double>& d,
                        Velocities out) const;
+    /// Velocity of the end of a scattered ray: of its material point, of the ray, or between, as InteriorWalker has it.
+    /// in:      from, v_from, turn  start of the ray, its velocity and the angular velocity of its frame
+    void far_velocity(std::uint32_t shape, std::uint32_t primitive, std::uint32_t material, const Vector3<double>& ng,
+                      const Point3<double>& p, const Point3<double>& from, ConstVelocities v_from, ConstVelocities turn,
+                      Velocities out) const;
     /// Velocity of a point on or of an emitter; of a direction for one at infinity.
     void emitter_velocity(std::size_t emitter, const Point3<double>& y, Velocities out) const;
     bool emitter_moves(std::size_t emitter) const;

@@ -1,9 +1,8 @@
 // Family 3: from a stored vertex, the edges in front of surfaces and of an environment; the light beside the edge by
 // paths of their own.
 //   sum over visible silhouettes of beta f_cos(omega) dL swept / r_B^2 dl_B
-// Attached to surfaces: dL is the light beside the edge, L(x_L -> x_S), for the surface in front keeps its own.
-// Attached to rays: dL is the light beside the edge less that of the surface in front, and the edge moves past a ray that
-// turns with x_S; creases count as well, for points slide over them.
+// Both sides count, each with the velocity of its own far point (Attached): the light beside the edge, and that of the
+// surface in front, whose points slide over the edge unless they keep their places. So do points over creases.
 
 #include <tbb/enumerable_thread_specific.h>
 
@@ -32,12 +31,13 @@ struct Pending {
     Pt x_s;
     OutlinePoint b;
     std::vector<Vec> v_s, v_b;
-    std::vector<double> by_ray;  // rates past a ray that turns with the vertex
+    std::vector<Vec> turn;
 };
 /// A ray of a sample.
 struct Side {
     std::uint32_t pending_idx;
-    double sign;  // -1: the surface in front
+    double sign;   // -1: the surface in front
+    bool at_edge;  // the surface ends at the edge
 };
 
 class Sampling {
@@ -48,7 +48,7 @@ class Sampling {
           surfaces_(surfaces),
           environment_(environment),
           outline_(s),
-          walker_(s.graph, s.scene, s.tangents, s.by_ray),
+          walker_(s.graph, s.scene, s.tangents, s.attached),
           light_(s, streams::family(s.options.seed, 3)),
           v_light_(s.n()),
           rates_(s.n()) {}
@@ -93,13 +93,14 @@ class Sampling {
             }
             const Pt x_l = position<double>(g, begin);
             const double r = length(x_l - p.x_s);
-            const bool counts = surfaces_ && (s_.by_ray || r > p.b.r * (1 - 1e-6));
-            if (counts && s_.by_ray) {
-                rates_ = p.by_ray;
-            } else if (counts) {
-                s_.shape_velocity(g.vertices.shape[begin], g.vertices.primitive[begin], x_l, v_light_);
+            const bool at_edge = sides_[i].at_edge;
+            const bool counts = surfaces_ && (at_edge || r > p.b.r * (1 - 1e-6));
+            if (counts) {
+                s_.far_velocity(g.vertices.shape[begin], g.vertices.primitive[begin], g.vertices.material[begin],
+                                Vec(geometric_normal(g, begin)), at_edge ? p.b.p : x_l, p.x_s, p.v_s, p.turn, v_light_);
                 for (std::size_t k = 0; k < s_.n(); ++k)
-                    rates_[k] = swept(p.b.out, relative_velocity(p.b.r / r, p.v_b[k], p.v_s[k], v_light_[k]));
+                    rates_[k] =
+                        swept(p.b.out, relative_velocity(at_edge ? 1 : p.b.r / r, p.v_b[k], p.v_s[k], v_light_[k]));
             }
             // Emission at the first hit belongs to the family of emitters.
             bool emitted_first = !is_black(rgb(g.paths.Le, i));
@@ -130,9 +131,9 @@ class Sampling {
             return std::any_of(v.begin(), v.end(), [](const Vec& x) { return !(x == Vec{}); });
         };
         // Attached to surfaces, what lies behind an edge may move although neither the edge nor the vertex does.
-        const bool all = !s_.by_ray || moving(x.velocity) || moving(x.turn);
+        const bool all = !std::isinf(s_.attached.reach) || moving(x.velocity) || moving(x.turn);
         bool any = outline_.collect(shaft, p.x_s, false, x.velocity, s_.edges(all), all);
-        if (s_.by_ray && all && !s_.creases.empty()) any = outline_.add_creases(shaft, sampler.pair(2).x);
+        if (all && !s_.creases.empty()) any = outline_.add_creases(shaft, sampler.pair(2).x);
         if (!any || !outline_.sample(sampler.pair(1), p.b)) return;
         const Vector3f wi(p.b.omega);
         const Spectrum f_cos = f_cos_pdf(at, wi).f_cos;
@@ -144,37 +145,31 @@ class Sampling {
                   Rgb<double>(1 / (p.b.r * p.b.r * p.b.density * share_ * double(s_.graph.tracing.samples_per_pixel)));
         p.v_s.assign(x.velocity.begin(), x.velocity.end());
         p.v_b.assign(outline_.velocity().begin(), outline_.velocity().end());
-        if (s_.by_ray) {
-            p.by_ray.resize(s_.n());
-            for (std::size_t k = 0; k < s_.n(); ++k)
-                p.by_ray[k] = swept(p.b.out, p.v_b[k] - p.v_s[k] - cross(x.turn[k], p.b.omega) * p.b.r);
-        }
+        p.turn.assign(x.turn.begin(), x.turn.end());
         MediumStack media = arriving;
         if (interface && dot(at.n_side, wi) * dot(at.n_side, at.wo) < 0)
             media.pass(surface(x.vertex), dot(at.n_side, wi) < 0, *at.bsdf.model);
         const RayEnd end{at.p, at.ng, hit_error};
         const double clearance = s_.clearance(p.b.p, p.b.r);
         const auto pending_idx = std::uint32_t(pending_.size());
+        // Nothing may lie between: to the open space beside a silhouette or above a crease.
+        const Vec lift = p.b.is_crease ? lifted(*p.b.edge, p.b.omega) : p.b.out / length(p.b.out);
+        ++n_checks_;
+        if (s_.scene.occluded(spawn_segment(end, {Point3f(p.b.p + lift * clearance)}))) return;
         BoundaryScene::Sides sides;
-        if (s_.by_ray) {
-            if (p.b.edge) {
-                sides = s_.sides_of(s_.edges(all).set(), *p.b.edge, p.b.p, p.b.omega, p.b.out);
-            } else {
-                sides.front.shape_idx = p.b.shape_idx;
-                sides.front.u = float(std::cos(p.b.phi)), sides.front.v = float(std::sin(p.b.phi));
-            }
-            // Nothing may lie between: to the open space beside a silhouette or above a crease.
-            const Vec lift = p.b.is_crease ? lifted(*p.b.edge, p.b.omega) : p.b.out / length(p.b.out);
-            ++n_checks_;
-            if (s_.scene.occluded(spawn_segment(end, {Point3f(p.b.p + lift * clearance)}))) return;
-            push(end, p, sides.front, media, edge_number, pending_idx, -1);
+        if (p.b.edge) {
+            sides = s_.sides_of(s_.edges(all).set(), *p.b.edge, p.b.p, p.b.omega, p.b.out);
+        } else {
+            sides.front.shape_idx = p.b.shape_idx;
+            sides.front.u = float(std::cos(p.b.phi)), sides.front.v = float(std::sin(p.b.phi));
         }
-        if (s_.by_ray && p.b.is_crease) {
+        if (s_.attached.reach > 0) push(end, p, sides.front, media, edge_number, pending_idx, -1);
+        if (p.b.is_crease) {
             push(end, p, sides.back, media, edge_number, pending_idx, 1);
         } else {
             const Vec beside = p.b.omega + p.b.out * (clearance / (length(p.b.out) * p.b.r));
             rays_.push_back({spawn_ray(end, Vector3f(normalize(beside))), {x.vertex, 0}, media, edge_number, {}});
-            sides_.push_back({pending_idx, 1});
+            sides_.push_back({pending_idx, 1, false});
         }
         pending_.push_back(std::move(p));
     }
@@ -190,7 +185,7 @@ class Sampling {
         if (!hit) return;
         hit.t = float(p.b.r);
         rays_.push_back({Ray{from.p, Vector3f(p.b.omega), 0, INFINITY}, {p.vertex, 0}, media, edge_number, hit});
-        sides_.push_back({pending_idx, sign});
+        sides_.push_back({pending_idx, sign, true});
     }
 
     SurfaceIdx surface(std::size_t vertex) const {

@@ -65,7 +65,7 @@ LightPiece choose_piece(const Scene& scene, const Emitter& e, float& u) {
 class Sampling {
   public:
     explicit Sampling(const BoundaryScene& s)
-        : s_(s), v_light_(s.n()), rates_(s.n()), outline_(s), walker_(s.graph, s.scene, s.tangents, s.by_ray) {}
+        : s_(s), v_light_(s.n()), rates_(s.n()), outline_(s), walker_(s.graph, s.scene, s.tangents, s.attached) {}
 
     std::uint64_t n_rays = 0, n_samples = 0;
 

@@ -50,13 +50,14 @@ Column<T> joined(std::vector<Rows>& chunks, std::vector<T> Rows::*member) {
     return all;
 }
 
-void differentiate_interior(const PathGraph& graph, const Scene& scene, const SceneTangents& tangents, bool by_ray,
-                            int threads, app::Report& report, Derivative& out, std::uint64_t& n_touched) {
+void differentiate_interior(const PathGraph& graph, const Scene& scene, const SceneTangents& tangents,
+                            const Attached& attached, int threads, app::Report& report, Derivative& out,
+                            std::uint64_t& n_touched) {
     constexpr std::uint64_t chunk = 4096;
     std::vector<Rows> chunks((graph.n_paths() + chunk - 1) / chunk);
     app::Progress progress(report, "interior", graph.n_paths());
     tbb::enumerable_thread_specific<InteriorWalker> walkers(
-        [&] { return InteriorWalker(graph, scene, tangents, by_ray); });
+        [&] { return InteriorWalker(graph, scene, tangents, attached); });
     parallel_chunks(graph.n_paths(), chunk, threads, [&](std::uint64_t i, std::uint64_t begin, std::uint64_t end) {
         const InteriorWalker& walker = walkers.local();
         Rows& rows = chunks[i];
@@ -85,6 +86,13 @@ void differentiate_interior(const PathGraph& graph, const Scene& scene, const Sc
 }
 
 }  // namespace
+
+Attached attached_of(const Scene& scene, Attachment attachment) {
+    // A share of the scene's size: surfaces that meet are nearer than that, most others farther.
+    constexpr double share_of_radius = 0.3;
+    if (scene.nlos || attachment == Attachment::surface) return {0};
+    return {attachment == Attachment::ray ? double(INFINITY) : share_of_radius * double(scene.radius)};
+}
 
 Parts required_parts(const Scene& scene, const PathGraph& graph, const SceneTangents& tangents,
                      const std::vector<std::string>& off) {
@@ -138,8 +146,8 @@ Derivative differentiate(const PathGraph& graph, const Scene& scene, const Scene
     d.parameters.value = std::move(values);
     d.boundary_samples = std::vector<std::uint64_t>(n_boundary_families, 0);
     if (parts.interior)
-        differentiate_interior(graph, scene, tangents, boundary.attachment == Attachment::ray, boundary.threads, report,
-                               d, counts.touched_paths);
+        differentiate_interior(graph, scene, tangents, attached_of(scene, boundary.attachment), boundary.threads,
+                               report, d, counts.touched_paths);
     differentiate_boundary(graph, scene, tangents, parts, boundary, report, d, counts);
     return d;
 }
@@ -194,7 +202,7 @@ void run(const Options& options, app::Report& report) {
         throw InputError(fmt::format("--wrt: {} parameters, but one run differentiates by {} at most", tangents.n(),
                                      max_parameters));
     const double load_s = report.cost().cpu_s - before_s;
-    if (const std::string missing = missing_columns(graph, *scene, tangents, options.attachment == Attachment::ray);
+    if (const std::string missing = missing_columns(graph, *scene, tangents, attached_of(*scene, options.attachment));
         !missing.empty())
         throw InputError(
             fmt::format("{}: lacks columns for these parameters; trace it with loom-trace {}", options.graph, missing));

@@ -26,9 +26,9 @@ enum class Direct : std::uint8_t {
 
 /// What a vertex beyond a scattering keeps while the scene moves.
 enum class Attachment : std::uint8_t {
-    automatic,  // by a pilot
-    surface,    // its place on its surface: no boundary term of the surfaces' own light
-    ray         // the direction that was sampled: finite variance where surfaces meet
+    automatic,  // the direction near its start, its place far from it
+    surface,    // its place on its surface
+    ray         // the direction that was sampled
 };
 
 struct Options {
@@ -63,6 +63,10 @@ struct BoundaryOptions {
     Direct direct = Direct::automatic;
     Attachment attachment = Attachment::automatic;
 };
+
+struct Attached;
+/// Returns how far vertices keep their directions; in an NLOS capture always their places.
+Attached attached_of(const Scene& scene, Attachment attachment);
 
 /// Number of paths and rays that a derivative took.
 struct DeriveCounts {

@@ -63,11 +63,6 @@ Bsdf<Dual<n, Real>> with_tangent(const Bsdf<float>& bsdf, const MaterialTangent&
     return b;
 }
 
-bool has_delta_lobe(BsdfKind kind) {
-    return kind == BsdfKind::conductor || kind == BsdfKind::dielectric || kind == BsdfKind::thin_dielectric ||
-           kind == BsdfKind::plastic;
-}
-
 struct Source {
     const PathGraph& graph;
     const Scene& scene;
@@ -76,10 +71,10 @@ struct Source {
     SurfaceMotions motions;
     std::vector<char> shape_matters, material_matters, emitter_matters;
 
-    bool by_ray;
+    Attached attached;
 
-    Source(const PathGraph& g, const Scene& s, const SceneTangents& t, bool rays)
-        : graph(g), scene(s), tangents(t), reader(g), motions(s, t), by_ray(rays) {
+    Source(const PathGraph& g, const Scene& s, const SceneTangents& t, const Attached& how)
+        : graph(g), scene(s), tangents(t), reader(g), motions(s, t), attached(how) {
         for (std::uint32_t i = 0; i < s.shapes.size(); ++i) {
             shape_matters.push_back(t.moves(i) || !t.shading_normals[i].empty());
         }
@@ -148,6 +143,7 @@ class Walk {
         Vec wi_local;
         Vectors ns;
         Numbers twist;
+        Vectors turn;         // angular velocity of the frame
         Rgb<double> beta{1};  // before the factor
         Colours dbeta;
         double opl = 0;
@@ -196,20 +192,26 @@ class Walk {
         }
     }
 
-    /// Moves a point that a ray reaches along its surface.
+    /// Moves a point along its surface towards the one that the ray reaches.
     /// in:      motion  of the material point
-    /// out:     motion  of the sliding point, normals included
+    /// out:     motion  of the sliding point: normals and the growth of its area included
     void slide(const Start& a, const Vec& d, double r, const SurfacePlace& place, PointMotion<n>& motion,
                Arrival* arrival) const {
+        const double share = a.by_ray ? 1 : s_.attached.share(r);
+        if (share == 0) return;
+        const bool varies = s_.motions.varies(place.shape_idx);
         const Vec u = d / r;
         const double cosine = loom::dot(place.ng, u);
-        const bool varies = s_.motions.varies(place.shape_idx);
         for (int p = 0; p < n; ++p) {
-            const Vec ray = a.v(p) + a.dw(p) * r, material = motion.p(p);
+            const Vec ray = a.by_ray ? a.v(p) + a.dw(p) * r : a.v(p) + cross(a.turn(p), d), material = motion.p(p);
             if (ray == material) continue;
-            const double tau = loom::dot(place.ng, material - ray) / cosine;
-            const Vec moved = ray + u * tau, along = moved - material;
+            const Vec slip = ray + u * (loom::dot(place.ng, material - ray) / cosine) - material;
+            const Vec along = slip * share;
             motion.p.add(p, along);
+            if (!a.by_ray)
+                motion.area.d[p] +=
+                    share * s_.motions.slip_growth(place, std::uint32_t(p), d, material - ray, a.turn(p)) +
+                    s_.attached.slope(r) * loom::dot(u, slip);
             if (!varies || along == Vec{}) continue;
             const auto normals = s_.motions.normals_along(place, along);
             motion.ng.add(p, normals.ng);
@@ -292,7 +294,7 @@ class Walk {
         b.u = d / r;
         s_.motions.add_material(b.place, b.motion);
         for (const auto& [p, t] : s_.tangents.materials[b.material_idx]) b.material.push_back({p, t});
-        if (a.by_ray) slide(a, d, r, b.place, b.motion, &b);
+        if (a.by_ray || a.scattered) slide(a, d, r, b.place, b.motion, &b);
         Vectors ddot = b.motion.p;
         ddot.add(-1, a.v);
         b.du = direction_change(b.u, r, ddot);
@@ -463,7 +465,7 @@ class Walk {
         }
         const Vec wi(continuation_direction(g_, j));
         a_ = start_at(at, here, scatter(at, here, wi, inv_pdf));
-        a_.by_ray = s_.by_ray || reaches_delta(j);
+        a_.by_ray = reaches_delta(j);
         if (a_.by_ray) set_ray(a_.frame, a_.frame.to_local(wi), {}, here, a_);
     }
 
@@ -491,6 +493,8 @@ class Walk {
         next.frame = in_double(at.frame);
         next.ns = here.motion.ns;
         next.twist = here.motion.twist;
+        for (int p = 0; p < n; ++p)
+            next.turn.add(p, cross(Vec(at.frame.n), here.motion.ns(p)) + Vec(at.frame.n) * here.motion.twist.d[p]);
         return next;
     }
 
@@ -681,8 +685,8 @@ struct InteriorWalker::Impl {
     mutable std::vector<float> dL, dopl;
     mutable std::vector<Vec> velocity, turn;
 
-    Impl(const PathGraph& graph, const Scene& scene, const SceneTangents& tangents, bool by_ray)
-        : source(graph, scene, tangents, by_ray),
+    Impl(const PathGraph& graph, const Scene& scene, const SceneTangents& tangents, const Attached& attached)
+        : source(graph, scene, tangents, attached),
           dL(3 * tangents.n()),
           dopl(tangents.n()),
           velocity(tangents.n()),
@@ -712,8 +716,9 @@ struct InteriorWalker::Impl {
     }
 };
 
-InteriorWalker::InteriorWalker(const PathGraph& graph, const Scene& scene, const SceneTangents& tangents, bool by_ray)
-    : impl_(std::make_unique<Impl>(graph, scene, tangents, by_ray)) {}
+InteriorWalker::InteriorWalker(const PathGraph& graph, const Scene& scene, const SceneTangents& tangents,
+                               const Attached& attached)
+    : impl_(std::make_unique<Impl>(graph, scene, tangents, attached)) {}
 InteriorWalker::~InteriorWalker() = default;
 InteriorWalker::InteriorWalker(InteriorWalker&&) noexcept = default;
 
@@ -783,7 +788,8 @@ void InteriorWalker::walk_vertices(std::size_t path, const OnVertex& on_vertex) 
     });
 }
 
-std::string missing_columns(const PathGraph& graph, const Scene& scene, const SceneTangents& tangents, bool by_ray) {
+std::string missing_columns(const PathGraph& graph, const Scene& scene, const SceneTangents& tangents,
+                            const Attached& attached) {
     const SurfaceMotions motions(scene, tangents);
     bool primitives = false, media = false;
     for (std::uint32_t s = 0; s < scene.shapes.size(); ++s)
@@ -791,7 +797,7 @@ std::string missing_columns(const PathGraph& graph, const Scene& scene, const Sc
             !tangents.vertices[s].empty() || (scene.shapes[s].kind == ShapeKind::mesh &&
                                               (tangents.camera_moves() || tangents.moves(s)) && motions.varies(s));
     // Behind mirrors and glass all vertices slide when one of them moves.
-    if ((by_ray || scene.features.delta_lobes) && (tangents.any_shape_moves() || tangents.camera_moves()))
+    if ((attached.reach > 0 || scene.features.delta_lobes) && (tangents.any_shape_moves() || tangents.camera_moves()))
         for (std::uint32_t s = 0; s < scene.shapes.size(); ++s)
             primitives |= scene.shapes[s].kind == ShapeKind::mesh && motions.varies(s);
     for (const auto& effects : tangents.materials)

@@ -11,7 +11,7 @@
 
 #include "formats/path_graph.h"
 #include "stages/core/scene/shading.h"
-#include "stages/derive/scene_tangents.h"
+#include "stages/derive/surface_motion.h"
 
 namespace loom::derive {
 
@@ -38,8 +38,7 @@ struct VertexState {
 /// Walks along stored paths with their derivatives. Borrows all arguments of the constructor; one per thread.
 class InteriorWalker {
   public:
-    /// in:      by_ray  vertices keep the direction that leads to them, not their place on the surface
-    InteriorWalker(const PathGraph& graph, const Scene& scene, const SceneTangents& tangents, bool by_ray);
+    InteriorWalker(const PathGraph& graph, const Scene& scene, const SceneTangents& tangents, const Attached& attached);
     ~InteriorWalker();
     InteriorWalker(InteriorWalker&&) noexcept;
 
@@ -59,6 +58,7 @@ class InteriorWalker {
 
 /// The primitive column that a graph must have for these parameters, and the column of media; empty: it has them.
 /// out:     what is missing and the command that stores it
-std::string missing_columns(const PathGraph& graph, const Scene& scene, const SceneTangents& tangents, bool by_ray);
+std::string missing_columns(const PathGraph& graph, const Scene& scene, const SceneTangents& tangents,
+                            const Attached& attached);
 
 }  // namespace loom::derive

@@ -73,6 +73,24 @@ struct SurfacePlace {
     Vector3<double> ng, ns, tangent;  // unit
 };
 
+/// Whether a surface has a lobe without width besides masks: vertices on it keep the direction that leads to them.
+inline bool has_delta_lobe(BsdfKind kind) {
+    return kind == BsdfKind::conductor || kind == BsdfKind::dielectric || kind == BsdfKind::thin_dielectric ||
+           kind == BsdfKind::plastic;
+}
+
+/// How far the end of a scattered ray keeps its direction, and from where on its place on the surface. Any smooth choice
+/// gives the same sum of interior and boundary. Near its start a vertex must keep the direction, or the variance has no
+/// bound where surfaces meet; far from it the place, or it slides far at grazing angles.
+///   v = V + w(r) (v_ray - V),  w = 1 / (1 + (r / reach)^2)
+struct Attached {
+    double reach = 0;  // m; 0: all to the surface, infinite: all to the ray
+
+    double share(double r) const { return reach == 0 ? 0 : 1 / (1 + sqr(r / reach)); }
+    /// dw/dr
+    double slope(double r) const { return reach == 0 ? 0 : -2 * r / sqr(reach) * sqr(share(r)); }
+};
+
 /// Evaluates motions of points of a scene. Borrows both arguments.
 class SurfaceMotions {
   public:
@@ -106,6 +124,12 @@ class SurfaceMotions {
     /// Change of a textured emission, as a factor on radiance.
     Rgb<double> emission_along(const SurfacePlace& at, const Vector3<double>& slide) const;
 
+    /// Divergence over the surface of the slip T = v_ray - V between the end of a turning ray and the material point:
+    ///   T = -c + d (n . c) / (n . d),  c = V - v_a - turn x d
+    /// in:      d  from the start of the ray;  c  its value here
+    double slip_growth(const SurfacePlace& at, std::uint32_t parameter, const Vector3<double>& d,
+                       const Vector3<double>& c, const Vector3<double>& turn) const;
+
     /// Whether shading changes when a point slides over a shape, so that its primitive must be known.
     bool varies(std::uint32_t shape) const;
 
@@ -132,6 +156,9 @@ class SurfaceMotions {
     }
     /// Barycentric coordinates (u, v) of a vector from the first corner, or of a vector in the plane of the triangle.
     Point2<double> barycentric(const SurfacePlace& at, const Vector3<double>& from_corner) const;
+    /// Of one parameter that moves single vertices: growth of the area, and n . (gradient of the velocity along a vector).
+    std::pair<double, double> vertex_gradient(const SurfacePlace& at, std::uint32_t parameter,
+                                              const Vector3<double>& along) const;
     /// Texture coordinates per metre along `slide`, and those of the point.
     struct UvSlide {
         Point2f uv;
