@@ -1,6 +1,7 @@
 #include "stages/derive/boundary.h"
 
 #include <algorithm>
+#include <functional>
 #include <numeric>
 
 #include "stages/core/app/report.h"
@@ -259,39 +260,128 @@ double second_moment(const std::vector<BoundaryRows>& rows) {
     return sum;
 }
 
-/// Returns by emitter whether light points (family 2) are the cheaper way for first hits, by variance times cost of a
-/// few samples of each. Costs are counts of rays and look-ups, so that the choice does not depend on the machine.
-std::vector<char> choose_light_points(const BoundaryScene& s, app::Report& report) {
-    constexpr double n_vertices = 32768, n_lights = 2048;
-    const std::size_t n_emitters = s.scene.emitters.size();
-    std::vector<char> light_points(n_emitters);
-    const double share = std::min(1.0, n_vertices / double(s.graph.n_paths()));
-    constexpr std::size_t most = 16;  // pilots; further emitters follow the majority
-    std::size_t n_pilots = 0, n_chosen = 0;
-    app::Report silent(report.name());
-    silent.set_quiet(true);
-    for (std::size_t e = 0; e < n_emitters; ++e) {
-        if (s.scene.emitters[e].kind != EmitterKind::area) continue;
-        if (++n_pilots > most) {
-            light_points[e] = 2 * n_chosen > most;
-            continue;
-        }
-        std::vector<char> only(n_emitters);
-        only[e] = 1;
-        std::vector<BoundaryRows> by_vertex, by_light;
-        std::vector<std::uint64_t> n_by_vertex(n_boundary_families), n_by_light(n_boundary_families);
-        const double vertex_rays = double(add_vertex_light(s, share, only, false, by_vertex, n_by_vertex, silent)),
-                     light_rays =
-                         double(add_edge_light(s, std::uint64_t(n_lights), only, by_light, n_by_light, silent));
-        const double vertex_cost = vertex_rays + double(n_by_vertex[1]), light_cost = light_rays + 2 * n_lights;
-        const double vertex_work = second_moment(by_vertex) * vertex_cost,
-                     light_work = second_moment(by_light) * light_cost;
-        // Nothing found by vertices may mean too few of them.
-        light_points[e] = vertex_work == 0 ? light_work > 0 : light_work > 0 && light_work < vertex_work;
-        n_chosen += std::size_t(light_points[e]);
+/// The boundary families that a derivative needs, and how many samples each takes.
+class Allotment {
+  public:
+    using Rows = std::vector<BoundaryRows>;
+    using Samples = std::span<std::uint64_t>;
+
+    Allotment(const BoundaryScene& s, const Parts& parts, app::Report& report)
+        : s_(s), report_(report), silent_(report.name()), n_paths_(double(s.graph.n_paths())) {
+        silent_.set_quiet(true);
+        pilot_share_ = std::min(1.0, std::clamp(0.02 * n_paths_, 16384.0, 65536.0) / n_paths_);
+        for (const Emitter& e : s.scene.emitters)
+            environment_ |= parts.direct && (e.kind == EmitterKind::constant || e.kind == EmitterKind::envmap);
+        if (parts.direct) choose_direct();
+        if (parts.primary)
+            families_.push_back({[this](double n, Rows& rows, Samples samples, app::Report& to) {
+                                     return add_primary(s_, count(n), rows, samples, to);
+                                 },
+                                 pilot_share_ * n_paths_, INFINITY});
+        if (any_area_)
+            families_.push_back({[this](double share, Rows& rows, Samples samples, app::Report& to) {
+                                     return add_vertex_light(s_, share, by_vertex_, true, rows, samples, to);
+                                 },
+                                 pilot_share_, 1});
+        if (any_light_points_)
+            families_.push_back({[this](double n, Rows& rows, Samples samples, app::Report& to) {
+                                     return add_edge_light(s_, count(n), by_light_, rows, samples, to);
+                                 },
+                                 0.05 * pilot_share_ * n_paths_, INFINITY});
+        if (parts.indirect || environment_)
+            families_.push_back(
+                {[this, surfaces = parts.indirect](double share, Rows& rows, Samples samples, app::Report& to) {
+                     return add_indirect(s_, share, surfaces, environment_, rows, samples, to);
+                 },
+                 0.25 * pilot_share_, 1});
     }
-    return light_points;
-}
+
+    /// Samples all families within the budget: in proportion to sqrt(variance / cost) of a pilot of each.
+    std::uint64_t sample(Rows& rows, Samples samples) {
+        double total = 0;
+        for (Family& family : families_) {
+            Rows tried;
+            std::vector<std::uint64_t> n_tried(n_boundary_families);
+            const Effort effort = family.run(family.pilot, tried, n_tried, silent_);
+            rays_ += effort.rays;
+            family.variance = second_moment(tried) * family.pilot;
+            family.cost = std::max(effort.cost() / family.pilot, 1e-9);
+            total += std::sqrt(family.variance * family.cost);
+        }
+        // Tracing a path and binning it costs about as much as this many rays.
+        const double path_cost =
+            1.5 * double(s_.graph.n_vertices() + s_.graph.n_light_edges()) / std::max(n_paths_, 1.0);
+        const double budget = s_.options.effort * n_paths_ * path_cost;
+        for (const Family& family : families_) {
+            const double wanted = total > 0 ? budget / total * std::sqrt(family.variance / family.cost) : 0;
+            // A pilot that finds nothing may have been too small.
+            const double n = std::min(std::max(wanted, family.pilot), family.most);
+            rays_ += family.run(n, rows, samples, report_).rays;
+        }
+        return rays_;
+    }
+
+  private:
+    struct Family {
+        std::function<Effort(double, Rows&, Samples, app::Report&)> run;
+        double pilot, most;             // number of samples, or share of the paths
+        double variance = 0, cost = 0;  // of one, or of all paths
+    };
+
+    static std::uint64_t count(double n) { return std::uint64_t(std::max(1.0, std::ceil(n))); }
+
+    /// Chooses, by emitter, whether light points are the cheaper way for first hits: by variance times cost of a few
+    /// samples of each. Lights without area have no other.
+    void choose_direct() {
+        const std::size_t n_emitters = s_.scene.emitters.size();
+        by_light_.assign(n_emitters, 0);
+        by_vertex_.assign(n_emitters, 0);
+        constexpr std::size_t most = 16;  // pilots; further emitters follow the majority
+        std::size_t n_pilots = 0, n_chosen = 0;
+        for (std::size_t e = 0; e < n_emitters; ++e) {
+            const Emitter& emitter = s_.scene.emitters[e];
+            if (emitter.kind == EmitterKind::area) {
+                if (s_.options.direct == Direct::automatic)
+                    by_light_[e] = n_pilots++ < most ? prefers_light_points(e) : char(2 * n_chosen > most);
+                else
+                    by_light_[e] = s_.options.direct == Direct::lights;
+                n_chosen += std::size_t(by_light_[e]);
+                by_vertex_[e] = !by_light_[e];
+                any_area_ = true;
+            } else {
+                by_light_[e] = emitter.is_delta();
+            }
+            any_light_points_ |= by_light_[e] != 0;
+        }
+    }
+
+    char prefers_light_points(std::size_t e) {
+        std::vector<char> only(s_.scene.emitters.size());
+        only[e] = 1;
+        Rows by_vertex, by_light;
+        std::vector<std::uint64_t> n_tried(n_boundary_families);
+        const Effort vertices = add_vertex_light(s_, pilot_share_, only, false, by_vertex, n_tried, silent_),
+                     lights =
+                         add_edge_light(s_, count(0.05 * pilot_share_ * n_paths_), only, by_light, n_tried, silent_);
+        rays_ += vertices.rays + lights.rays;
+        const double vertex_work = second_moment(by_vertex) * vertices.cost(),
+                     light_work = second_moment(by_light) * lights.cost();
+        // Few vertices that find an edge are no measure of the variance, which rare ones make.
+        constexpr std::size_t fewest = 100;
+        std::size_t n_found = 0;
+        for (const BoundaryRows& part : by_vertex) n_found += part.pixel.size();
+        return light_work > 0 && (n_found < fewest || light_work < vertex_work);
+    }
+
+    const BoundaryScene& s_;
+    app::Report& report_;
+    app::Report silent_;
+    double n_paths_, pilot_share_ = 1;
+    bool environment_ = false, any_area_ = false, any_light_points_ = false;
+    std::vector<char> by_light_, by_vertex_;  // by emitter, for first hits
+    std::vector<Family> families_;
+    std::uint64_t rays_ = 0;
+};
 
 }  // namespace
 
@@ -302,32 +392,7 @@ void differentiate_boundary(const PathGraph& graph, const Scene& scene, const Sc
     const BoundaryScene s(graph, scene, tangents, options);
     std::vector<std::uint64_t> samples(n_boundary_families);
     std::vector<BoundaryRows> rows;
-    const double n_paths = double(graph.n_paths());
-    const auto count = [&](double share) {
-        return std::uint64_t(std::max(1.0, std::ceil(share * options.effort * n_paths)));
-    };
-    if (parts.primary) counts.rays += add_primary(s, count(0.1), rows, samples, report);
-    bool environment = false;
-    if (parts.direct) {
-        std::vector<char> by_light = options.direct == Direct::automatic ? choose_light_points(s, report)
-                                                                         : std::vector<char>(scene.emitters.size()),
-                          by_vertex(by_light.size());
-        bool any_light = false, any_area = false;
-        for (std::size_t e = 0; e < by_light.size(); ++e) {
-            const Emitter& emitter = scene.emitters[e];
-            environment |= emitter.kind == EmitterKind::constant || emitter.kind == EmitterKind::envmap;
-            by_light[e] |=
-                char(emitter.is_delta() || (options.direct == Direct::lights && emitter.kind == EmitterKind::area));
-            by_vertex[e] = emitter.kind == EmitterKind::area && !by_light[e];
-            any_light |= by_light[e] != 0;
-            any_area |= emitter.kind == EmitterKind::area;
-        }
-        if (any_area)
-            counts.rays += add_vertex_light(s, std::min(options.effort, 1.0), by_vertex, true, rows, samples, report);
-        if (any_light) counts.rays += add_edge_light(s, count(0.05), by_light, rows, samples, report);
-    }
-    if (parts.indirect || environment)
-        counts.rays += add_indirect(s, 0.1 * options.effort, parts.indirect, environment, rows, samples, report);
+    counts.rays += Allotment(s, parts, report).sample(rows, samples);
     set_rows(rows, tangents.n(), out);
     out.boundary_samples = std::move(samples);
 }

@@ -13,6 +13,7 @@
 #include "formats/derivative.h"
 #include "stages/core/edges/edge_tree.h"
 #include "stages/core/graph/graph_reader.h"
+#include "stages/core/sampling/streams.h"
 #include "stages/derive/derive.h"
 #include "stages/derive/surface_motion.h"
 
@@ -70,6 +71,12 @@ class BoundaryScene {
     std::vector<std::uint32_t> creases;  // of all_edges; empty where all vertices stay on their surfaces
 
     std::size_t n() const { return tangents.n(); }
+    /// Numbers of sample i of a stream, of the kind of the graph's.
+    Sampler sampler(std::uint64_t stream, std::uint64_t i) const {
+        const bool sobol = graph.tracing.sampler == "sobol";
+        const std::uint64_t seed = streams::family(options.seed, stream);
+        return sobol ? Sampler(SamplerKind::sobol, seed, 0, i) : Sampler(SamplerKind::independent, seed, i, 0);
+    }
     /// Edges that matter between points of which one moves, or neither.
     const EdgeTree& edges(bool ends_move) const { return ends_move ? all_edges : moving_edges; }
 
@@ -122,19 +129,29 @@ void for_pixels_at(const Sensor& sensor, Point2f film, F&& f) {
         }
 }
 
-/// The four families. Each adds its samples to `samples[family]` and returns the rays that it traced.
-std::uint64_t add_primary(const BoundaryScene& s, std::uint64_t n_samples, std::vector<BoundaryRows>& rows,
-                          std::span<std::uint64_t> samples, app::Report& report);
-/// in:      share     probability of each vertex to be sampled
-///          at_first  by emitter: whether first hits sample it; deeper: whether deeper vertices do
-std::uint64_t add_vertex_light(const BoundaryScene& s, double share, const std::vector<char>& at_first, bool deeper,
-                               std::vector<BoundaryRows>& rows, std::span<std::uint64_t> samples, app::Report& report);
+/// Work of a family, in numbers that do not depend on the machine.
+struct Effort {
+    std::uint64_t rays = 0;
+    std::uint64_t steps = 0;  // vertices walked, or points of silhouettes drawn
+
+    /// In rays; a step costs about as much as two.
+    double cost() const { return double(rays) + 2 * double(steps); }
+};
+
+/// The four families. Each adds its samples to `samples[family]`.
+/// in:      n_samples  points of curves, or light points
+///          share      probability of each path to be sampled, at most 1
+Effort add_primary(const BoundaryScene& s, std::uint64_t n_samples, std::vector<BoundaryRows>& rows,
+                   std::span<std::uint64_t> samples, app::Report& report);
+/// in:      at_first  by emitter: whether first hits sample it; deeper: whether deeper vertices do
+Effort add_vertex_light(const BoundaryScene& s, double share, const std::vector<char>& at_first, bool deeper,
+                        std::vector<BoundaryRows>& rows, std::span<std::uint64_t> samples, app::Report& report);
 /// in:      wanted  by emitter
-std::uint64_t add_edge_light(const BoundaryScene& s, std::uint64_t n_samples, const std::vector<char>& wanted,
-                             std::vector<BoundaryRows>& rows, std::span<std::uint64_t> samples, app::Report& report);
+Effort add_edge_light(const BoundaryScene& s, std::uint64_t n_samples, const std::vector<char>& wanted,
+                      std::vector<BoundaryRows>& rows, std::span<std::uint64_t> samples, app::Report& report);
 /// in:      surfaces, environment  whether light of surfaces, and that of an environment, is wanted
-std::uint64_t add_indirect(const BoundaryScene& s, double share, bool surfaces, bool environment,
-                           std::vector<BoundaryRows>& rows, std::span<std::uint64_t> samples, app::Report& report);
+Effort add_indirect(const BoundaryScene& s, double share, bool surfaces, bool environment,
+                    std::vector<BoundaryRows>& rows, std::span<std::uint64_t> samples, app::Report& report);
 
 /// Samples all boundary terms that `parts` requires, into the rows of `out`, sorted by pixel, family and sample.
 void differentiate_boundary(const PathGraph& graph, const Scene& scene, const SceneTangents& tangents,

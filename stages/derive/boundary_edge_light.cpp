@@ -30,7 +30,7 @@ class Sampling {
 
     void sample(std::uint64_t i, BoundaryRows& rows) {
         const Scene& scene = s_.scene;
-        const Sampler sampler(SamplerKind::independent, streams::family(s_.options.seed, 2), i, 0);
+        const Sampler sampler = s_.sampler(2, i);
         float u_choice = sampler.pair(0).x;
         const std::size_t emitter_idx = choice_.sample(u_choice);
         const Emitter& e = scene.emitters[emitter_idx];
@@ -166,8 +166,8 @@ class Sampling {
 
 }  // namespace
 
-std::uint64_t add_edge_light(const BoundaryScene& s, std::uint64_t n_samples, const std::vector<char>& wanted,
-                             std::vector<BoundaryRows>& rows, std::span<std::uint64_t> samples, app::Report& report) {
+Effort add_edge_light(const BoundaryScene& s, std::uint64_t n_samples, const std::vector<char>& wanted,
+                      std::vector<BoundaryRows>& rows, std::span<std::uint64_t> samples, app::Report& report) {
     std::vector<double> weights;
     for (std::size_t e = 0; e < s.scene.emitters.size(); ++e)
         weights.push_back(wanted[e] ? std::max(double(s.scene.emitter_pmf.pmf(e)), 1e-3) : 0);
@@ -181,9 +181,9 @@ std::uint64_t add_edge_light(const BoundaryScene& s, std::uint64_t n_samples, co
         progress.add(end - begin);
     });
     samples[std::size_t(BoundaryFamily::edge_light)] += n_samples;
-    std::uint64_t rays = 0;
-    for (const Sampling& worker : workers) rays += worker.n_rays;
-    return rays;
+    Effort effort{0, n_samples * n_points};
+    for (const Sampling& worker : workers) effort.rays += worker.n_rays;
+    return effort;
 }
 
 }  // namespace loom::derive

@@ -53,20 +53,22 @@ class Sampling {
           v_light_(s.n()),
           rates_(s.n()) {}
 
-    std::uint64_t n_samples = 0, n_rays() const { return light_.n_rays + n_checks_; }
+    std::uint64_t n_samples = 0, n_walked = 0;
+    std::uint64_t n_rays() const { return light_.n_rays + n_checks_; }
 
     void sample_path(std::size_t path, BoundaryRows& rows) {
+        const std::uint64_t seed = streams::family(s_.options.seed, 5);
+        if (!(streams::selection(seed, path) < share_)) return;
         const std::size_t first = s_.graph.paths.first_vertex[path];
         MediumStack media;
-        if (s_.graph.n_vertices() > first && s_.scene.features.dielectric)
-            media = s_.scene.sensor_media.at(s_.scene, camera_origin(s_.graph, path));
+        if (s_.scene.features.dielectric) media = s_.scene.sensor_media.at(s_.scene, camera_origin(s_.graph, path));
         walker_.walk_vertices(path, [&](const VertexState& x) {
-            const Sampler sampler(SamplerKind::independent, streams::family(s_.options.seed, 5), x.vertex, 0);
+            ++n_walked;
             const auto flags = s_.graph.vertices.flags[x.vertex];
-            if ((flags & vertex_flag::attempted_bsdf) && has_smooth_lobe(x.at->bsdf) &&
-                double(sampler.pair(0).x) < share_) {
+            if ((flags & vertex_flag::attempted_bsdf) && has_smooth_lobe(x.at->bsdf)) {
                 ++n_samples;
-                sample_vertex(x, path, int(x.vertex - first), media, sampler);
+                sample_vertex(x, path, int(x.vertex - first), media,
+                              Sampler(SamplerKind::independent, seed, x.vertex, 0));
                 if (rays_.size() + 2 > PathBatch::capacity) finish(rows);
             }
             if (s_.scene.features.dielectric && (flags & vertex_flag::continued)) follow(x, media);
@@ -222,8 +224,8 @@ class Sampling {
 
 }  // namespace
 
-std::uint64_t add_indirect(const BoundaryScene& s, double share, bool surfaces, bool environment,
-                           std::vector<BoundaryRows>& rows, std::span<std::uint64_t> samples, app::Report& report) {
+Effort add_indirect(const BoundaryScene& s, double share, bool surfaces, bool environment,
+                    std::vector<BoundaryRows>& rows, std::span<std::uint64_t> samples, app::Report& report) {
     constexpr std::uint64_t chunk = 16384;
     const std::size_t first = rows.size();
     const std::uint64_t n_paths = s.graph.n_paths();
@@ -237,12 +239,13 @@ std::uint64_t add_indirect(const BoundaryScene& s, double share, bool surfaces, 
         worker.finish(rows[first + i]);
         progress.add(end - begin);
     });
-    std::uint64_t rays = 0;
+    Effort effort;
     for (const Sampling& worker : workers) {
-        rays += worker.n_rays();
+        effort.rays += worker.n_rays();
+        effort.steps += worker.n_walked;
         samples[std::size_t(BoundaryFamily::indirect)] += worker.n_samples;
     }
-    return rays;
+    return effort;
 }
 
 }  // namespace loom::derive

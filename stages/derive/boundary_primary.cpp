@@ -460,10 +460,10 @@ struct Worker {
 
 }  // namespace
 
-std::uint64_t add_primary(const BoundaryScene& s, std::uint64_t n_samples, std::vector<BoundaryRows>& rows,
-                          std::span<std::uint64_t> samples, app::Report& report) {
+Effort add_primary(const BoundaryScene& s, std::uint64_t n_samples, std::vector<BoundaryRows>& rows,
+                   std::span<std::uint64_t> samples, app::Report& report) {
     const Primary primary(s);
-    if (primary.empty()) return 0;
+    if (primary.empty()) return {};
     const Scene& scene = s.scene;
     constexpr std::uint64_t chunk = PathBatch::capacity / 2;
     const std::size_t first = rows.size();
@@ -480,12 +480,9 @@ std::uint64_t add_primary(const BoundaryScene& s, std::uint64_t n_samples, std::
         w.sample_of.clear();
         w.sample_ids.clear();
         for (std::uint64_t k = begin; k < end; ++k) {
-            const Sampler sampler(SamplerKind::independent, streams::family(s.options.seed, 4), k, 0);
+            const Sampler sampler = s.sampler(4, k);
             Primary::Sample sample;
-            // Stratified: sums over the curves have almost no variance of their own.
-            Point2f u = sampler.pair(0);
-            u.x = float(std::min((double(k) + double(u.x)) / double(n_samples), 1 - 0x1p-24));
-            if (!primary.sample(u, sampler.pair(1).x, w.v, sample)) continue;
+            if (!primary.sample(sampler.pair(0), sampler.pair(1).x, w.v, sample)) continue;
             const auto ray = [&](double side, const Hit& hit) {
                 const double off = hit ? 0 : side * beside;
                 const Ray camera = primary.map().ray(
@@ -520,9 +517,9 @@ std::uint64_t add_primary(const BoundaryScene& s, std::uint64_t n_samples, std::
         progress.add(end - begin);
     });
     samples[std::size_t(BoundaryFamily::primary)] += n_samples;
-    std::uint64_t rays = 0;
-    for (const Worker& worker : workers) rays += worker.n_checks + worker.light.n_rays;
-    return rays;
+    Effort effort{0, n_samples};
+    for (const Worker& worker : workers) effort.rays += worker.n_checks + worker.light.n_rays;
+    return effort;
 }
 
 }  // namespace loom::derive

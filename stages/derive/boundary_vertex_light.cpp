@@ -67,18 +67,19 @@ class Sampling {
     explicit Sampling(const BoundaryScene& s)
         : s_(s), v_light_(s.n()), rates_(s.n()), outline_(s), walker_(s.graph, s.scene, s.tangents, s.attached) {}
 
-    std::uint64_t n_rays = 0, n_samples = 0;
+    std::uint64_t n_rays = 0, n_samples = 0, n_walked = 0;
 
     void sample_path(std::size_t path, double share, const std::vector<char>& at_first, bool deeper,
                      BoundaryRows& rows) {
+        const std::uint64_t seed = streams::family(s_.options.seed, 1);
+        if (!(streams::selection(seed, path) < share)) return;
         walker_.walk_vertices(path, [&](const VertexState& x) {
+            ++n_walked;
             if (!deeper && x.vertex != s_.graph.paths.first_vertex[path]) return;
             if (!(s_.graph.vertices.flags[x.vertex] & vertex_flag::attempted_nee)) return;
-            const Sampler sampler(SamplerKind::independent, streams::family(s_.options.seed, 1), x.vertex, 0);
-            const Point2f pick = sampler.pair(0);
-            if (pick.x >= share) return;
+            const Sampler sampler(SamplerKind::independent, seed, x.vertex, 0);
             ++n_samples;
-            sample_vertex(x, path, share, at_first, sampler, pick.y, rows);
+            sample_vertex(x, path, share, at_first, sampler, sampler.pair(0).x, rows);
         });
     }
 
@@ -218,8 +219,8 @@ class Sampling {
 
 }  // namespace
 
-std::uint64_t add_vertex_light(const BoundaryScene& s, double share, const std::vector<char>& at_first, bool deeper,
-                               std::vector<BoundaryRows>& rows, std::span<std::uint64_t> samples, app::Report& report) {
+Effort add_vertex_light(const BoundaryScene& s, double share, const std::vector<char>& at_first, bool deeper,
+                        std::vector<BoundaryRows>& rows, std::span<std::uint64_t> samples, app::Report& report) {
     constexpr std::uint64_t chunk = 4096;
     const std::size_t first = rows.size();
     const std::uint64_t n_paths = s.graph.n_paths();
@@ -232,12 +233,13 @@ std::uint64_t add_vertex_light(const BoundaryScene& s, double share, const std::
             worker.sample_path(path, std::min(share, 1.0), at_first, deeper, rows[first + i]);
         progress.add(end - begin);
     });
-    std::uint64_t rays = 0;
+    Effort effort;
     for (const Sampling& worker : workers) {
-        rays += worker.n_rays;
+        effort.rays += worker.n_rays;
+        effort.steps += worker.n_walked;
         samples[std::size_t(BoundaryFamily::vertex_light)] += worker.n_samples;
     }
-    return rays;
+    return effort;
 }
 
 }  // namespace loom::derive
