@@ -42,7 +42,12 @@ class Sampling {
           walker_(s.graph, s.scene, s.tangents),
           light_(s, streams::family(s.options.seed, 3)),
           v_light_(s.n()),
-          rates_(s.n()) {}
+          rates_(s.n()),
+          far_speed_(s.surface_speed) {
+        if (!environment || s.scene.environment_idx < 0) return;
+        const std::vector<double>& turns = s.emitter_speed[std::size_t(s.scene.environment_idx)];
+        for (std::size_t p = 0; p < s.n(); ++p) far_speed_[p] = std::max(far_speed_[p], turns[p]);
+    }
 
     std::uint64_t n_samples = 0, n_rays() const { return light_.n_rays; }
 
@@ -114,7 +119,8 @@ class Sampling {
         Pending p;
         p.x_s = Pt(at.p);
         // What lies behind an edge may move although neither the edge nor the vertex does.
-        if (!outline_.collect(Shaft::to_infinity(from), p.x_s, false, x.velocity, s_.all_edges, true)) return;
+        if (!outline_.collect(Shaft::to_infinity(from), p.x_s, false, x.velocity, far_speed_, s_.all_edges, true))
+            return;
         if (!outline_.sample(sampler.pair(1), p.b)) return;
         const Vector3f wi(p.b.omega);
         const Spectrum f_cos = f_cos_pdf(at, wi).f_cos;
@@ -167,7 +173,7 @@ class Sampling {
     InteriorWalker walker_;
     RayLight light_;
     std::vector<Vec> v_light_;
-    std::vector<double> rates_;
+    std::vector<double> rates_, far_speed_;
     std::vector<Pending> pending_;
     std::vector<GivenRay> rays_;
 };
