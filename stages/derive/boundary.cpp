@@ -36,10 +36,52 @@ BoundaryScene::BoundaryScene(const PathGraph& g, const Scene& s, const SceneTang
       all_edges(tree_of(s, {})),
       moving_edges(tree_of(s, moving_shapes(s, t))),
       attached(attached_of(s, o.attachment)) {
+    find_speeds();
     if (attached.reach == 0) return;
     for (std::uint32_t i = 0; i < all_edges.n_edges(); ++i)
         if (all_edges.edge(i).kind == EdgeKind::shared && is_crease(all_edges.set(), all_edges.edge(i)))
             creases.push_back(i);
+}
+
+void BoundaryScene::find_speeds() {
+    const auto corners = [](const Box3f& box) {
+        std::array<Pt, 8> out;
+        for (std::size_t i = 0; i < 8; ++i)
+            out[i] = {double(i & 1 ? box.hi.x : box.lo.x), double(i & 2 ? box.hi.y : box.lo.y),
+                      double(i & 4 ? box.hi.z : box.lo.z)};
+        return out;
+    };
+    const auto raise = [](double& speed, const Vec& v) { speed = std::max(speed, length(v)); };
+    std::vector<std::vector<double>> shape_speed(scene.shapes.size(), std::vector<double>(n()));
+    surface_speed.assign(n(), 0);
+    Box3f all;
+    for (std::size_t k = 0; k < scene.shapes.size(); ++k) {
+        all.add(scene.shapes[k].bounds());
+        for (const Pt& p : corners(scene.shapes[k].bounds()))
+            for (const auto& [parameter, v] : tangents.shapes[k]) raise(shape_speed[k][parameter], v.at(p));
+        for (const auto& vertex : tangents.vertices[k])
+            for (const auto& [parameter, v] : vertex) raise(shape_speed[k][parameter], v);
+        for (std::size_t p = 0; p < n(); ++p) surface_speed[p] = std::max(surface_speed[p], shape_speed[k][p]);
+    }
+    film_speed = surface_speed;
+    for (const Pt& p : corners(all)) {
+        for (const auto& [parameter, v] : tangents.camera) raise(film_speed[parameter], v.at(p));
+        for (const auto& [parameter, relative] : tangents.lens)
+            raise(film_speed[parameter], (p - corners(all)[0]) * relative);
+    }
+    for (std::size_t e = 0; e < scene.emitters.size(); ++e) {
+        const Emitter& emitter = scene.emitters[e];
+        if (emitter.kind == EmitterKind::area) {
+            emitter_speed.push_back(shape_speed[emitter.shape_idx]);
+            continue;
+        }
+        emitter_speed.emplace_back(n());
+        for (const auto& [parameter, v] : tangents.emitters[e])
+            if (emitter.is_infinite())
+                for (const double x : v.linear) emitter_speed[e][parameter] += std::abs(x);
+            else
+                raise(emitter_speed[e][parameter], v.at(Pt(emitter.position)));
+    }
 }
 
 void BoundaryScene::shape_velocity(std::uint32_t shape, std::uint32_t primitive, const Pt& p, Velocities out) const {

@@ -97,6 +97,11 @@ class BoundaryScene {
     void emitter_velocity(std::size_t emitter, const Point3<double>& y, Velocities out) const;
     bool emitter_moves(std::size_t emitter) const;
 
+    /// Largest speeds of what may lie behind an edge, by parameter, m per unit: of any surface, of any surface as the
+    /// camera sees it, and of an emitter (at infinity: of its direction).
+    std::vector<double> surface_speed, film_speed;
+    std::vector<std::vector<double>> emitter_speed;  // [emitter]
+
     /// Rounds (rims of disks, spheres) whose outline matters, as seen from a point.
     std::vector<Round> rounds_from(const Point3<double>& eye, bool ends_move) const;
     /// The same along a unit direction towards the eye.
@@ -114,6 +119,9 @@ class BoundaryScene {
 
     /// Distance beside an edge point by which a ray passes it, so that the edge's own faces do not block it.
     double clearance(const Point3<double>& x, double distance) const;
+
+  private:
+    void find_speeds();
 };
 
 /// Calls f(pixel, h) for the pixels whose reconstruction filter reaches a film position, h its density there.

@@ -53,7 +53,7 @@ class Sampling {
         const Shaft shaft = light.infinite ? Shaft::along(Vector3f(light.y)) : Shaft::to_infinity(from);
         // Seen from the camera, surfaces that move or slide make every edge matter.
         const bool all = s_.tangents.camera_moves() || s_.tangents.any_shape_moves() || s_.emitter_moves(emitter_idx);
-        if (!outline_.collect(shaft, light.y, light.infinite, v_light_, s_.edges(all), all)) return;
+        if (!outline_.collect(shaft, light.y, light.infinite, v_light_, s_.film_speed, s_.edges(all), all)) return;
         for (int k = 0; k < n_points; ++k) {
             const Point2f u = sampler.pair(std::uint32_t(2 + k));
             OutlinePoint b;

@@ -51,7 +51,12 @@ class Sampling {
           walker_(s.graph, s.scene, s.tangents, s.attached),
           light_(s, streams::family(s.options.seed, 3)),
           v_light_(s.n()),
-          rates_(s.n()) {}
+          rates_(s.n()),
+          far_speed_(s.surface_speed) {
+        if (!environment || s.scene.environment_idx < 0) return;
+        const std::vector<double>& turns = s.emitter_speed[std::size_t(s.scene.environment_idx)];
+        for (std::size_t p = 0; p < s.n(); ++p) far_speed_[p] = std::max(far_speed_[p], turns[p]);
+    }
 
     std::uint64_t n_samples = 0, n_walked = 0;
     std::uint64_t n_rays() const { return light_.n_rays + n_checks_; }
@@ -134,8 +139,8 @@ class Sampling {
         };
         // Attached to surfaces, what lies behind an edge may move although neither the edge nor the vertex does.
         const bool all = !std::isinf(s_.attached.reach) || moving(x.velocity) || moving(x.turn);
-        bool any = outline_.collect(shaft, p.x_s, false, x.velocity, s_.edges(all), all);
-        if (all && !s_.creases.empty()) any = outline_.add_creases(shaft, sampler.pair(2).x);
+        bool any = outline_.collect(shaft, p.x_s, false, x.velocity, far_speed_, s_.edges(all), all);
+        if (all && !s_.creases.empty()) any = outline_.add_creases(shaft, far_speed_, sampler.pair(2).x);
         if (!any || !outline_.sample(sampler.pair(1), p.b)) return;
         const Vector3f wi(p.b.omega);
         const Spectrum f_cos = f_cos_pdf(at, wi).f_cos;
@@ -215,7 +220,7 @@ class Sampling {
     InteriorWalker walker_;
     RayLight light_;
     std::vector<Vec> v_light_;
-    std::vector<double> rates_;
+    std::vector<double> rates_, far_speed_;
     std::uint64_t n_checks_ = 0;
     std::vector<Pending> pending_;
     std::vector<Side> sides_;  // [ray]

@@ -106,7 +106,7 @@ class Sampling {
                                 : Shaft::to_sphere(from, light.round.center, light.round.radius);
         const bool all = &tree == &s_.all_edges;
         const Pt x_s(at.p);
-        if (!outline_.collect(shaft, x_s, false, x.velocity, tree, all)) return;
+        if (!outline_.collect(shaft, x_s, false, x.velocity, s_.emitter_speed[emitter_idx], tree, all)) return;
         OutlinePoint b;
         if (!outline_.sample(sampler.pair(1), b)) return;
         Pt y;

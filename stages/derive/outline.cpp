@@ -21,34 +21,48 @@ void Outline::look(OutlinePoint& point) const {
 double Outline::importance(const Pt& x, const Vec& out) const {
     double sum = 0;
     for (std::size_t p = 0; p < velocity_.size(); ++p) {
-        // The velocity at the far end is not known yet; a part of the speeds covers all cases.
+        // A part of the speeds covers edges that move along themselves.
         sum += std::abs(dot(out, velocity_[p] - v_eye_[p])) +
                0.05 * length(out) * (length(velocity_[p]) + length(v_eye_[p]) + 1e-9);
     }
     return at_infinity_ ? sum : sum / length(x - eye_);
 }
 
-bool Outline::collect(const Shaft& shaft, const Pt& eye, bool at_infinity, ConstVelocities v_eye, const EdgeTree& tree,
-                      bool all) {
+void Outline::combine_weights(std::span<const double> far_speed) {
+    // What lies behind a silhouette is not known yet. Where that can move, a share of the samples takes all silhouettes
+    // alike: an edge at rest in front of a moving surface matters, too.
+    constexpr double share = 0.25;
+    double speed = 0, known = 0, extent = 0;
+    for (const double v : far_speed) speed += v;
+    for (const double w : known_) known += w;
+    for (const double w : extent_) extent += w;
+    cumulative_.clear();
+    double total = 0;
+    for (std::size_t i = 0; i < known_.size(); ++i) {
+        if (known > 0) total += known_[i] / known;
+        if (speed > 0 && extent > 0) total += share * extent_[i] / extent;
+        cumulative_.push_back(total);
+    }
+}
+
+bool Outline::collect(const Shaft& shaft, const Pt& eye, bool at_infinity, ConstVelocities v_eye,
+                      std::span<const double> far_speed, const EdgeTree& tree, bool all) {
     tree_ = &tree;
     eye_ = eye;
     at_infinity_ = at_infinity;
     v_eye_.assign(v_eye.begin(), v_eye.end());
     arcs_.clear();
-    cumulative_.clear();
+    known_.clear();
+    extent_.clear();
     segments_.clear();
     if (tree.n_edges() > 0) tree.collect(shaft, segments_);
     creases_.clear();
-    double total = 0;
     OutlinePoint point;
-    for (const EdgeSegment& segment : segments_) {
-        total += add_segment(segment);
-        cumulative_.push_back(total);
-    }
+    for (const EdgeSegment& segment : segments_) add_segment(segment, 1);
     rounds_ = at_infinity ? s_.rounds_along(Vec(eye), all) : s_.rounds_from(eye, all);
     for (const Round& round : rounds_) {
         constexpr int looked_at = 8;
-        double sum = 0;
+        double sum = 0, extent = 0;
         for (int k = 0; k < looked_at; ++k) {
             const double phi = 2 * pi_double * (k + 0.5) / looked_at;
             point.p = round.point(phi);
@@ -57,20 +71,21 @@ bool Outline::collect(const Shaft& shaft, const Pt& eye, bool at_infinity, Const
             point.out = outward(normalize(t), point.omega, round.middle - point.p);
             s_.shape_velocity(round.shape_idx, 0, point.p, velocity_);
             sum += importance(point.p, point.out) * length(t) / (at_infinity ? 1 : point.r);
+            extent += length(point.out) * length(t) / (at_infinity ? 1 : sqr(point.r));
         }
-        total += sum * 2 * pi_double / looked_at;
         arcs_.push_back({0, 2 * pi_double, 1, 0});
-        cumulative_.push_back(total);
+        known_.push_back(sum * 2 * pi_double / looked_at);
+        extent_.push_back(extent * 2 * pi_double / looked_at);
     }
     first_crease_ = arcs_.size();
-    return total > 0;
+    combine_weights(far_speed);
+    return !cumulative_.empty() && cumulative_.back() > 0;
 }
 
-bool Outline::add_creases(const Shaft& shaft, float u) {
+bool Outline::add_creases(const Shaft& shaft, std::span<const double> far_speed, float u) {
     constexpr std::size_t most = 256;
     const std::size_t n = s_.creases.size(), n_listed = std::min(n, most);
     crease_share_ = n > 0 ? double(n_listed) / double(n) : 1;
-    double total = cumulative_.empty() ? 0 : cumulative_.back();
     for (std::size_t k = 0; k < n_listed; ++k) {
         // Evenly spaced, from a random start.
         const std::size_t i = n <= most ? k : std::size_t((double(k) + double(u)) * double(n) / double(most));
@@ -80,14 +95,14 @@ bool Outline::add_creases(const Shaft& shaft, float u) {
         if (shaft.is_silhouette(edge) || shaft.clip(edge, inside) == 0) continue;
         const EdgeSegment segment{inside[0].s0, inside[0].s1, edge_idx,
                                   float(edge.length() * (inside[0].s1 - inside[0].s0))};
-        total += add_segment(segment) / crease_share_;
-        cumulative_.push_back(total);
+        add_segment(segment, crease_share_);
         creases_.push_back(segment);
     }
-    return total > 0;
+    combine_weights(far_speed);
+    return !cumulative_.empty() && cumulative_.back() > 0;
 }
 
-double Outline::add_segment(const EdgeSegment& segment) {
+void Outline::add_segment(const EdgeSegment& segment, double share) {
     OutlinePoint point;
     const Edge& edge = tree_->edge(segment.edge_idx);
     const double len = edge.length();
@@ -107,11 +122,12 @@ double Outline::add_segment(const EdgeSegment& segment) {
     look(point);
     point.out = outward(edge, point.omega);
     s_.edge_velocity(tree_->set(), edge, middle, velocity_);
-    arcs_.push_back(arc);
-    if (!(arc.height > 0)) return 0;
+    const double extent = arc.height > 0 ? arc.end - arc.begin : 0;
     // Light per angle falls with the distance; the sine of the edge's slant is in the angle.
     const double sine = std::max(length(point.out), 1e-6);
-    return (arc.end - arc.begin) * importance(point.p, point.out) / sine;
+    arcs_.push_back(arc);
+    known_.push_back(extent * importance(point.p, point.out) / (sine * share));
+    extent_.push_back((at_infinity_ ? extent : extent / point.r) / share);
 }
 
 bool Outline::place_on_edge(std::size_t i, double t, OutlinePoint& point) {

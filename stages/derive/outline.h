@@ -1,6 +1,7 @@
 #pragma once
 // The silhouettes seen from one point, and a point drawn from them.
 
+#include <span>
 #include <vector>
 
 #include "stages/core/edges/boundary.h"
@@ -29,13 +30,14 @@ class Outline {
     /// Lists what a shaft contains, seen from its apex.
     /// in:      eye       the apex; at infinity: the direction towards it
     ///          v_eye     its velocity, by parameter
+    ///          far_speed  largest speed of what may lie behind the silhouettes, by parameter
     ///          tree      edges to look for; all: rounds that rest count, too
     /// out:     whether there is anything
     bool collect(const Shaft& shaft, const Point3<double>& eye, bool at_infinity, ConstVelocities v_eye,
-                 const EdgeTree& tree, bool all);
+                 std::span<const double> far_speed, const EdgeTree& tree, bool all);
     /// Adds creases in a shaft, a part of them where there are many. Must follow collect() over BoundaryScene::all_edges.
     /// in:      u  uniform: which part
-    bool add_creases(const Shaft& shaft, float u);
+    bool add_creases(const Shaft& shaft, std::span<const double> far_speed, float u);
 
     /// Draws a point. Its velocity is in velocity().
     /// in:      u  uniform: the choice, and the place along it
@@ -51,10 +53,12 @@ class Outline {
         double foot;        // position of the foot along the edge from its first end, m
     };
     double importance(const Point3<double>& x, const Vector3<double>& out) const;
+    void combine_weights(std::span<const double> far_speed);
     bool place_on_edge(std::size_t i, double t, OutlinePoint& point);
     bool place_on_round(std::size_t i, double t, OutlinePoint& point);
     void look(OutlinePoint& point) const;
-    double add_segment(const EdgeSegment& segment);
+    /// in:      share  probability of the segment to be listed
+    void add_segment(const EdgeSegment& segment, double share);
 
     const BoundaryScene& s_;
     const EdgeTree* tree_ = nullptr;
@@ -66,8 +70,9 @@ class Outline {
     std::size_t first_crease_ = 0;  // among arcs_: silhouettes, rounds, creases
     double crease_share_ = 1;       // probability of a crease to be listed
     std::vector<EdgeSegment> creases_;
-    std::vector<Arc> arcs_;           // [segment, then round]
-    std::vector<double> cumulative_;  // of the weights
+    std::vector<Arc> arcs_;               // [segment, round, crease]
+    std::vector<double> known_, extent_;  // weights by the velocities of edge and eye, and by angle alone
+    std::vector<double> cumulative_;      // of the weights
 };
 
 }  // namespace loom::derive

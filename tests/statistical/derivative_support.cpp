@@ -1,0 +1,105 @@
+#include "tests/statistical/derivative_support.h"
+
+#include "stages/derive/interior.h"
+#include "stages/transient/transient.h"
+
+namespace loom {
+
+DerivableScene::DerivableScene(const std::filesystem::path& file, const std::vector<std::string>& wrt,
+                               const Defines& defines)
+    : DerivableScene(load_scene(file, defines), read_scene(file, defines, {}), file, wrt, defines) {}
+
+DerivableScene::DerivableScene(std::unique_ptr<Scene> built, const SceneDescription& description,
+                               const std::filesystem::path& file, const std::vector<std::string>& wrt,
+                               const Defines& defines)
+    : scene(std::move(built)), tangents(derive::find_tangents(*scene, description, file, defines, {}, wrt)) {}
+
+PathGraph trace_derivable(const Scene& scene, std::uint64_t spp, std::uint64_t seed) {
+    return testing::trace_graph(scene, testing::path_options(scene, seed), spp, 0, {false, true, true});
+}
+
+Derivative differentiate(const PathGraph& graph, const DerivableScene& scene, std::uint64_t seed, double effort,
+                         const std::vector<std::string>& off) {
+    app::Report report;
+    report.set_quiet(true);
+    derive::DeriveCounts counts;
+    const derive::Parts parts = derive::required_parts(*scene.scene, graph, scene.tangents, off);
+    return derive::differentiate(graph, *scene.scene, scene.tangents, parts, {effort, seed, 0}, report, counts);
+}
+
+std::vector<double> DerivedBins::without(int family) const {
+    std::vector<double> out = derivative;
+    for (int f = 0; f < n_boundary_families; ++f)
+        if (f == family || family == n_boundary_families)
+            for (std::size_t i = 0; i < out.size(); ++i) out[i] -= boundary[std::size_t(f)][i];
+    return out;
+}
+
+std::vector<double> DerivedBins::steady_without(int family) const {
+    std::vector<double> out = steady;
+    for (int f = 0; f < n_boundary_families; ++f)
+        if (f == family || family == n_boundary_families)
+            for (std::size_t i = 0; i < out.size(); ++i) out[i] -= steady_boundary[std::size_t(f)][i];
+    return out;
+}
+
+DerivedBins bins_of(const PathGraph& graph, const Derivative* derivative, const TimeResponse& response,
+                    std::size_t parameter, const Timing& timing) {
+    app::Report report;
+    report.set_quiet(true);
+    app::Progress progress(report, "binning", graph.n_pixels());
+    DerivedBins out;
+    out.n_pixels = graph.n_pixels(), out.n_bins = response.n_bins;
+    const std::size_t per_pixel = 3 * response.n_bins;
+    out.value.resize(out.n_pixels * per_pixel), out.steady_value.resize(3 * out.n_pixels);
+    if (derivative) {
+        out.derivative.resize(out.value.size()), out.var_mean.resize(out.value.size());
+        out.steady.resize(out.steady_value.size());
+    }
+    const std::span<const Derivative> derivatives(derivative, derivative ? 1 : 0);
+    transient::bin_graphs({&graph, 1}, {}, derivatives, response, timing, std::uint64_t(1) << 30, 0, progress,
+                          [&](std::uint32_t first_row, const TransientRows& rows) {
+                              const std::size_t first = std::size_t(first_row) * graph.sensor.width;
+                              const auto copy = [&](std::span<const float> from, std::size_t i, std::size_t of,
+                                                    std::size_t width, std::vector<double>& to) {
+                                  const std::size_t n = from.size() / of;
+                                  std::copy_n(from.begin() + std::ptrdiff_t(i * n), n,
+                                              to.begin() + std::ptrdiff_t(first * width));
+                              };
+                              copy(rows.radiance, 0, 1, per_pixel, out.value);
+                              copy(rows.steady, 0, 1, 3, out.steady_value);
+                              if (!derivative) return;
+                              const std::size_t n = derivative->n_parameters();
+                              copy(rows.derivative.bins, parameter, n, per_pixel, out.derivative);
+                              copy(rows.derivative.var_mean, parameter, n, per_pixel, out.var_mean);
+                              copy(rows.derivative.steady, parameter, n, 3, out.steady);
+                          });
+    if (!derivative) return out;
+
+    // Boundary rows of each family: they add up to the derivative of their pixel.
+    for (auto& share : out.boundary) share.resize(out.derivative.size());
+    for (auto& share : out.steady_boundary) share.resize(out.steady.size());
+    const auto& b = derivative->boundary;
+    const std::size_t n = derivative->n_parameters();
+    for (std::size_t row = 0; row < b.pixel.size(); ++row) {
+        const float* dL = &b.dL[3 * (row * n + parameter)];
+        const std::size_t pixel = b.pixel[row], family = b.family[row];
+        for (std::size_t c = 0; c < 3; ++c) out.steady_boundary[family][3 * pixel + c] += double(dL[c]);
+        if (b.opl[row] < 0) continue;
+        response.spread(b.opl[row], [&](std::uint32_t k, double w) {
+            for (std::size_t c = 0; c < 3; ++c)
+                out.boundary[family][pixel * per_pixel + 3 * k + c] += double(dL[c]) * w;
+        });
+    }
+    return out;
+}
+
+TimeResponse film_response(const Scene& scene) {
+    TimeResponse response;
+    response.n_bins = scene.transient.n_bins;
+    response.start = scene.transient.start_opl;
+    response.width = response.gate = scene.transient.bin_width_opl;
+    return response;
+}
+
+}  // namespace loom

@@ -1,0 +1,60 @@
+#pragma once
+// Shared code of the statistical tests of derivatives: replicates of a derivative in bins, split by estimator.
+
+#include <array>
+#include <filesystem>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "formats/derivative.h"
+#include "stages/core/graph/time_of_flight.h"
+#include "stages/core/graph/time_response.h"
+#include "stages/core/stats/student.h"
+#include "stages/derive/derive.h"
+#include "tests/traced_graph.h"
+
+namespace loom {
+
+/// A scene with what its parameters change.
+struct DerivableScene {
+    std::unique_ptr<Scene> scene;
+    derive::SceneTangents tangents;
+
+    /// in:      wrt  parameters, as in `loom-derive --wrt`
+    DerivableScene(const std::filesystem::path& file, const std::vector<std::string>& wrt, const Defines& defines = {});
+
+  private:
+    DerivableScene(std::unique_ptr<Scene> built, const SceneDescription& description, const std::filesystem::path& file,
+                   const std::vector<std::string>& wrt, const Defines& defines);
+};
+
+/// Traces a graph with all columns that derivatives require.
+PathGraph trace_derivable(const Scene& scene, std::uint64_t spp, std::uint64_t seed);
+
+/// Differentiates a graph as loom-derive does.
+/// in:      off  parts to leave out
+Derivative differentiate(const PathGraph& graph, const DerivableScene& scene, std::uint64_t seed, double effort = 1,
+                         const std::vector<std::string>& off = {});
+
+/// Values and derivatives of one graph by one parameter, in bins and then the sum over all times.
+struct DerivedBins {
+    std::size_t n_pixels = 0, n_bins = 0;
+    std::vector<double> value, derivative, var_mean;                // [pixel, bin, rgb]; var_mean of derivative
+    std::vector<double> steady_value, steady;                       // [pixel, rgb]
+    std::array<std::vector<double>, n_boundary_families> boundary;  // shares of `derivative`
+    std::array<std::vector<double>, n_boundary_families> steady_boundary;
+
+    /// Returns the derivative without a family, or the interior alone for n_boundary_families.
+    std::vector<double> without(int family) const;
+    std::vector<double> steady_without(int family) const;
+};
+
+/// in:      derivative  null: values alone
+DerivedBins bins_of(const PathGraph& graph, const Derivative* derivative, const TimeResponse& response,
+                    std::size_t parameter = 0, const Timing& timing = {});
+
+/// Response of a delta pulse in the bins of a scene's film.
+TimeResponse film_response(const Scene& scene);
+
+}  // namespace loom
