@@ -7,6 +7,7 @@
 #include <cmath>
 #include <cstring>
 #include <span>
+#include <tuple>
 #include <unordered_map>
 
 #include "stages/core/compute/parallel.h"
@@ -103,7 +104,7 @@ class ClearSight {
                 hi[c] = std::max(hi[c], polygon.corners[std::size_t(i)][c]);
             }
         const double size = length(hi - lo), height = dot(polygon.normal, focus.p - middle);
-        if (!(std::abs(height) > 1e-4 * size)) return false;
+        if (!(std::abs(height) > 1e-7 * size)) return false;
         planes_.emplace_back(height > 0 ? polygon.normal : -polygon.normal, middle);
         for (int i = 0; i < n; ++i) {
             const Vec side =
@@ -241,10 +242,15 @@ bool is_broad(const Bsdf<float>& bsdf) {
     }
 }
 
-/// Sums over the paths of the pixels of a chunk.
+/// Sums over a part of the paths of some pixels, by pixel and border.
 struct Crossings {
-    std::vector<std::uint32_t> pixel, border;
-    std::vector<float> flux, var_mean;
+    struct At {
+        std::uint32_t pixel, border;
+        bool operator<(const At& o) const { return std::tie(pixel, border) < std::tie(o.pixel, o.border); }
+        bool operator==(const At& o) const { return pixel == o.pixel && border == o.border; }
+    };
+    std::vector<At> at;
+    std::vector<double> sum, square;  // of the paths' flux   [row, parameter, rgb]
     std::vector<double> exact_energy, widened_energy;
 };
 
@@ -272,15 +278,16 @@ class Lines {
             for (const auto& [p, t] : effects) index_changes_ |= t.int_ior != 0;
     }
 
+    /// Sums the samples [begin, end) of n pixels.
     /// in, out: is_exact  by interior row
-    void add_pixels(std::size_t first_pixel, std::size_t n, std::span<std::uint8_t> is_exact, Crossings& out) {
+    void add_pixels(std::size_t first_pixel, std::size_t n, std::uint64_t begin, std::uint64_t end,
+                    std::span<std::uint8_t> is_exact, Crossings& out) {
         const std::size_t columns = of_path_.size();
         sum_.assign(n * columns, 0.0);
         square_.assign(n * columns, 0.0);
         out.exact_energy.assign(n_, 0.0);
         out.widened_energy.assign(n_, 0.0);
-        const std::uint64_t n_samples = g_.tracing.samples_per_pixel;
-        for (std::uint64_t s = 0; s < n_samples; ++s)
+        for (std::uint64_t s = begin; s < end; ++s)
             for (std::size_t i = 0; i < n; ++i) {
                 add_path(s * g_.n_pixels() + first_pixel + i, is_exact, out);
                 for (const std::uint32_t k : touched_) {
@@ -293,19 +300,13 @@ class Lines {
                 }
                 touched_.clear();
             }
-        const double N = double(n_samples);
         for (std::size_t i = 0; i < n; ++i)
-            for (std::size_t k = 0; k <= bins_.n; ++k) {
+            for (std::uint32_t k = 0; k <= bins_.n; ++k) {
                 const double *sum = &sum_[i * columns + k * width_], *square = &square_[i * columns + k * width_];
                 if (std::all_of(square, square + width_, [](double x) { return x == 0; })) continue;
-                out.pixel.push_back(std::uint32_t(first_pixel + i));
-                out.border.push_back(std::uint32_t(k));
-                for (std::size_t c = 0; c < width_; ++c) {
-                    const double mean = sum[c] / N;
-                    out.flux.push_back(float(mean));
-                    out.var_mean.push_back(n_samples > 1 ? float(std::max(square[c] / N - mean * mean, 0.0) / (N - 1))
-                                                         : 0.0f);
-                }
+                out.at.push_back({std::uint32_t(first_pixel + i), k});
+                out.sum.insert(out.sum.end(), sum, sum + width_);
+                out.square.insert(out.square.end(), square, square + width_);
             }
     }
 
@@ -677,30 +678,59 @@ class Lines {
     std::vector<Vec> v_;
 };
 
-template <class T>
-Column<T> joined(std::vector<Crossings>& chunks, std::vector<T> Crossings::*member) {
-    std::vector<T> all;
-    for (Crossings& chunk : chunks) {
-        all.insert(all.end(), (chunk.*member).begin(), (chunk.*member).end());
-        std::vector<T>().swap(chunk.*member);
+/// Rows of temporal/ in work.
+struct Rows {
+    std::vector<std::uint32_t> pixel, border;
+    std::vector<float> flux, var_mean;
+
+    /// Adds the rows of pixels whose samples are in several parts.
+    void add(std::span<const Crossings> parts, std::size_t width, double n_samples) {
+        struct Source {
+            Crossings::At at;
+            const double *sum, *square;
+        };
+        std::vector<Source> sources;
+        for (const Crossings& part : parts)
+            for (std::size_t i = 0; i < part.at.size(); ++i)
+                sources.push_back({part.at[i], &part.sum[i * width], &part.square[i * width]});
+        std::stable_sort(sources.begin(), sources.end(), [](const Source& a, const Source& b) { return a.at < b.at; });
+        for (std::size_t i = 0, end; i < sources.size(); i = end) {
+            end = i + 1;
+            while (end < sources.size() && sources[end].at == sources[i].at) ++end;
+            pixel.push_back(sources[i].at.pixel);
+            border.push_back(sources[i].at.border);
+            for (std::size_t c = 0; c < width; ++c) {
+                double sum = 0, square = 0;
+                for (std::size_t j = i; j < end; ++j) sum += sources[j].sum[c], square += sources[j].square[c];
+                const double mean = sum / n_samples;
+                flux.push_back(float(mean));
+                var_mean.push_back(
+                    n_samples > 1 ? float(std::max(square / n_samples - mean * mean, 0.0) / (n_samples - 1)) : 0.0f);
+            }
+        }
     }
-    return all;
-}
+};
 
 }  // namespace
 
 void differentiate_temporal(const PathGraph& graph, const Scene& scene, const SceneTangents& tangents,
                             const TemporalBins& bins, int threads, app::Report& report, Derivative& derivative) {
     const std::size_t n = tangents.n(), n_pixels = graph.n_pixels();
+    const std::uint64_t n_samples = graph.tracing.samples_per_pixel;
+    // Parts of pixels, and of their samples where there are few pixels; for any number of threads the same.
     const std::size_t pixel_bytes = (std::size_t(bins.n) + 1) * 3 * n * 2 * sizeof(double);
     const std::size_t chunk = std::clamp<std::size_t>((std::size_t(4) << 20) / pixel_bytes, 1, 256);
-    std::vector<Crossings> chunks((n_pixels + chunk - 1) / chunk);
+    const std::size_t n_chunks = (n_pixels + chunk - 1) / chunk;
+    const std::size_t n_blocks = std::clamp<std::uint64_t>(64 / n_chunks, 1, (n_samples + 1023) / 1024);
+    std::vector<Crossings> parts(n_chunks * n_blocks);
     std::vector<std::uint8_t> is_exact(derivative.interior.edge.size());
-    app::Progress progress(report, "borders of bins", n_pixels);
+    app::Progress progress(report, "borders of bins", parts.size());
     tbb::enumerable_thread_specific<Lines> workers([&] { return Lines(graph, scene, tangents, bins, derivative); });
-    parallel_chunks(n_pixels, chunk, threads, [&](std::uint64_t i, std::uint64_t begin, std::uint64_t end) {
-        workers.local().add_pixels(begin, end - begin, is_exact, chunks[i]);
-        progress.add(end - begin);
+    parallel_chunks(parts.size(), 1, threads, [&](std::uint64_t i, std::uint64_t, std::uint64_t) {
+        const std::size_t first = i / n_blocks * chunk, block = i % n_blocks;
+        workers.local().add_pixels(first, std::min(chunk, n_pixels - first), n_samples * block / n_blocks,
+                                   n_samples * (block + 1) / n_blocks, is_exact, parts[i]);
+        progress.add(1);
     });
 
     auto& window = derivative.temporal_bins;
@@ -709,19 +739,22 @@ void differentiate_temporal(const PathGraph& graph, const Scene& scene, const Sc
     window.n = std::vector<std::uint32_t>{bins.n};
     window.camera_segment = std::vector<std::uint8_t>{std::uint8_t(bins.camera_segment)};
     std::vector<double> exact(n), widened(n);
-    for (const Crossings& c : chunks)
+    for (const Crossings& part : parts)
         for (std::size_t p = 0; p < n; ++p) {
-            exact[p] += c.exact_energy[p];
-            widened[p] += c.widened_energy[p];
+            exact[p] += part.exact_energy[p];
+            widened[p] += part.widened_energy[p];
         }
     window.exact_energy = std::move(exact);
     window.widened_energy = std::move(widened);
+    Rows rows;
+    for (std::size_t c = 0; c < n_chunks; ++c)
+        rows.add(std::span(parts).subspan(c * n_blocks, n_blocks), 3 * n, double(n_samples));
     auto& t = derivative.temporal;
     t.is_exact = std::move(is_exact);
-    t.pixel = joined(chunks, &Crossings::pixel);
-    t.border = joined(chunks, &Crossings::border);
-    t.flux = joined(chunks, &Crossings::flux);
-    t.var_mean = joined(chunks, &Crossings::var_mean);
+    t.pixel = std::move(rows.pixel);
+    t.border = std::move(rows.border);
+    t.flux = std::move(rows.flux);
+    t.var_mean = std::move(rows.var_mean);
 }
 
 }  // namespace loom::derive
