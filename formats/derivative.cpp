@@ -39,6 +39,39 @@ std::string bad_pixel(const PathGraph& graph, const Derivative& derivative) {
     return {};
 }
 
+/// Returns the first violated invariant of temporal rows; empty: none.
+std::string temporal_problem(const Derivative& d) {
+    const auto& bins = d.temporal_bins;
+    const auto& t = d.temporal;
+    const auto refuse_rows = [&] { return !t.pixel.empty() || !t.is_exact.empty(); };
+    if (!d.has_temporal()) return refuse_rows() ? "temporal: has rows, but no temporal/n" : std::string();
+    if (bins.n.size() != 1 || bins.start_opl.size() != 1 || bins.width_opl.size() != 1 ||
+        bins.camera_segment.size() != 1)
+        return "temporal: start_opl, width_opl, n and camera_segment have one row each";
+    if (!(bins.width_opl[0] > 0)) return fmt::format("temporal/width_opl: is {}, expected > 0", bins.width_opl[0]);
+    if (bins.n[0] == 0 || bins.n[0] > max_temporal_bins)
+        return fmt::format("temporal/n: is {}, expected 1 to {}", bins.n[0], max_temporal_bins);
+    if (bins.camera_segment[0] > 1)
+        return fmt::format("temporal/camera_segment: is {}, expected 0 or 1", bins.camera_segment[0]);
+    if (bins.exact_energy.size() != d.n_parameters() || bins.widened_energy.size() != d.n_parameters())
+        return "temporal/exact_energy, widened_energy: expected one row per parameter";
+    if (t.is_exact.size() != d.interior.edge.size())
+        return fmt::format("temporal/is_exact: has {} rows, but interior/edge has {}", t.is_exact.size(),
+                           d.interior.edge.size());
+    for (std::size_t i = 0; i < t.is_exact.size(); ++i)
+        if (t.is_exact[i] > 1) return fmt::format("temporal/is_exact: row {} is {}, expected 0 or 1", i, t.is_exact[i]);
+    if (t.border.size() != t.pixel.size() || t.flux.size() != 3 * d.n_parameters() * t.pixel.size() ||
+        t.var_mean.size() != t.flux.size())
+        return "temporal: pixel, border, flux and var_mean have different numbers of rows";
+    for (std::size_t i = 0; i < t.pixel.size(); ++i) {
+        if (t.border[i] > bins.n[0])
+            return fmt::format("temporal/border: row {} is {}, but there are {} bins", i, t.border[i], bins.n[0]);
+        if (i > 0 && std::pair(t.pixel[i], t.border[i]) <= std::pair(t.pixel[i - 1], t.border[i - 1]))
+            return fmt::format("temporal/pixel, border: row {} is not after the row before", i);
+    }
+    return {};
+}
+
 }  // namespace
 
 std::string_view boundary_family_name(BoundaryFamily family) {
@@ -77,7 +110,7 @@ std::string Derivative::problem() const {
             return fmt::format("boundary/sample: row {} is {}, but family {} has {}", i, boundary.sample[i], family,
                                end);
     }
-    return {};
+    return temporal_problem(*this);
 }
 
 void write_derivative(const Derivative& derivative, const std::filesystem::path& path, Sync sync) {
@@ -92,6 +125,10 @@ void require_derivative_of(const PathGraph& graph, const InputId& graph_id, cons
                            const std::filesystem::path& derivative_path) {
     if (derivative.graph == graph_id.hash && derivative.n_light_edges == graph.n_light_edges() &&
         derivative.n_paths == graph.n_paths()) {
+        const auto& moved = derivative.temporal.pixel;
+        if (!moved.empty() && moved[moved.size() - 1] >= graph.n_pixels())
+            throw InputError(fmt::format("{}: temporal/pixel goes to {}, but the graph has {} pixels",
+                                         derivative_path.native(), moved[moved.size() - 1], graph.n_pixels()));
         if (const std::string bad = bad_pixel(graph, derivative); !bad.empty())
             throw InputError(fmt::format("{}: {}", derivative_path.native(), bad));
         return;

@@ -30,6 +30,8 @@ enum class BoundaryFamily : std::uint8_t {
     indirect = 3,      // edges between a stored vertex and a surface
 };
 inline constexpr int n_boundary_families = 4;
+/// Largest number of bins whose borders temporal rows describe.
+inline constexpr std::uint32_t max_temporal_bins = 1u << 16;
 std::string_view boundary_family_name(BoundaryFamily family);
 
 struct DerivativeHeader {
@@ -44,9 +46,18 @@ struct DerivativeHeader {
 
     Column<std::uint64_t> boundary_samples;  // [family]
 
+    /// Bins for which temporal rows are exact, one row; empty columns: there are none. Energies are by parameter.
+    struct TemporalBins {
+        Column<double> start_opl, width_opl;
+        Column<std::uint32_t> n;
+        Column<std::uint8_t> camera_segment;
+        Column<double> exact_energy, widened_energy;
+    } temporal_bins;
+
     Provenance provenance;
 
     std::size_t n_parameters() const { return parameters.name.size(); }
+    bool has_temporal() const { return !temporal_bins.n.empty(); }
 };
 
 template <template <class> class ColumnOf>
@@ -70,6 +81,12 @@ struct DerivativeOf : DerivativeHeader {
         ColumnOf<std::uint8_t> family;
         ColumnOf<std::uint64_t> sample;
     } boundary;
+
+    struct Temporal {
+        ColumnOf<std::uint8_t> is_exact;
+        ColumnOf<std::uint32_t> pixel, border;
+        ColumnOf<float> flux, var_mean;
+    } temporal;
 
     template <class Self, class Visitor>
     static void fields(Self& d, Visitor& v);
@@ -139,6 +156,31 @@ void DerivativeOf<ColumnOf>::fields(Self& d, Visitor& v) {
             "estimator: 0 primary, 1 stored vertex and emitter, 2 light point, 3 indirect");
     v.field("boundary/sample", b.sample, 1, "boundary", "1",
             "sample of the family to which the row belongs; for families 1 and 3 the path of the graph");
+
+    auto& w = d.temporal_bins;
+    v.optional("temporal/start_opl", w.start_opl, 1, "window", "m",
+               "start of the first bin; border k of the bins is at start_opl + k width_opl");
+    v.optional("temporal/width_opl", w.width_opl, 1, "window", "m", "width of a bin");
+    v.optional("temporal/n", w.n, 1, "window", "1", "number of bins");
+    v.optional("temporal/camera_segment", w.camera_segment, 1, "window", "1",
+               "1: lengths count from the camera, 0: from the first hit");
+    v.optional("temporal/exact_energy", w.exact_energy, 1, "parameter", "W m^-1 sr^-1 per parameters/unit",
+               "sum of |luminance of L| |dopl| over the light whose change of arrival time is in temporal/flux");
+    v.optional("temporal/widened_energy", w.widened_energy, 1, "parameter", "W m^-1 sr^-1 per parameters/unit",
+               "the same sum over all other light, whose change needs a wider response");
+    auto& t = d.temporal;
+    v.optional("temporal/is_exact", t.is_exact, 1, "row", "1",
+               "1: what interior/dopl moves between bins is in temporal/flux, 0: it is not");
+    v.optional("temporal/pixel", t.pixel, 1, "crossing", "1", "pixel, y width + x; rows are sorted by it");
+    v.optional("temporal/border", t.border, 1, "crossing", "1",
+               "border of bins, 0 to n, increasing within a pixel; borders without a row have flux 0");
+    v.optional_grid(
+        "temporal/flux", t.flux, {n, 3}, "crossing,parameter,rgb", unit,
+        "light that a delta pulse moves over the border towards later bins, mean of the paths of the pixel: "
+        "bin k gains that of border k and loses that of border k + 1",
+        Finite::counted);
+    v.optional_grid("temporal/var_mean", t.var_mean, {n, 3}, "crossing,parameter,rgb", "squared",
+                    "variance of temporal/flux", Finite::counted);
 }
 
 }  // namespace loom

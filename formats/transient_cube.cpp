@@ -69,8 +69,8 @@ std::string bad_derivative(const TransientCube& cube) {
         if (column->size() != size)
             return fmt::format("{}: has {} numbers, but {} parameters need {}", name, column->size(), n, size);
     for (std::size_t i = 0; i < n; ++i)
-        if (const std::string& t = p.temporal[i]; t != "none" && t != "widened" && t != "exact")
-            return fmt::format("parameters/temporal: row {} is {}, expected none, widened or exact", i, t);
+        if (const std::string& t = p.temporal[i]; t != "none" && t != "widened" && t != "exact" && t != "partly")
+            return fmt::format("parameters/temporal: row {} is {}, expected none, widened, exact or partly", i, t);
     return {};
 }
 

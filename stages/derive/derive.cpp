@@ -14,6 +14,7 @@
 #include "stages/core/scene/build.h"
 #include "stages/derive/boundary.h"
 #include "stages/derive/interior.h"
+#include "stages/derive/temporal.h"
 
 namespace loom::derive {
 namespace {
@@ -83,6 +84,33 @@ void differentiate_interior(const PathGraph& graph, const Scene& scene, const Sc
     out.seen.path = joined(chunks, &Rows::path);
     out.seen.dLe = joined(chunks, &Rows::dLe);
     out.seen.dopl = joined(chunks, &Rows::dopl_seen);
+}
+
+/// Returns the bins of a delta pulse: by the options, else those of the graph's film.
+TemporalBins bins_of(const Options& options, const PathGraph& graph) {
+    const auto& film = graph.transient;
+    const bool has_film = !film.n_bins.empty();
+    if (!has_film && !(options.start && options.width && options.bins))
+        throw InputError(fmt::format("--temporal exact: {} has no time-resolved film; give --start, --width and --bins",
+                                     options.graph));
+    TemporalBins bins;
+    bins.n = options.bins.value_or(has_film ? film.n_bins[0] : 0);
+    if (bins.n > max_temporal_bins)
+        throw InputError(fmt::format("--temporal exact: {} bins; at most {}", bins.n, max_temporal_bins));
+    bins.start = options.start ? *options.start : film.start_opl[0];
+    bins.width = options.width ? *options.width : film.bin_width_opl[0];
+    bins.camera_segment = !has_film || film.camera_segment[0] != 0;
+    return bins;
+}
+
+std::string shares_in_words(const Derivative& d) {
+    std::string text;
+    for (std::size_t p = 0; p < d.n_parameters(); ++p) {
+        const double exact = d.temporal_bins.exact_energy[p], all = exact + d.temporal_bins.widened_energy[p];
+        if (all > 0)
+            text += fmt::format("{}{} {:.4g} %", text.empty() ? "" : ", ", d.parameters.name[p], 100 * exact / all);
+    }
+    return text.empty() ? "no arrival time changes" : text;
 }
 
 }  // namespace
@@ -177,6 +205,15 @@ void declare(app::Command& command, Options& options) {
                    "leads to it; auto: whichever has less variance",
                    {{"auto", Attachment::automatic}, {"surface", Attachment::surface}, {"ray", Attachment::ray}});
     command.option("--seed", options.seed, "seed of the boundary samples");
+    command.choice("--temporal", options.exact_times,
+                   "light that a delta pulse moves between bins: leave it to loom-transient, which widens its "
+                   "response, or sample it exactly at the borders of these bins",
+                   {{"widen", false}, {"exact", true}});
+    command.option("--start", options.start, "exact: start of the first bin, m of optical path (default: the film's)");
+    command.option("--width", options.width, "exact: width of a bin, m (default: the film's)",
+                   app::Range<double>{1e-12, 1e12});
+    command.option("--bins", options.bins, "exact: number of bins (default: the film's)",
+                   app::Range<std::uint32_t>{1, max_temporal_bins});
     command.threads(options.threads);
     command.flag("--plan", options.plan, "print the plan and stop");
     command.example("loom-derive scenes/shadow-mover.xml graph.h5 --wrt theta -o d.h5");
@@ -188,6 +225,8 @@ void run(const Options& options, app::Report& report) {
     for (const std::string& part : options.off)
         if (part != "interior" && part != "primary" && part != "direct" && part != "indirect")
             throw InputError(fmt::format("--off {}: expected interior, primary, direct or indirect", part));
+    if (!options.exact_times && (options.start || options.width || options.bins))
+        throw InputError("--start, --width, --bins: need --temporal exact");
     if (!options.plan) check_output_path(options.output);
     const PathGraph graph = read_path_graph(options.graph);
     const InputId graph_id = identify_by_header(graph, options.graph);
@@ -208,7 +247,12 @@ void run(const Options& options, app::Report& report) {
         !missing.empty())
         throw InputError(
             fmt::format("{}: lacks columns for these parameters; trace it with loom-trace {}", options.graph, missing));
-    const Parts parts = required_parts(*scene, graph, tangents, options.off);
+    Parts parts = required_parts(*scene, graph, tangents, options.off);
+    TemporalBins bins;
+    if (options.exact_times) {
+        bins = bins_of(options, graph);
+        parts.plan += fmt::format("; exact for {} bins of {:.6g} m from {:.6g} m", bins.n, bins.width, bins.start);
+    }
     if (options.plan) {
         report.answer(parts.plan + "\n");
         return;
@@ -219,6 +263,10 @@ void run(const Options& options, app::Report& report) {
     Derivative derivative = differentiate(
         graph, *scene, tangents, parts,
         {options.effort, options.seed, options.threads, options.direct, options.attachment}, report, counts);
+    if (options.exact_times) {
+        differentiate_temporal(graph, *scene, tangents, bins, options.threads, report, derivative);
+        report.info("exact between bins, of the light whose arrival time changes: {}", shares_in_words(derivative));
+    }
     derivative.graph = graph_id.hash;
     derivative.provenance = report.provenance(
         options.seed, {{app::base_name(options.scene), graph.provenance.inputs[0].hash}, graph_id}, parts.plan);

@@ -3,6 +3,7 @@
 // and of the boundaries between light and shadow that move.                     [TR] "Differentiable Transient Rendering"
 
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -41,6 +42,9 @@ struct Options {
     Direct direct = Direct::automatic;
     Attachment attachment = Attachment::automatic;
     std::uint64_t seed = 0;
+    bool exact_times = false;            // sample the borders of bins, for a delta pulse
+    std::optional<double> start, width;  // of these bins, m; default: the film's
+    std::optional<std::uint32_t> bins;
     int threads = 0;    // 0: all
     bool plan = false;  // print the plan and stop
 };

@@ -203,9 +203,11 @@ void bin_own(Worker& worker, const GraphReader& reader, const Timing& timing, st
 }
 
 /// Bins neighbouring pixels with their derivatives. The light itself is summed as in bin_own(), to the bit.
-/// in:      weight  share of the graph in all samples per pixel
+/// in:      exact   borders of the derivative's temporal rows; null: they are not used
+///          weight  share of the graph in all samples per pixel
 void bin_own_with_derivative(Worker& worker, const GraphReader& reader, const Derivative& derivative,
-                             const Timing& timing, double weight, std::size_t first_pixel, std::size_t n) {
+                             const Timing& timing, const ExactBorders* exact, double weight, std::size_t first_pixel,
+                             std::size_t n) {
     const PathGraph& g = reader.graph();
     const OpticalLengths lengths(g, timing);
     const double n_samples = double(g.tracing.samples_per_pixel);
@@ -213,6 +215,7 @@ void bin_own_with_derivative(Worker& worker, const GraphReader& reader, const De
     const auto& interior = derivative.interior;
     const auto& seen = derivative.seen;
     const auto& boundary = derivative.boundary;
+    const std::vector<float> at_rest(n_parameters);
     worker.boundary.set(derivative, first_pixel, n);
     for (std::uint64_t s = 0; s < g.tracing.samples_per_pixel; ++s) {
         const std::size_t first_path = s * g.n_pixels() + first_pixel;
@@ -230,7 +233,9 @@ void bin_own_with_derivative(Worker& worker, const GraphReader& reader, const De
                 },
                 [&](std::size_t k, const Spectrum& L, double opl) {
                     if (const std::size_t row = rows.interior(k); row != RowCursor::none)
-                        worker.add(pixel, L, opl, &interior.dL[row * width], &interior.dopl[row * n_parameters]);
+                        worker.add(pixel, L, opl, &interior.dL[row * width],
+                                   exact && derivative.temporal.is_exact[row] ? at_rest.data()
+                                                                              : &interior.dopl[row * n_parameters]);
                     else
                         worker.add(pixel, L, opl);
                 });
@@ -247,6 +252,10 @@ void bin_own_with_derivative(Worker& worker, const GraphReader& reader, const De
             worker.derivative.add_samples(derivative, worker.boundary.of_samples(i, family),
                                           double(derivative.boundary_samples[std::size_t(family)]), weight,
                                           worker.derivatives[i]);
+    if (exact)
+        for (std::size_t i = 0; i < n; ++i)
+            worker.derivative.add_flux(derivative, first_pixel + i, exact->first, exact->step, weight,
+                                       worker.derivatives[i]);
 }
 
 /// Whether a derivative has boundary samples that belong to no path.
@@ -276,7 +285,8 @@ void bin_shared(Worker& worker, const SharedArrivals& shared, bool by_graph, std
 void bin_graphs(std::span<const PathGraph> graphs, std::span<SharedArrivals> shared,
                 std::span<const Derivative> derivatives, const TimeResponse& response, const Timing& timing,
                 std::uint64_t max_bytes, int threads, app::Progress& progress,
-                const std::function<void(std::uint32_t, const TransientRows&)>& take) {
+                const std::function<void(std::uint32_t, const TransientRows&)>& take,
+                std::span<const ExactBorders> exact) {
     const std::size_t width = graphs[0].sensor.width, height = graphs[0].sensor.height;
     const std::size_t n_parameters = derivatives.empty() ? 0 : derivatives[0].n_parameters();
     const std::size_t row_bytes = width * response.n_bins * (1 + n_parameters) * 3 * 2 * sizeof(float);
@@ -299,7 +309,7 @@ void bin_graphs(std::span<const PathGraph> graphs, std::span<SharedArrivals> sha
         span = std::clamp<std::size_t>(max_bytes / bytes, chunk, span);
     }
     Block block(block_rows * width, response.n_bins, n_parameters);
-    const bool own_samples = std::any_of(derivatives.begin(), derivatives.end(), has_own_samples);
+    const bool own_samples = !exact.empty() || std::any_of(derivatives.begin(), derivatives.end(), has_own_samples);
     tbb::enumerable_thread_specific<Worker> workers([&] { return Worker(response, chunk, n_parameters, own_samples); });
     for (std::size_t first_row = 0; first_row < height; first_row += block_rows) {
         const std::size_t first = first_row * width, n = std::min(block_rows, height - first_row) * width;
@@ -315,9 +325,9 @@ void bin_graphs(std::span<const PathGraph> graphs, std::span<SharedArrivals> sha
                     if (n_parameters == 0)
                         bin_own(worker, readers[g], timing, pixel, end - begin);
                     else
-                        bin_own_with_derivative(worker, readers[g], derivatives[g], timing,
-                                                double(graphs[g].tracing.samples_per_pixel) / n_paths, pixel,
-                                                end - begin);
+                        bin_own_with_derivative(
+                            worker, readers[g], derivatives[g], timing, exact.empty() ? nullptr : &exact[g],
+                            double(graphs[g].tracing.samples_per_pixel) / n_paths, pixel, end - begin);
                 for (std::size_t i = 0; i < end - begin; ++i) {
                     block.set(from + begin + i, worker.histograms[i], n_paths,
                               by_graph ? double(shared.size()) : n_paths, response.n_bins);

@@ -137,4 +137,23 @@ void DerivativeBinner::add_samples(const Derivative& derivative, std::span<const
         }
 }
 
+void DerivativeBinner::add_flux(const Derivative& derivative, std::size_t pixel, std::uint32_t first,
+                                std::uint32_t step, double weight, DerivativeHistogram& to) const {
+    const auto& t = derivative.temporal;
+    const std::uint32_t n = response_.n_bins;
+    const auto add = [&](std::uint32_t column, std::size_t row, double sign) {
+        for (std::size_t i = 0; i < width_; ++i) {
+            to.mean_of_samples[column * width_ + i] += sign * weight * double(t.flux[row * width_ + i]);
+            to.var_of_samples[column * width_ + i] += sqr(weight) * double(t.var_mean[row * width_ + i]);
+        }
+    };
+    for (std::size_t row = first_at_least(t.pixel, pixel); row < t.pixel.size() && t.pixel[row] == pixel; ++row) {
+        if (t.border[row] < first || (t.border[row] - first) % step != 0) continue;
+        const std::uint32_t k = (t.border[row] - first) / step;
+        if (k > n) break;
+        add(k == n ? n + std::uint32_t(Share::after) : k, row, 1);
+        add(k == 0 ? n + std::uint32_t(Share::before) : k - 1, row, -1);
+    }
+}
+
 }  // namespace loom::transient

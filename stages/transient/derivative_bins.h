@@ -111,6 +111,11 @@ class DerivativeBinner {
     ///          weight  w, share of the graph in all samples per pixel
     void add_samples(const Derivative& derivative, std::span<const std::size_t> rows, double n_samples, double weight,
                      DerivativeHistogram& pixel);
+    /// Adds what temporal rows move over the borders of the bins to a pixel. Variances of both borders add up, which is
+    /// too much where the same paths cross both.
+    /// in:      first, step  border k of these bins is border first + k step of the rows
+    void add_flux(const Derivative& derivative, std::size_t pixel, std::uint32_t first, std::uint32_t step,
+                  double weight, DerivativeHistogram& to) const;
 
   private:
     double* column(std::uint32_t k) {

@@ -206,27 +206,90 @@ std::vector<Derivative> read_all_derivatives(const Options& options, const std::
     return derivatives;
 }
 
+/// Light that a derivative moves between bins by one parameter.
+struct Moved {
+    bool exact = false, widened = false;
+};
+Moved moved_by(const Derivative& derivative, std::size_t parameter) {
+    Moved moved;
+    const std::size_t n = derivative.n_parameters();
+    const auto& dopl = derivative.interior.dopl;
+    for (std::size_t row = 0; row < derivative.interior.edge.size(); ++row) {
+        if (dopl[row * n + parameter] == 0) continue;
+        (derivative.temporal.is_exact[row] ? moved.exact : moved.widened) = true;
+    }
+    const auto& seen = derivative.seen.dopl;
+    for (std::size_t i = parameter; i < seen.size(); i += n) moved.widened = moved.widened || seen[i] != 0;
+    return moved;
+}
+
+/// Returns which borders of a derivative's temporal rows are those of the bins.
+/// throws:  InputError naming both
+ExactBorders exact_borders(const Derivative& derivative, const std::string& file, const TimeResponse& response,
+                           const Timing& timing) {
+    if (!derivative.has_temporal())
+        throw InputError(
+            fmt::format("--temporal exact: {} has no samples at the borders of bins; run loom-derive with "
+                        "--temporal exact, --start, --width and --bins",
+                        file));
+    const auto& own = derivative.temporal_bins;
+    const double start = own.start_opl[0], width = own.width_opl[0];
+    if ((own.camera_segment[0] != 0) != timing.camera_segment)
+        throw InputError(fmt::format(
+            "--temporal exact: lengths in {} count from the {}, but those of the bins from the "
+            "{}",
+            file, own.camera_segment[0] ? "camera" : "first hit", timing.camera_segment ? "camera" : "first hit"));
+    constexpr double tolerance = 1e-9;
+    const double step = std::round(response.width / width), first = std::round((response.start - start) / width),
+                 n = response.n_bins;
+    const double slack = tolerance * std::max({std::abs(response.start), std::abs(response.end()), response.width});
+    const bool fits = step >= 1 && first >= 0 && first + n * step <= own.n[0] && response.gate == response.width &&
+                      std::abs(start + first * width - response.start) <= slack &&
+                      std::abs(start + (first + n * step) * width - response.end()) <= slack;
+    if (!fits)
+        throw InputError(
+            fmt::format("--temporal exact: {} bins of {:.9g} m from {:.9g} m, gates of {:.9g} m; their borders must be "
+                        "borders of the {} bins of {:.9g} m from {:.9g} m in {}, and gates as long as bins",
+                        response.n_bins, response.width, response.start, response.gate, own.n[0], width, start, file));
+    return {std::uint32_t(first), std::uint32_t(step)};
+}
+
 /// Sets for each parameter whether the derivative of its bins is complete, and says so.
-void set_temporal(const Options& options, const std::vector<Derivative>& derivatives, const TimeResponse& response,
-                  TransientCubeHeader& header, app::Report& report) {
-    if (!response.pulse.is_delta() || response.modulation != Modulation::none) return;
+/// out:     borders of each derivative's temporal rows; empty: they are not used
+std::vector<ExactBorders> set_temporal(const Options& options, const std::vector<Derivative>& derivatives,
+                                       const TimeResponse& response, const Timing& timing, TransientCubeHeader& header,
+                                       app::Report& report) {
+    const bool is_delta = response.pulse.is_delta() && response.modulation == Modulation::none;
+    if (options.temporal == Temporal::exact && (!is_delta || derivatives.empty()))
+        throw InputError("--temporal exact: needs --derivative and a delta pulse; any other pulse is exact as it is");
+    if (!is_delta) return {};
+    std::vector<ExactBorders> borders;
+    if (options.temporal == Temporal::exact)
+        for (std::size_t i = 0; i < derivatives.size(); ++i)
+            borders.push_back(exact_borders(derivatives[i], options.derivatives[i], response, timing));
     std::string widened;
     for (std::size_t p = 0; p < header.n_parameters(); ++p) {
-        const bool moves = std::any_of(derivatives.begin(), derivatives.end(),
-                                       [&](const Derivative& d) { return changes_lengths(d, p); });
-        if (!moves) continue;
+        Moved moved;
+        for (const Derivative& d : derivatives) {
+            const Moved by = borders.empty() ? Moved{false, changes_lengths(d, p)} : moved_by(d, p);
+            moved.exact = moved.exact || by.exact;
+            moved.widened = moved.widened || by.widened;
+        }
+        if (!moved.exact && !moved.widened) continue;
         if (options.temporal == Temporal::refuse)
             throw InputError(
                 fmt::format("--temporal refuse: {} changes arrival times, and bins jump with a delta pulse; give "
-                            "another --pulse, or --temporal widen",
+                            "another --pulse, or --temporal widen or exact",
                             header.parameters.name[p]));
-        header.parameters.temporal[p] = "widened";
-        widened += (widened.empty() ? "" : ", ") + header.parameters.name[p];
+        header.parameters.temporal[p] = !moved.widened ? "exact" : moved.exact ? "partly" : "widened";
+        if (moved.widened) widened += (widened.empty() ? "" : ", ") + header.parameters.name[p];
     }
     if (!widened.empty())
         report.info(
-            "delta pulse: light that moves between bins is that of a box pulse one bin long, for the derivatives by {}",
-            widened);
+            "delta pulse: {}light that moves between bins is that of a box pulse one bin long, for the "
+            "derivatives by {}",
+            borders.empty() ? "" : "a part of the ", widened);
+    return borders;
 }
 
 void check_tal(const Options& options, const PathGraph& graph) {
@@ -293,7 +356,10 @@ std::string plan_of(const TransientCubeHeader& header, bool shares, bool camera_
     const auto& p = header.parameters;
     for (std::size_t i = 0; i < header.n_parameters(); ++i)
         derivatives += fmt::format("{}{}{}", i == 0 ? ", derivatives by " : ", ", p.name[i],
-                                   p.temporal[i] == "widened" ? " (response widened by a bin)" : "");
+                                   p.temporal[i] == "widened"  ? " (response widened by a bin)"
+                                   : p.temporal[i] == "partly" ? " (response widened by a bin for a part)"
+                                   : p.temporal[i] == "exact"  ? " (exact at the borders of bins)"
+                                                               : "");
     return fmt::format("on: {}{} pulse, {}{}; off: {}", shares ? "light shared by clusters at first hits, " : "",
                        header.response.pulse, camera_segment ? "camera segment" : "lengths from the first hit",
                        derivatives, derivatives.empty() ? "derivatives" : "nothing");
@@ -307,9 +373,11 @@ void declare(app::Command& command, Options& options) {
                   "clusters (.h5) of these graphs, in their order; first hits share the light of their cluster");
     command.files("--derivative", options.derivatives,
                   "derivatives (.h5) of these graphs, in their order; the cube then holds the derivative of each bin");
-    command.choice("--temporal", options.temporal,
-                   "delta pulse with derivatives that change arrival times: widen the response by a bin, or refuse",
-                   {{"widen", Temporal::widen}, {"refuse", Temporal::refuse}});
+    command.choice(
+        "--temporal", options.temporal,
+        "delta pulse with derivatives that change arrival times: widen the response by a bin, use the samples "
+        "of loom-derive --temporal exact, or refuse",
+        {{"widen", Temporal::widen}, {"exact", Temporal::exact}, {"refuse", Temporal::refuse}});
     command.output("-o,--output", options.output, "transient cube (.h5)");
     command.output("--tal", options.tal, "also write an NLOS capture in the format of the TAL tools (.h5)");
     command.choice("--unit", options.unit,
@@ -390,7 +458,7 @@ void run(const Options& options, app::Report& report) {
         set_window(options, lengths, graphs[0], timing, response);
     for (std::size_t i = 0; i < derivatives.size(); ++i)
         check_lengths(options, timing, options.derivatives[i], derivatives[i], report);
-    set_temporal(options, derivatives, response, header, report);
+    const std::vector<ExactBorders> borders = set_temporal(options, derivatives, response, timing, header, report);
 
     // Fill the header of the cube.
     header.film.width = graphs[0].sensor.width;
@@ -422,12 +490,14 @@ void run(const Options& options, app::Report& report) {
         std::vector<SharedArrivals> shared;
         for (std::size_t i = 0; i < clusters.size(); ++i)
             shared.emplace_back(graphs[i], clusters[i], timing, options.threads);
-        bin_graphs(graphs, shared, derivatives, response, timing, max_bytes, options.threads, progress,
-                   [&](std::uint32_t first_row, const TransientRows& rows) {
-                       writer.write_rows(first_row, rows);
-                       if (!options.tal.empty()) add_rows(graphs[0], first_row, rows, tal);
-                       light.add(rows);
-                   });
+        bin_graphs(
+            graphs, shared, derivatives, response, timing, max_bytes, options.threads, progress,
+            [&](std::uint32_t first_row, const TransientRows& rows) {
+                writer.write_rows(first_row, rows);
+                if (!options.tal.empty()) add_rows(graphs[0], first_row, rows, tal);
+                light.add(rows);
+            },
+            borders);
         writer.commit();
     }
     if (!options.tal.empty()) write_tal_capture(tal, options.tal);

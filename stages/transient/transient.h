@@ -28,7 +28,7 @@ namespace loom::transient {
 
 enum class Unit { opl, ns };
 /// Treatment of derivatives that need the slope of a response which has none, that of a delta pulse.
-enum class Temporal { widen, refuse };
+enum class Temporal { widen, exact, refuse };
 enum class Shape { film, delta, box, gaussian, expgauss, table, sine, square };
 
 struct Options {
@@ -57,6 +57,12 @@ struct Options {
 
 void declare(app::Command& command, Options& options);
 
+/// Borders of bins as borders of those of a derivative's temporal rows.
+///   border k of these bins is border first + k step of the rows
+struct ExactBorders {
+    std::uint32_t first = 0, step = 1;
+};
+
 /// Bins paths of several graphs by opl and passes on rows of the cube.
 ///   radiance[k] = mean over paths of sum over light edges of L S_e[k](opl)
 ///   derivative[k] = mean over paths of [sum over light edges of (L' S_e[k] + L S_e[k]' opl') + boundary rows of the
@@ -67,11 +73,13 @@ void declare(app::Command& command, Options& options);
 ///          shared     the same graphs with their clusters; empty: paths alone
 ///          derivatives  of the same graphs, by the same parameters; empty: values alone. The values are the same to
 ///                     the bit.
+///          exact      borders of each derivative's temporal rows; empty: these rows are not used
 /// needs:   shared or derivatives are empty
 void bin_graphs(std::span<const PathGraph> graphs, std::span<SharedArrivals> shared,
                 std::span<const Derivative> derivatives, const TimeResponse& response, const Timing& timing,
                 std::uint64_t max_bytes, int threads, app::Progress& progress,
-                const std::function<void(std::uint32_t first_row, const TransientRows&)>& take);
+                const std::function<void(std::uint32_t first_row, const TransientRows&)>& take,
+                std::span<const ExactBorders> exact = {});
 
 /// Window derived from a graph's light: from the first arrival to where all but 0.1 % has arrived.
 struct Window {
