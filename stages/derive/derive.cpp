@@ -264,7 +264,8 @@ void run(const Options& options, app::Report& report) {
         graph, *scene, tangents, parts,
         {options.effort, options.seed, options.threads, options.direct, options.attachment}, report, counts);
     if (options.exact_times) {
-        differentiate_temporal(graph, *scene, tangents, bins, options.threads, report, derivative);
+        differentiate_temporal(graph, *scene, tangents, attached_of(*scene, options.attachment), bins, options.threads,
+                               report, derivative);
         report.info("exact between bins, of the light whose arrival time changes: {}", shares_in_words(derivative));
     }
     derivative.graph = graph_id.hash;

@@ -256,8 +256,8 @@ struct Crossings {
 
 class Lines {
   public:
-    Lines(const PathGraph& graph, const Scene& scene, const SceneTangents& tangents, const TemporalBins& bins,
-          const Derivative& derivative)
+    Lines(const PathGraph& graph, const Scene& scene, const SceneTangents& tangents, const Attached& attached,
+          const TemporalBins& bins, const Derivative& derivative)
         : g_(graph),
           scene_(scene),
           tangents_(tangents),
@@ -267,7 +267,7 @@ class Lines {
           width_(3 * n_),
           reader_(graph),
           motions_(scene, tangents),
-          walker_(graph, scene, tangents),
+          walker_(graph, scene, tangents, attached),
           sight_(scene),
           of_path_((std::size_t(bins.n) + 1) * width_),
           is_touched_(std::size_t(bins.n) + 1),
@@ -714,7 +714,8 @@ struct Rows {
 }  // namespace
 
 void differentiate_temporal(const PathGraph& graph, const Scene& scene, const SceneTangents& tangents,
-                            const TemporalBins& bins, int threads, app::Report& report, Derivative& derivative) {
+                            const Attached& attached, const TemporalBins& bins, int threads, app::Report& report,
+                            Derivative& derivative) {
     const std::size_t n = tangents.n(), n_pixels = graph.n_pixels();
     const std::uint64_t n_samples = graph.tracing.samples_per_pixel;
     // Parts of pixels, and of their samples where there are few pixels; for any number of threads the same.
@@ -725,7 +726,8 @@ void differentiate_temporal(const PathGraph& graph, const Scene& scene, const Sc
     std::vector<Crossings> parts(n_chunks * n_blocks);
     std::vector<std::uint8_t> is_exact(derivative.interior.edge.size());
     app::Progress progress(report, "borders of bins", parts.size());
-    tbb::enumerable_thread_specific<Lines> workers([&] { return Lines(graph, scene, tangents, bins, derivative); });
+    tbb::enumerable_thread_specific<Lines> workers(
+        [&] { return Lines(graph, scene, tangents, attached, bins, derivative); });
     parallel_chunks(parts.size(), 1, threads, [&](std::uint64_t i, std::uint64_t, std::uint64_t) {
         const std::size_t first = i / n_blocks * chunk, block = i % n_blocks;
         workers.local().add_pixels(first, std::min(chunk, n_pixels - first), n_samples * block / n_blocks,

@@ -25,7 +25,7 @@
 #include "formats/derivative.h"
 #include "formats/path_graph.h"
 #include "stages/core/app/report.h"
-#include "stages/derive/scene_tangents.h"
+#include "stages/derive/surface_motion.h"
 
 namespace loom::derive {
 
@@ -39,6 +39,7 @@ struct TemporalBins {
 /// Samples phi at all borders from the paths of a graph, into derivative.temporal.
 /// in, out: derivative  with its interior rows and parameters
 void differentiate_temporal(const PathGraph& graph, const Scene& scene, const SceneTangents& tangents,
-                            const TemporalBins& bins, int threads, app::Report& report, Derivative& derivative);
+                            const Attached& attached, const TemporalBins& bins, int threads, app::Report& report,
+                            Derivative& derivative);
 
 }  // namespace loom::derive

@@ -92,7 +92,9 @@ Replicates replicates_of(const Moving& m, const derive::TemporalBins& window, st
         derive::DeriveCounts counts;
         const derive::Parts parts = derive::required_parts(*m.scene, graph, *m.tangents, {});
         Derivative d = derive::differentiate(graph, *m.scene, *m.tangents, parts, {}, report, counts);
-        derive::differentiate_temporal(graph, *m.scene, *m.tangents, window, 0, report, d);
+        derive::differentiate_temporal(graph, *m.scene, *m.tangents,
+                                       derive::attached_of(*m.scene, derive::Attachment::automatic), window, 0, report,
+                                       d);
         EXPECT_EQ(d.problem(), "");
         all.exact_energy += d.temporal_bins.exact_energy[0];
         all.widened_energy += d.temporal_bins.widened_energy[0];
