@@ -38,7 +38,7 @@ struct Options {
     std::vector<std::string> defines;  // name=value
     std::string sensor;                // id or index, from 0; empty: the first
     std::vector<std::string> off;      // parts to leave out
-    double effort = 0.4;               // of boundary samples, over that of tracing and binning the graph
+    double effort = 0.25;              // of boundary samples, over that of tracing and binning the graph
     Direct direct = Direct::automatic;
     Attachment attachment = Attachment::automatic;
     std::uint64_t seed = 0;
@@ -61,7 +61,7 @@ Parts required_parts(const Scene& scene, const PathGraph& graph, const SceneTang
 
 /// Sampling of boundary terms.
 struct BoundaryOptions {
-    double effort = 0.4;  // over that of tracing and binning
+    double effort = 0.25;  // over that of tracing and binning
     std::uint64_t seed = 0;
     int threads = 0;
     Direct direct = Direct::automatic;

@@ -86,6 +86,11 @@ struct Source {
         }
     }
 
+    /// Whether light of an emitter may change although nothing before it does.
+    bool light_changes(std::size_t emitter) const {
+        return emitter_matters[emitter] || scene.nlos || !graph.vertices.medium.empty();
+    }
+
     SurfacePlace place(std::size_t j, const ShadingPoint& at) const {
         const auto& v = graph.vertices;
         return {v.shape[j],
@@ -153,8 +158,10 @@ class Walk {
     struct Arrival {
         SurfacePlace place;
         PointMotion<n> motion;
-        Vec u;       // unit, along the segment
-        Vectors du;  // change of u
+        Vec u;               // unit, along the segment
+        Vectors du;          // change of u
+        Vectors wo;          // change of wo in the frame
+        bool rests = false;  // nothing up to here depends on a parameter
         Rgb<double> beta;
         Colours dbeta;
         double opl = 0;
@@ -302,6 +309,11 @@ class Walk {
         if (!a.by_ray && a.scattered)
             b.dbeta.add(b.beta, geometry_change(b.u, r, ddot, b.place.ng, b.motion.ng, b.motion.area));
         add_length(a, g_.vertices.eta, g_.vertices.medium, j, r, b.u, ddot, b.opl, b.dopl);
+        Vectors back;
+        back.add(-1, b.du);
+        b.wo = local_change(in_double(at.frame), Vec(at.wo_local), back, b.motion.ns, b.motion.twist);
+        b.rests = b.material.empty() && b.dbeta.is_zero() && b.dopl.is_zero() && b.motion.p.is_zero() &&
+                  b.motion.ns.is_zero() && b.motion.twist.is_zero() && b.wo.is_zero();
         return b;
     }
 
@@ -373,10 +385,9 @@ class Walk {
         const Rgb<double> shadow(at.perturbed ? double(bump_shadowing(at, Vector3f(wi), wi_local.z)) : 1.0);
         const Rgb<double> by(scale);
         s.value = Rgb<double>(g.f_cos) * by * shadow;
-        const Vectors wo = wo_change(at, here);
         for (int k = 0; k < 3; ++k) {
             const auto i = std::size_t(k);
-            s.change.add(Rgb<double>(g.by_wo[i]) * by * shadow, wo[k]);
+            s.change.add(Rgb<double>(g.by_wo[i]) * by * shadow, here.wo[k]);
             s.by_wi[i] = Rgb<double>(g.by_wi[i]) * by * shadow;
         }
         for (const auto& [p, t] : here.material) {
@@ -392,8 +403,7 @@ class Walk {
         Scattering s;
         const DeltaGradient g = delta_value_gradient(at.bsdf, at.wo_local, lobe);
         s.value = Rgb<double>(g.value) * Rgb<double>(scale);
-        const Vectors wo = wo_change(at, here);
-        for (int k = 0; k < 3; ++k) s.change.add(Rgb<double>(g.by_wo[std::size_t(k)]) * Rgb<double>(scale), wo[k]);
+        for (int k = 0; k < 3; ++k) s.change.add(Rgb<double>(g.by_wo[std::size_t(k)]) * Rgb<double>(scale), here.wo[k]);
         for (const auto& [p, t] : here.material) {
             if (!t.scatters()) continue;
             using D = Dual<1, double>;
@@ -402,12 +412,6 @@ class Walk {
         }
         return s;
     }
-    Vectors wo_change(const ShadingPoint& at, const Arrival& here) const {
-        Vectors back;
-        back.add(-1, here.du);
-        return local_change(in_double(at.frame), Vec(at.wo_local), back, here.motion.ns, here.motion.twist);
-    }
-
     /// Direction of a delta lobe and its change.
     void delta_ray(const ShadingPoint& at, const Arrival& here, Lobe lobe, Start& next) const {
         using D = Dual<4, double>;
@@ -417,7 +421,7 @@ class Walk {
         index.eta = 1;
         const Vector3<D> wi = delta_direction(with_tangent<4, double>(at.bsdf, index, 3), wo, lobe);
         const Vec wi_local{wi.x.value, wi.y.value, wi.z.value};
-        const Vectors dwo = wo_change(at, here);
+        const Vectors& dwo = here.wo;
         Numbers deta;
         for (const auto& [p, t] : here.material) deta.d[p] += t.eta;
         Vectors local;
@@ -502,6 +506,7 @@ class Walk {
     void light(std::size_t j, std::size_t k, const ShadingPoint& at, const Arrival& here, OnEdge&& on_edge) const {
         const auto& e = g_.light_edges;
         const std::size_t emitter = e.emitter[k];
+        if (here.rests && !s_.light_changes(emitter)) return;
         const Lobe lobe = Lobe(g_.vertices.lobe[j]);
         const bool next_event = LightTechnique(e.technique[k]) == LightTechnique::next_event;
         const bool by_delta = !next_event && is_delta(lobe);
@@ -600,7 +605,6 @@ class Walk {
         place.shape_idx = s_.scene.emitters[emitter].shape_idx;
         place.p = y;
         if (!g_.light_edges.n.empty()) place.ng = place.ns = Vec(unit_vector<Normal3f>(g_.light_edges.n, k));
-        place.tangent = Frame<double>(Normal3<double>(place.ns)).s;
         return place;
     }
 
