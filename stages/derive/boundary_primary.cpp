@@ -557,7 +557,7 @@ std::uint64_t add_primary(const BoundaryScene& s, std::uint64_t n_samples, std::
             const double sign = w.signs[path];
             w.light.walk(path, edge, [&](const Spectrum& L, double opl) {
                 for_pixels_at(scene.sensor, {float(at.film.x), float(at.film.y)}, [&](std::uint64_t pixel, double h) {
-                    rows[first + i].add(pixel, std::isfinite(opl) ? opl : -1,
+                    rows[first + i].add(pixel, std::isfinite(opl) ? opl : -1, w.light.to_first_hit(path),
                                         Rgb<double>(L) * Rgb<double>(sign * h / (at.density * double(n_samples))),
                                         at.rates, BoundaryFamily::primary, w.sample_ids[w.sample_of[path]]);
                 });

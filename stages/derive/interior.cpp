@@ -771,25 +771,28 @@ void InteriorWalker::walk_vertices(std::size_t path, const OnVertex& on_vertex) 
         const auto [begin, end] = vertices_of(g, path);
         Pt from = camera_origin<double>(g, path);
         Rgb<double> beta(1);
-        double opl = 0;
+        double opl = 0, camera_opl = 0;
         for (std::size_t j = begin; j < end; ++j) {
             const ShadingPoint at = reader.vertex(j);
             const Pt p = position<double>(g, j);
             opl += (g.vertices.eta.empty() ? 1.0 : double(g.vertices.eta[j])) * length(p - from);
             from = p;
-            on_vertex({j, &at, beta, opl, impl_->velocity});
+            if (j == begin) camera_opl = opl;
+            on_vertex({j, &at, beta, opl, camera_opl, impl_->velocity});
             if (j + 1 < end) beta *= Rgb<double>(own_continuation(reader, at, j, continuation_direction(g, j)));
         }
         return;
     }
     std::size_t edge = g.n_light_edges();
+    double camera_opl = 0;
     const auto no_row = [](std::size_t, const auto&, const auto&) {};
     impl_->with_walk([&](auto&& walk) {
         walk.path(
             path, edge, no_row, no_row,
             [&](std::size_t j, const ShadingPoint& at, const Rgb<double>& beta, double opl, const auto& velocity) {
                 for (std::size_t p = 0; p < impl_->velocity.size(); ++p) impl_->velocity[p] = velocity(int(p));
-                on_vertex({j, &at, beta, opl, impl_->velocity});
+                if (j == g.paths.first_vertex[path]) camera_opl = opl;
+                on_vertex({j, &at, beta, opl, camera_opl, impl_->velocity});
             });
     });
 }
