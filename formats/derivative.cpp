@@ -102,6 +102,10 @@ std::string Derivative::problem() const {
             return fmt::format("{}: row {} is {}, not increasing or not below {}", name, i, (*rows)[i], end);
     if (!std::is_sorted(boundary.pixel.begin(), boundary.pixel.end())) return "boundary/pixel: is not sorted";
     for (std::size_t i = 0; i < boundary.family.size(); ++i) {
+        const double opl = boundary.opl[i], from_camera = boundary.camera_opl[i];
+        // Sums of the two round differently.
+        if (!(from_camera >= 0) || (opl >= 0 && from_camera > opl * (1 + 1e-6)))
+            return fmt::format("boundary/camera_opl: row {} is {}, expected 0 to its opl, {}", i, from_camera, opl);
         const std::uint8_t family = boundary.family[i];
         if (family >= n_boundary_families)
             return fmt::format("boundary/family: row {} is {}, expected 0 to {}", i, family, n_boundary_families - 1);

@@ -76,7 +76,7 @@ struct DerivativeOf : DerivativeHeader {
 
     struct Boundary {
         ColumnOf<std::uint32_t> pixel;
-        ColumnOf<double> opl;
+        ColumnOf<double> opl, camera_opl;
         ColumnOf<float> dL;
         ColumnOf<std::uint8_t> family;
         ColumnOf<std::uint64_t> sample;
@@ -131,14 +131,16 @@ void DerivativeOf<ColumnOf>::fields(Self& d, Visitor& v) {
            "derivative of the light that this edge brings to the pixel, of one path (not divided by the samples)",
            Finite::counted);
     v.grid("interior/dopl", i.dopl, {n}, "row,parameter", "m per parameters/unit",
-           "derivative of the optical path length; 0 for lights at infinity", Finite::counted);
+           "derivative of the optical path length from the camera; 0 for lights at infinity", Finite::counted);
 
     auto& s = d.seen;
-    v.field("seen/path", s.path, 1, "seen", "1",
-            "path whose directly visible emitter or environment (paths/Le) has a derivative, increasing");
+    v.field(
+        "seen/path", s.path, 1, "seen", "1",
+        "path whose directly visible emitter or environment (paths/Le), or whose segment from the camera to the first "
+        "vertex, has a derivative; increasing");
     v.grid("seen/dLe", s.dLe, {n, 3}, "seen,parameter,rgb", unit, "derivative of paths/Le", Finite::counted);
-    v.grid("seen/dopl", s.dopl, {n}, "seen,parameter", "m per parameters/unit", "derivative of its optical path length",
-           Finite::counted);
+    v.grid("seen/dopl", s.dopl, {n}, "seen,parameter", "m per parameters/unit",
+           "derivative of the optical path length to the first vertex", Finite::counted);
 
     auto& b = d.boundary;
     v.field("boundary/samples", d.boundary_samples, 1, "family", "1",
@@ -148,6 +150,8 @@ void DerivativeOf<ColumnOf>::fields(Self& d, Visitor& v) {
     v.field("boundary/opl", b.opl, 1, "boundary", "m",
             "optical path length from the camera with phase indices; negative: light at infinity, which has no arrival "
             "time");
+    v.field("boundary/camera_opl", b.camera_opl, 1, "boundary", "m",
+            "its share from the camera to the first vertex; subtracted where that segment does not count (--unwarp)");
     v.grid("boundary/dL", b.dL, {n, 3}, "boundary,parameter,rgb", unit,
            "light that appears at the boundary; already divided by the samples: the rows of a pixel sum to its "
            "derivative",

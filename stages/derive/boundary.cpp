@@ -276,6 +276,7 @@ void set_rows(std::vector<BoundaryRows>& parts, std::size_t n_parameters, Deriva
     for (BoundaryRows& part : parts) {
         all.pixel.insert(all.pixel.end(), part.pixel.begin(), part.pixel.end());
         all.opl.insert(all.opl.end(), part.opl.begin(), part.opl.end());
+        all.camera_opl.insert(all.camera_opl.end(), part.camera_opl.begin(), part.camera_opl.end());
         all.dL.insert(all.dL.end(), part.dL.begin(), part.dL.end());
         all.family.insert(all.family.end(), part.family.begin(), part.family.end());
         all.sample.insert(all.sample.end(), part.sample.begin(), part.sample.end());
@@ -289,6 +290,7 @@ void set_rows(std::vector<BoundaryRows>& parts, std::size_t n_parameters, Deriva
     });
     out.boundary.pixel = reordered(all.pixel, order);
     out.boundary.opl = reordered(all.opl, order);
+    out.boundary.camera_opl = reordered(all.camera_opl, order);
     out.boundary.dL = reordered(all.dL, order, 3 * n_parameters);
     out.boundary.family = reordered(all.family, order);
     out.boundary.sample = reordered(all.sample, order);

@@ -25,16 +25,18 @@ using ConstVelocities = std::span<const Vector3<double>>;  // [parameter]
 /// Rows of boundary samples, in the order in which they were made.
 struct BoundaryRows {
     std::vector<std::uint32_t> pixel;
-    std::vector<double> opl;  // negative: never arrives
-    std::vector<float> dL;    // [row, parameter, rgb]
+    std::vector<double> opl;         // negative: never arrives
+    std::vector<double> camera_opl;  // its share up to the first vertex
+    std::vector<float> dL;           // [row, parameter, rgb]
     std::vector<std::uint8_t> family;
     std::vector<std::uint64_t> sample;
 
     /// in:      rates  by parameter: dL is light times rate
-    void add(std::uint64_t pixel_, double opl_, const Rgb<double>& light, std::span<const double> rates,
-             BoundaryFamily family_, std::uint64_t sample_) {
+    void add(std::uint64_t pixel_, double opl_, double camera_opl_, const Rgb<double>& light,
+             std::span<const double> rates, BoundaryFamily family_, std::uint64_t sample_) {
         pixel.push_back(std::uint32_t(pixel_));
         opl.push_back(opl_);
+        camera_opl.push_back(camera_opl_);
         for (const double rate : rates)
             for (int c = 0; c < 3; ++c) dL.push_back(float(light[c] * rate));
         family.push_back(std::uint8_t(family_));

@@ -139,8 +139,8 @@ class Sampling {
         const Rgb<double> value = Rgb<double>(f_cos) * Le *
                                   Rgb<double>(film->scale * cos_camera / double(cos_shading) * geometry /
                                               (b.density * light.density * n_points * double(n_)));
-        const double opl = light.infinite ? -1 : index_of_media(at, *film) * (double(film->t) + r);
-        add_to_pixels(film->film, value, opl, i, rows);
+        const double eta = index_of_media(at, *film), camera_opl = eta * double(film->t);
+        add_to_pixels(film->film, value, light.infinite ? -1 : camera_opl + eta * r, camera_opl, i, rows);
     }
 
     /// Index of refraction around the camera, in which a surface that the camera sees lies.
@@ -150,9 +150,10 @@ class Sampling {
 
     float filter_reach() const { return s_.scene.sensor.filter_radius; }
 
-    void add_to_pixels(Point2f film, const Rgb<double>& value, double opl, std::uint64_t i, BoundaryRows& rows) {
+    void add_to_pixels(Point2f film, const Rgb<double>& value, double opl, double camera_opl, std::uint64_t i,
+                       BoundaryRows& rows) {
         for_pixels_at(s_.scene.sensor, film, [&](std::uint64_t pixel, double h) {
-            rows.add(pixel, opl, value * Rgb<double>(h), rates_, BoundaryFamily::edge_light, i);
+            rows.add(pixel, opl, camera_opl, value * Rgb<double>(h), rates_, BoundaryFamily::edge_light, i);
         });
     }
 
@@ -174,7 +175,7 @@ Effort add_edge_light(const BoundaryScene& s, std::uint64_t n_samples, const std
     constexpr std::uint64_t chunk = 256;
     const std::size_t first = rows.size();
     rows.resize(first + (n_samples + chunk - 1) / chunk);
-    app::Progress progress(report, "edges seen from emitters", n_samples);
+    app::Progress progress(report, "silhouettes visible from emitters", n_samples);
     tbb::enumerable_thread_specific<Sampling> workers([&] { return Sampling(s, n_samples, weights); });
     parallel_chunks(n_samples, chunk, s.options.threads, [&](std::uint64_t i, std::uint64_t begin, std::uint64_t end) {
         for (std::uint64_t k = begin; k < end; ++k) workers.local().sample(k, rows[first + i]);

@@ -28,6 +28,7 @@ struct Pending {
     std::uint64_t path = 0, vertex = 0;
     Rgb<double> value;  // all but the light and the rate
     double opl = 0;     // up to the vertex
+    double camera_opl = 0;
     Pt x_s;
     OutlinePoint b;
     std::vector<Vec> v_s, v_b;
@@ -148,6 +149,7 @@ class Sampling {
         p.path = path;
         p.vertex = x.vertex;
         p.opl = x.opl;
+        p.camera_opl = x.camera_opl;
         p.value = x.beta * Rgb<double>(f_cos) *
                   Rgb<double>(1 / (p.b.r * p.b.r * p.b.density * share_ * double(s_.graph.tracing.samples_per_pixel)));
         p.v_s.assign(x.velocity.begin(), x.velocity.end());
@@ -209,7 +211,7 @@ class Sampling {
     void add(const Pending& p, const Rgb<double>& L, double opl, BoundaryRows& rows) {
         if (std::all_of(rates_.begin(), rates_.end(), [](double r) { return r == 0; })) return;
         const bool arrives = opl >= 0 && std::isfinite(opl);
-        rows.add(p.path % s_.graph.n_pixels(), arrives ? p.opl + opl : -1, p.value * L, rates_,
+        rows.add(p.path % s_.graph.n_pixels(), arrives ? p.opl + opl : -1, p.camera_opl, p.value * L, rates_,
                  BoundaryFamily::indirect, p.path);
     }
 

@@ -468,7 +468,7 @@ Effort add_primary(const BoundaryScene& s, std::uint64_t n_samples, std::vector<
     constexpr std::uint64_t chunk = PathBatch::capacity / 2;
     const std::size_t first = rows.size();
     rows.resize(first + (n_samples + chunk - 1) / chunk);
-    app::Progress progress(report, "edges seen by the camera", n_samples);
+    app::Progress progress(report, "edges visible from the camera", n_samples);
     // Rays pass the edge by this many pixels.
     const double beside = 2e-5 * primary.map().pixels_per_radian();
     tbb::enumerable_thread_specific<Worker> workers([&] { return Worker(s); });
@@ -508,7 +508,7 @@ Effort add_primary(const BoundaryScene& s, std::uint64_t n_samples, std::vector<
             const double sign = w.signs[path];
             w.light.walk(path, edge, [&](const Spectrum& L, double opl) {
                 for_pixels_at(scene.sensor, {float(at.film.x), float(at.film.y)}, [&](std::uint64_t pixel, double h) {
-                    rows[first + i].add(pixel, std::isfinite(opl) ? opl : -1,
+                    rows[first + i].add(pixel, std::isfinite(opl) ? opl : -1, w.light.to_first_hit(path),
                                         Rgb<double>(L) * Rgb<double>(sign * h / (at.density * double(n_samples))),
                                         at.rates, BoundaryFamily::primary, w.sample_ids[w.sample_of[path]]);
                 });

@@ -140,7 +140,7 @@ class Sampling {
                                double(s_.graph.tracing.samples_per_pixel);
         const Rgb<double> value =
             x.beta * Rgb<double>(f_cos) * Rgb<double>(Le) * Rgb<double>(1 / (b.r * b.r * density));
-        rows.add(path % s_.graph.n_pixels(), x.opl + index_towards(x.vertex, at, wi) * r, value, rates_,
+        rows.add(path % s_.graph.n_pixels(), x.opl + index_towards(x.vertex, at, wi) * r, x.camera_opl, value, rates_,
                  BoundaryFamily::vertex_light, path);
     }
 

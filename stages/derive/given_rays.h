@@ -33,6 +33,12 @@ class RayLight {
         walk_in_time(reader_, lengths_, i, edge, on_light);
     }
 
+    /// Length of path i from the ray's origin to its first hit; 0 without one.
+    double to_first_hit(std::size_t i) const {
+        const auto& first = reader_.graph().paths.first_vertex;
+        return first[i] == first[i + 1] ? 0 : lengths_.from_camera(i);
+    }
+
     std::uint64_t n_rays = 0;
 
   private:

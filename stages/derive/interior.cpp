@@ -79,6 +79,7 @@ struct Source {
             shape_matters.push_back(t.moves(i) || !t.shading_normals[i].empty());
         }
         for (const auto& effects : t.materials) material_matters.push_back(!effects.empty());
+        prepare_coats();
         for (std::size_t e = 0; e < s.emitters.size(); ++e) {
             const bool of_shape = s.emitters[e].kind == EmitterKind::area;
             emitter_matters.push_back(!t.emitters[e].empty() || !t.radiance[e].empty() ||
@@ -89,6 +90,24 @@ struct Source {
     /// Whether light of an emitter may change although nothing before it does.
     bool light_changes(std::size_t emitter) const {
         return emitter_matters[emitter] || scene.nlos || !graph.vertices.medium.empty();
+    }
+
+    /// Computes the slopes of coats whose roughness or index changes, by a parameter or along a texture.
+    void prepare_coats() {
+        const bool slides = tangents.camera_moves() || tangents.any_shape_moves();
+        for (std::size_t m = 0; m < scene.materials.size(); ++m) {
+            if (scene.materials[m].model.kind != BsdfKind::rough_plastic) continue;
+            bool changes = slides && scene.materials[m].alpha_u_idx >= 0;
+            for (const auto& [p, effect] : tangents.materials[m])
+                changes |= effect.alpha_u != 0 || effect.alpha_v != 0 || effect.eta != 0;
+            if (changes) reader.prepare_slopes(m);
+        }
+    }
+
+    /// Laser spot of the capture that a path belongs to.
+    const NlosCapture::LaserPoint& laser_point(std::size_t path) const {
+        const NlosCapture& capture = *scene.nlos;
+        return capture.laser_points[capture.laser_point(path % graph.n_pixels())];
     }
 
     SurfacePlace place(std::size_t j, const ShadingPoint& at) const {
@@ -116,6 +135,7 @@ class Walk {
     template <class OnEdge, class OnSeen, class OnVertex>
     void path(std::size_t path, std::size_t& edge, OnEdge&& on_edge, OnSeen&& on_seen, OnVertex&& on_vertex) {
         const auto [begin, end] = vertices_of(g_, path);
+        path_ = path;
         start_at_camera(path, begin, end);
         if (begin == end) {
             see_environment(path, on_seen);
@@ -624,7 +644,7 @@ class Walk {
             return;
         }
         using D = Dual<3, double>;
-        const EmitterPose<D> pose(e);
+        const EmitterPose<D> pose = s_.scene.nlos ? EmitterPose<D>(e, s_.laser_point(path_).beam) : EmitterPose<D>(e);
         Point3<D> from;
         for (int i = 0; i < 3; ++i) from[i] = D::variable(here.place.p[i], i);
         const LightSampleOf<D> light = delta_light(s_.scene, e, pose, from);
@@ -643,7 +663,7 @@ class Walk {
         const Vec n_spot(normal), d = here.place.p - spot;
         const double r = length(d);
         const Vec u = d / r;
-        const std::uint32_t material = s_.scene.shapes[s_.scene.nlos->laser_points[0].hit.shape_idx].material_idx;
+        const std::uint32_t material = s_.scene.shapes[s_.laser_point(path_).hit.shape_idx].material_idx;
         ShadingPoint lit;
         lit.frame = Framef(normal);
         lit.bsdf = Bsdf<float>(s_.scene.materials[material].model);
@@ -680,6 +700,7 @@ class Walk {
     const Source& s_;
     const PathGraph& g_;
     Start a_;
+    std::size_t path_ = 0;
 };
 
 }  // namespace
@@ -741,9 +762,9 @@ bool InteriorWalker::touches(std::size_t path) const {
     if (!g.vertices.medium.empty())
         for (std::size_t j = begin; j < end; ++j)
             if (const auto m = g.vertices.medium[j]; m != no_medium && s.material_matters[m]) return true;
-    if (s.scene.nlos && !s.scene.nlos->laser_points.empty() && s.scene.nlos->laser_points[0].hit)
-        return s.material_matters[s.scene.shapes[s.scene.nlos->laser_points[0].hit.shape_idx].material_idx];
-    return false;
+    if (!s.scene.nlos) return false;
+    const Hit& lit = s.laser_point(path).hit;
+    return lit && s.material_matters[s.scene.shapes[lit.shape_idx].material_idx];
 }
 
 void InteriorWalker::walk(std::size_t path, std::size_t& edge, const OnRow& on_edge, const OnRow& on_seen) const {
@@ -766,18 +787,20 @@ void InteriorWalker::walk_vertices(std::size_t path, const OnVertex& on_vertex) 
         const auto [begin, end] = vertices_of(g, path);
         Pt from = camera_origin<double>(g, path);
         Rgb<double> beta(1);
-        double opl = 0;
+        double opl = 0, camera_opl = 0;
         for (std::size_t j = begin; j < end; ++j) {
             const ShadingPoint at = reader.vertex(j);
             const Pt p = position<double>(g, j);
             opl += (g.vertices.eta.empty() ? 1.0 : double(g.vertices.eta[j])) * length(p - from);
             from = p;
-            on_vertex({j, &at, beta, opl, impl_->velocity, impl_->turn});
+            if (j == begin) camera_opl = opl;
+            on_vertex({j, &at, beta, opl, camera_opl, impl_->velocity, impl_->turn});
             if (j + 1 < end) beta *= Rgb<double>(own_continuation(reader, at, j, continuation_direction(g, j)));
         }
         return;
     }
     std::size_t edge = g.n_light_edges();
+    double camera_opl = 0;
     const auto no_row = [](std::size_t, const auto&, const auto&) {};
     impl_->with_walk([&](auto&& walk) {
         walk.path(path, edge, no_row, no_row,
@@ -787,7 +810,8 @@ void InteriorWalker::walk_vertices(std::size_t path, const OnVertex& on_vertex) 
                           impl_->velocity[p] = motion.p(int(p));
                           impl_->turn[p] = cross(n, motion.ns(int(p))) + n * motion.twist.d[p];
                       }
-                      on_vertex({j, &at, beta, opl, impl_->velocity, impl_->turn});
+                      if (j == g.paths.first_vertex[path]) camera_opl = opl;
+                      on_vertex({j, &at, beta, opl, camera_opl, impl_->velocity, impl_->turn});
                   });
     });
 }

@@ -31,6 +31,7 @@ struct VertexState {
     const ShadingPoint* at = nullptr;
     Rgb<double> beta;                           // throughput from the camera to the vertex
     double opl = 0;                             // from the camera, phase indices
+    double camera_opl = 0;                      // its share up to the first vertex
     std::span<const Vector3<double>> velocity;  // [parameter], m per unit
     std::span<const Vector3<double>> turn;      // [parameter]: angular velocity of the shading frame, rad per unit
 };

@@ -221,27 +221,36 @@ void bin_own_with_derivative(Worker& worker, const GraphReader& reader, const De
         const std::size_t first_path = s * g.n_pixels() + first_pixel;
         std::size_t edge = first_light_edge(g, g.paths.first_vertex[first_path]);
         RowCursor rows(derivative, first_path, edge);
+        LengthsFromFirst relative(n_parameters);
         for (std::size_t i = 0; i < n; ++i) {
             Histogram& pixel = worker.histograms[i];
             walk_edges_in_time(
                 reader, lengths, first_path + i, edge,
                 [&](const Spectrum& Le, double opl) {
-                    if (const std::size_t row = rows.seen(first_path + i); row != RowCursor::none)
-                        worker.add(pixel, Le, opl, &seen.dLe[row * width], &seen.dopl[row * n_parameters]);
+                    const std::size_t row = rows.seen(first_path + i);
+                    const bool has_row = row != RowCursor::none;
+                    const float* dopl = has_row ? &seen.dopl[row * n_parameters] : nullptr;
+                    relative.start(timing.camera_segment ? nullptr : dopl);
+                    if (has_row)
+                        worker.add(pixel, Le, opl, &seen.dLe[row * width], relative(dopl));
                     else if (!is_black(Le))
                         worker.add(pixel, Le, opl);
                 },
                 [&](std::size_t k, const Spectrum& L, double opl) {
                     if (const std::size_t row = rows.interior(k); row != RowCursor::none)
                         worker.add(pixel, L, opl, &interior.dL[row * width],
-                                   exact && derivative.temporal.is_exact[row] ? at_rest.data()
-                                                                              : &interior.dopl[row * n_parameters]);
+                                   exact && derivative.temporal.is_exact[row]
+                                       ? at_rest.data()
+                                       : relative(&interior.dopl[row * n_parameters]));
+                    else if (relative.camera_moves())
+                        worker.add(pixel, L, opl, relative.none(), relative(nullptr));
                     else
                         worker.add(pixel, L, opl);
                 });
             // The rows of a pixel are divided by its number of paths.
             worker.boundary.take_path(i, first_path + i, [&](std::size_t row) {
-                worker.derivative.add_boundary(boundary.opl[row], &boundary.dL[row * width], n_samples);
+                worker.derivative.add_boundary(boundary_opl(derivative, row, timing.camera_segment),
+                                               &boundary.dL[row * width], n_samples);
             });
             worker.end_sample(pixel);
             worker.derivative.end_path(worker.derivatives[i]);
@@ -251,7 +260,7 @@ void bin_own_with_derivative(Worker& worker, const GraphReader& reader, const De
         for (std::size_t i = 0; i < n; ++i)
             worker.derivative.add_samples(derivative, worker.boundary.of_samples(i, family),
                                           double(derivative.boundary_samples[std::size_t(family)]), weight,
-                                          worker.derivatives[i]);
+                                          timing.camera_segment, worker.derivatives[i]);
     if (exact)
         for (std::size_t i = 0; i < n; ++i)
             worker.derivative.add_flux(derivative, first_pixel + i, exact->first, exact->step, weight,

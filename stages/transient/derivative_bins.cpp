@@ -109,14 +109,14 @@ void DerivativeBinner::end_path(DerivativeHistogram& pixel) {
 }
 
 void DerivativeBinner::add_samples(const Derivative& derivative, std::span<const std::size_t> rows, double n_samples,
-                                   double weight, DerivativeHistogram& pixel) {
+                                   double weight, bool camera_segment, DerivativeHistogram& pixel) {
     if (rows.empty()) return;
     const auto& b = derivative.boundary;
     total_.resize(sums_.size());
     square_.resize(sums_.size());
     total_touched_.clear();
     for (std::size_t i = 0; i < rows.size(); ++i) {
-        add_boundary(b.opl[rows[i]], &b.dL[rows[i] * width_], 1);
+        add_boundary(boundary_opl(derivative, rows[i], camera_segment), &b.dL[rows[i] * width_], 1);
         if (i + 1 < rows.size() && b.sample[rows[i + 1]] == b.sample[rows[i]]) continue;
         drain([&](std::uint32_t k, const double* values) {
             total_touched_.push_back(k);

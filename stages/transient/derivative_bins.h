@@ -1,6 +1,7 @@
 #pragma once
 // Bins the rows of a derivative: the derivative of each bin of the histogram of a pixel, with its variance.
 
+#include <algorithm>
 #include <cstdint>
 #include <span>
 #include <vector>
@@ -83,6 +84,38 @@ class BoundaryRows {
     std::vector<Range> of_paths_, primary_, edge_light_;  // [pixel] into order_
 };
 
+/// Length of flight of a boundary row; negative: its light never arrives.
+/// in:      camera_segment  whether the segment from the camera counts
+inline double boundary_opl(const Derivative& derivative, std::size_t row, bool camera_segment) {
+    const double opl = derivative.boundary.opl[row];
+    if (opl < 0 || camera_segment) return opl;
+    return std::max(opl - derivative.boundary.camera_opl[row], 0.0);
+}
+
+/// Derivatives of lengths from the first vertex, for a film on which the segment from the camera does not count.
+class LengthsFromFirst {
+  public:
+    explicit LengthsFromFirst(std::size_t n_parameters) : none_(3 * n_parameters), relative_(n_parameters) {}
+
+    /// Starts a path.
+    /// in:      dopl  derivative of the segment from the camera, by parameter; null: it stays
+    void start(const float* dopl) { camera_ = dopl; }
+    bool camera_moves() const { return camera_ != nullptr; }
+    /// Returns the derivative of a length without that of the camera's segment.
+    /// in:      dopl  null: the length from the camera stays
+    const float* operator()(const float* dopl) {
+        if (!camera_) return dopl;
+        for (std::size_t p = 0; p < relative_.size(); ++p) relative_[p] = (dopl ? dopl[p] : 0) - camera_[p];
+        return relative_.data();
+    }
+    /// Derivatives of light that stays.  [parameter, rgb]
+    const float* none() const { return none_.data(); }
+
+  private:
+    const float* camera_ = nullptr;
+    std::vector<float> none_, relative_;
+};
+
 /// Sums derivatives of the current path or boundary sample over bins, for one thread.
 class DerivativeBinner {
   public:
@@ -109,8 +142,9 @@ class DerivativeBinner {
     ///   X_s = sum over rows of sample s,   mean = w sum X_s,   var = w^2 N / (N - 1) (sum X_s^2 - (sum X_s)^2 / N)
     /// in:      rows    sorted by sample
     ///          weight  w, share of the graph in all samples per pixel
+    ///          camera_segment  whether the segment from the camera counts
     void add_samples(const Derivative& derivative, std::span<const std::size_t> rows, double n_samples, double weight,
-                     DerivativeHistogram& pixel);
+                     bool camera_segment, DerivativeHistogram& pixel);
     /// Adds what temporal rows move over the borders of the bins to a pixel. Variances of both borders add up, which is
     /// too much where the same paths cross both.
     /// in:      first, step  border k of these bins is border first + k step of the rows

@@ -158,28 +158,20 @@ bool changes_lengths(const Derivative& derivative, std::size_t parameter) {
     return false;
 }
 
-/// Refuses derivatives whose lengths of flight cannot be counted as `timing` does.
-void check_lengths(const Options& options, const Timing& timing, const std::string& file, const Derivative& derivative,
-                   app::Report& report) {
-    if (timing.camera_segment && timing.group_index.empty()) return;
-    const char* how = timing.group_index.empty() ? "--unwarp, or a film without the camera segment" : "--group-index";
+/// Refuses derivatives whose lengths of flight cannot be counted with group indices.
+void check_lengths(const Timing& timing, const std::string& file, const Derivative& derivative) {
+    if (timing.group_index.empty()) return;
     if (!derivative.boundary.opl.empty())
         throw InputError(
-            fmt::format("{}: has {} boundary rows, whose lengths count from the camera and with phase indices; leave "
-                        "out {}",
-                        file, derivative.boundary.opl.size(), how));
+            fmt::format("{}: has {} boundary rows, whose lengths count with phase indices; leave out --group-index",
+                        file, derivative.boundary.opl.size()));
     bool moves = false;
     for (std::size_t p = 0; p < derivative.n_parameters(); ++p) moves = moves || changes_lengths(derivative, p);
-    if (!moves) return;
-    if (!options.group_index.empty())
+    if (moves)
         throw InputError(fmt::format(
             "{}: interior/dopl is of lengths with phase indices, for all segments of a path together; leave "
             "out --group-index",
             file));
-    report.warn(
-        "{}: interior/dopl counts the camera segment; the derivative of lengths from the first hit is right "
-        "where camera and first hits stay in place",
-        file);
 }
 
 /// Reads the derivative of each graph and sets the parameters of the header; none without --derivative.
@@ -456,8 +448,7 @@ void run(const Options& options, app::Report& report) {
         set_phases(options, lengths, response, header);
     else
         set_window(options, lengths, graphs[0], timing, response);
-    for (std::size_t i = 0; i < derivatives.size(); ++i)
-        check_lengths(options, timing, options.derivatives[i], derivatives[i], report);
+    for (std::size_t i = 0; i < derivatives.size(); ++i) check_lengths(timing, options.derivatives[i], derivatives[i]);
     const std::vector<ExactBorders> borders = set_temporal(options, derivatives, response, timing, header, report);
 
     // Fill the header of the cube.

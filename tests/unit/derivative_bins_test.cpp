@@ -21,13 +21,14 @@ struct DerivativeCube {
 
 /// Bins graphs in memory, with the rows of all parameters joined as a cube has them.
 DerivativeCube cube_of(const std::vector<PathGraph>& graphs, const std::vector<Derivative>& derivatives,
-                       const TimeResponse& response, std::uint64_t max_bytes = 1 << 30, int threads = 0) {
+                       const TimeResponse& response, std::uint64_t max_bytes = 1 << 30, int threads = 0,
+                       const Timing& timing = {}) {
     app::Report report;
     report.set_quiet(true);
     app::Progress progress(report, "binning", graphs[0].n_pixels());
     DerivativeCube cube;
     const std::size_t n = derivatives.empty() ? 0 : derivatives[0].n_parameters(), pixels = graphs[0].n_pixels();
-    transient::bin_graphs(graphs, {}, derivatives, response, {}, max_bytes, threads, progress,
+    transient::bin_graphs(graphs, {}, derivatives, response, timing, max_bytes, threads, progress,
                           [&](std::uint32_t first_row, const TransientRows& rows) {
                               const std::size_t first = first_row * graphs[0].sensor.width;
                               const auto place = [&](std::vector<float>& to, std::span<const float> from,
@@ -98,7 +99,7 @@ Derivative derivative_of(const PathGraph& g, std::size_t n_parameters, bool move
     const std::uint64_t n_own = 40;
     d.boundary_samples = std::vector<std::uint64_t>{n_own, g.n_paths(), n_own, g.n_paths()};
     std::vector<std::uint32_t> pixel;
-    std::vector<double> opl;
+    std::vector<double> opl, camera_opl;
     std::vector<std::uint8_t> family;
     std::vector<std::uint64_t> sample;
     dL.clear();
@@ -106,13 +107,14 @@ Derivative derivative_of(const PathGraph& g, std::size_t n_parameters, bool move
         for (int row = 0; row < 12; ++row) {
             pixel.push_back(i);
             opl.push_back(one_in(6) ? -1 : 3 + double(random() % 10000) * 7e-4);
+            camera_opl.push_back(std::max(opl.back(), 1.0) * double(random() % 1000) * 1e-3);
             family.push_back(std::uint8_t(random() % n_boundary_families));
             const bool of_path = family.back() == 1 || family.back() == 3;
             sample.push_back(of_path ? i + random() % g.tracing.samples_per_pixel * g.n_pixels() : random() % 5);
             for (std::size_t k = 0; k < 3 * n_parameters; ++k) dL.push_back(0.1f * normal(random));
         }
     d.boundary.pixel = pixel, d.boundary.opl = opl, d.boundary.family = family, d.boundary.sample = sample;
-    d.boundary.dL = dL;
+    d.boundary.camera_opl = camera_opl, d.boundary.dL = dL;
     EXPECT_EQ(d.problem(), "");
     return d;
 }
@@ -137,7 +139,8 @@ struct TwinNumber {
 
 /// Numbers of one pixel, parameter and channel: bins, before, after, never, steady.
 std::vector<TwinNumber> twin_of(const std::vector<PathGraph>& graphs, const std::vector<Derivative>& derivatives,
-                                const TimeResponse& r, std::size_t pixel, std::size_t p, int c) {
+                                const TimeResponse& r, std::size_t pixel, std::size_t p, int c,
+                                const Timing& timing = {}) {
     const std::size_t n_bins = r.n_bins, N = derivatives[0].n_parameters();
     std::vector<TwinNumber> numbers(n_bins + transient::n_shares);
     double n_paths = 0;
@@ -166,7 +169,11 @@ std::vector<TwinNumber> twin_of(const std::vector<PathGraph>& graphs, const std:
         const PathGraph& g = graphs[i];
         const Derivative& d = derivatives[i];
         const GraphReader reader(g);
-        const OpticalLengths lengths(g, {});
+        const OpticalLengths lengths(g, timing);
+        const auto opl_of = [&](std::size_t row) {
+            const double from_camera = timing.camera_segment ? 0 : d.boundary.camera_opl[row];
+            return d.boundary.opl[row] < 0 ? -1 : d.boundary.opl[row] - from_camera;
+        };
         const double spp = double(g.tracing.samples_per_pixel);
         for (std::uint64_t s = 0; s < g.tracing.samples_per_pixel; ++s) {
             const std::size_t path = s * g.n_pixels() + pixel;
@@ -175,22 +182,27 @@ std::vector<TwinNumber> twin_of(const std::vector<PathGraph>& graphs, const std:
             const auto find = [](const Column<std::uint32_t>& keys, std::size_t key) {
                 return std::size_t(std::find(keys.begin(), keys.end(), key) - keys.begin());
             };
+            // Derivative of the length that does not count.
+            double off = 0;
+            const bool is_seen = find(d.seen.path, path) < d.seen.path.size();
+            if (!timing.camera_segment && is_seen) off = d.seen.dopl[find(d.seen.path, path) * N + p];
             walk_edges_in_time(
                 reader, lengths, path, edge,
                 [&](const Spectrum& Le, double opl) {
                     if (const std::size_t row = find(d.seen.path, path); row < d.seen.path.size())
                         add(of_path, opl, d.seen.dLe[(row * N + p) * 3 + std::size_t(c)],
-                            double(Le[c]) * d.seen.dopl[row * N + p]);
+                            double(Le[c]) * (d.seen.dopl[row * N + p] - off));
                 },
                 [&](std::size_t k, const Spectrum& L, double opl) {
-                    if (const std::size_t row = find(d.interior.edge, k); row < d.interior.edge.size())
-                        add(of_path, opl, d.interior.dL[(row * N + p) * 3 + std::size_t(c)],
-                            double(L[c]) * d.interior.dopl[row * N + p]);
+                    const std::size_t row = find(d.interior.edge, k);
+                    const bool has_row = row < d.interior.edge.size();
+                    add(of_path, opl, has_row ? double(d.interior.dL[(row * N + p) * 3 + std::size_t(c)]) : 0,
+                        double(L[c]) * ((has_row ? double(d.interior.dopl[row * N + p]) : 0) - off));
                 });
             const auto& b = d.boundary;
             for (std::size_t row = 0; row < b.pixel.size(); ++row)
                 if (b.family[row] % 2 == 1 && b.sample[row] == path)
-                    add(of_path, b.opl[row], spp * b.dL[(row * N + p) * 3 + std::size_t(c)], 0);
+                    add(of_path, opl_of(row), spp * b.dL[(row * N + p) * 3 + std::size_t(c)], 0);
             for (std::size_t k = 0; k < numbers.size(); ++k) numbers[k].of_paths.push_back(of_path[k]);
         }
         for (const std::uint8_t family : {0, 2}) {
@@ -199,7 +211,7 @@ std::vector<TwinNumber> twin_of(const std::vector<PathGraph>& graphs, const std:
             for (std::size_t row = 0; row < b.pixel.size(); ++row) {
                 if (b.family[row] != family || b.pixel[row] != pixel) continue;
                 auto& of_sample = samples.try_emplace(b.sample[row], numbers.size()).first->second;
-                add(of_sample, b.opl[row], b.dL[(row * N + p) * 3 + std::size_t(c)], 0);
+                add(of_sample, opl_of(row), b.dL[(row * N + p) * 3 + std::size_t(c)], 0);
             }
             const double w = spp / n_paths, n = double(d.boundary_samples[family]);
             for (std::size_t k = 0; k < numbers.size(); ++k) {
@@ -243,16 +255,16 @@ class DerivativeBins : public ::testing::Test {
         graphs = two_graphs();
         for (unsigned i = 0; i < 2; ++i) derivatives.push_back(derivative_of(graphs[i], 2, true, 7 + i));
     }
+    /// Compares pixels of the cube with the twin.
+    void agree(const Timing& timing) const;
     std::vector<PathGraph> graphs;
     std::vector<Derivative> derivatives;
 };
 
-// Detected mutations: sign of the slope; boundary rows of paths without the number of paths; boundary samples by row
-// rather than by sample; graphs weighted alike; seen rows of black emitters dropped; after and before exchanged.
-TEST_F(DerivativeBins, AgreeWithEveryBinOfEveryRow) {
+void DerivativeBins::agree(const Timing& timing) const {
     for (const auto& [name, response] : responses()) {
         SCOPED_TRACE(name);
-        const DerivativeCube cube = cube_of(graphs, derivatives, response);
+        const DerivativeCube cube = cube_of(graphs, derivatives, response, 1 << 30, 0, timing);
         const std::size_t n_bins = response.n_bins, n_pixels = width * height;
         double scale = 0;
         for (const float x : cube.steady) scale = std::max(scale, double(std::abs(x)));
@@ -263,7 +275,7 @@ TEST_F(DerivativeBins, AgreeWithEveryBinOfEveryRow) {
         for (const std::size_t pixel : {std::size_t{0}, std::size_t{13}, n_pixels - 1})
             for (const std::size_t p : {0u, 1u})
                 for (int c = 0; c < 3; ++c) {
-                    const auto twin = twin_of(graphs, derivatives, response, pixel, p, c);
+                    const auto twin = twin_of(graphs, derivatives, response, pixel, p, c, timing);
                     const std::size_t row = p * n_pixels + pixel, channel = std::size_t(c);
                     for (std::size_t k = 0; k < n_bins; ++k) {
                         const std::size_t at = (row * n_bins + k) * 3 + channel;
@@ -278,6 +290,21 @@ TEST_F(DerivativeBins, AgreeWithEveryBinOfEveryRow) {
                     ASSERT_PRED3(near, cube.steady_var_mean[at], twin[n_bins + 3].var_mean(), scale * scale);
                 }
     }
+}
+
+// Detected mutations: sign of the slope; boundary rows of paths without the number of paths; boundary samples by row
+// rather than by sample; graphs weighted alike; seen rows of black emitters dropped; after and before exchanged.
+TEST_F(DerivativeBins, AgreeWithEveryBinOfEveryRow) {
+    agree({});
+}
+
+// Without the camera's segment its share of each length goes, and with it its derivative.
+// Detected mutations: boundary rows from the camera, by family; edges without a row left out; the camera's derivative kept
+// for the next path.
+TEST_F(DerivativeBins, AgreeWithoutTheCameraSegment) {
+    Timing timing;
+    timing.camera_segment = false;
+    agree(timing);
 }
 
 // Bins, before, after and never add up to the derivative of all light, whatever the lengths do.

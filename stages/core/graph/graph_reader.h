@@ -78,6 +78,9 @@ class GraphReader {
     /// Returns the unit direction from vertex position p to light point k.
     Vector3f light_direction(const Point3f& p, std::size_t k) const;
     const BsdfModel& model(std::size_t material) const { return models_[material]; }
+    /// Computes what formulas over a Dual need where roughness or index of a material depend on a parameter; see
+    /// prepare_coat_slopes().
+    void prepare_slopes(std::size_t material);
 
   private:
     const PathGraph& graph_;
