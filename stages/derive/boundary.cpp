@@ -181,8 +181,7 @@ void set_rows(std::vector<BoundaryRows>& parts, std::size_t n_parameters, Deriva
 /// Sum over all rows of the squares of their derivatives: the variance of their pixels, but for the square of the mean.
 double second_moment(const std::vector<BoundaryRows>& rows) {
     double sum = 0;
-    for (const BoundaryRows& part : rows)
-        for (const float x : part.dL) sum += sqr(double(x));
+    for (const BoundaryRows& part : rows) sum += part.square;
     return sum;
 }
 
@@ -222,12 +221,11 @@ std::vector<char> choose_light_points(const BoundaryScene& s, app::Report& repor
 
 }  // namespace
 
-void differentiate_boundary(const PathGraph& graph, const Scene& scene, const SceneTangents& tangents,
-                            const Parts& parts, const BoundaryOptions& options, app::Report& report, Derivative& out,
-                            DeriveCounts& counts) {
-    if (!parts.primary && !parts.direct && !parts.indirect) return;
+std::vector<BoundaryRows> sample_boundary(const PathGraph& graph, const Scene& scene, const SceneTangents& tangents,
+                                          const Parts& parts, const BoundaryOptions& options, app::Report& report,
+                                          std::vector<std::uint64_t>& samples, DeriveCounts& counts) {
     const BoundaryScene s(graph, scene, tangents, options);
-    std::vector<std::uint64_t> samples(n_boundary_families);
+    samples.assign(n_boundary_families, 0);
     std::vector<BoundaryRows> rows;
     const double n_paths = double(graph.n_paths());
     const auto count = [&](double share) {
@@ -253,6 +251,15 @@ void differentiate_boundary(const PathGraph& graph, const Scene& scene, const Sc
     }
     if (parts.indirect || environment)
         counts.rays += add_indirect(s, 0.1 * options.effort, parts.indirect, environment, rows, samples, report);
+    return rows;
+}
+
+void differentiate_boundary(const PathGraph& graph, const Scene& scene, const SceneTangents& tangents,
+                            const Parts& parts, const BoundaryOptions& options, app::Report& report, Derivative& out,
+                            DeriveCounts& counts) {
+    if (!parts.primary && !parts.direct && !parts.indirect) return;
+    std::vector<std::uint64_t> samples;
+    std::vector<BoundaryRows> rows = sample_boundary(graph, scene, tangents, parts, options, report, samples, counts);
     set_rows(rows, tangents.n(), out);
     out.boundary_samples = std::move(samples);
 }

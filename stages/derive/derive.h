@@ -21,6 +21,7 @@ struct Options {
     std::string scene, graph, output;
     std::vector<std::string> wrt;      // $parameters or named parts
     std::vector<std::string> defines;  // name=value
+    std::string adjoint;               // weights of a histogram: one backward sweep; empty: forward
     std::string sensor;                // id or index, from 0; empty: the first
     std::vector<std::string> off;      // parts to leave out
     double effort = 1;                 // boundary samples per path of the graph
@@ -30,6 +31,8 @@ struct Options {
 };
 
 void declare(app::Command& command, Options& options);
+
+class Adjoint;
 
 /// Parts of a derivative that a scene and its parameters require.
 struct Parts {
@@ -44,6 +47,7 @@ struct BoundaryOptions {
     double effort = 1;  // samples per path
     std::uint64_t seed = 0;
     int threads = 0;
+    const Adjoint* adjoint = nullptr;  // weights of a loss: contract the rows
 };
 
 /// Number of paths and rays that a derivative took.

@@ -106,6 +106,9 @@ class SurfaceMotions {
     /// Change of a textured emission, as a factor on radiance.
     Rgb<double> emission_along(const SurfacePlace& at, const Vector3<double>& slide) const;
 
+    /// Texture coordinates of a point.
+    Point2f uv_of(const SurfacePlace& at) const { return uv_along(at, {}).uv; }
+
     /// Whether shading changes when a point slides over a shape, so that its primitive must be known.
     bool varies(std::uint32_t shape) const;
 

@@ -65,6 +65,11 @@ GraphReader::GraphReader(const PathGraph& graph) : graph_(graph) {
     for (const auto& [material, table] : coats_) models_[material].coats = &table;
 }
 
+void GraphReader::prepare_slopes(std::size_t material) {
+    const auto own = coats_.find(material);
+    prepare_coat_slopes(models_[material], own == coats_.end() ? nullptr : &own->second);
+}
+
 Bsdf<float> GraphReader::bsdf(std::size_t j) const {
     const auto& v = graph_.vertices;
     Bsdf<float> b(models_[v.material[j]]);

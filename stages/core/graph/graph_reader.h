@@ -78,6 +78,8 @@ class GraphReader {
     /// Returns the unit direction from vertex position p to light point k.
     Vector3f light_direction(const Point3f& p, std::size_t k) const;
     const BsdfModel& model(std::size_t material) const { return models_[material]; }
+    /// Fills what derivatives by roughness and index need, see prepare_coat_slopes().
+    void prepare_slopes(std::size_t material);
 
   private:
     const PathGraph& graph_;
