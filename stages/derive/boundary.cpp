@@ -299,8 +299,7 @@ void set_rows(std::vector<BoundaryRows>& parts, std::size_t n_parameters, Deriva
 /// Sum over all rows of the squares of their derivatives: the variance of their pixels, but for the square of the mean.
 double second_moment(const std::vector<BoundaryRows>& rows) {
     double sum = 0;
-    for (const BoundaryRows& part : rows)
-        for (const float x : part.dL) sum += sqr(double(x));
+    for (const BoundaryRows& part : rows) sum += part.square;
     return sum;
 }
 
@@ -412,8 +411,8 @@ class Allotment {
                      light_work = second_moment(by_light) * lights.cost();
         // Few vertices that find an edge are no measure of the variance, which rare ones make.
         constexpr std::size_t fewest = 100;
-        std::size_t n_found = 0;
-        for (const BoundaryRows& part : by_vertex) n_found += part.pixel.size();
+        std::uint64_t n_found = 0;
+        for (const BoundaryRows& part : by_vertex) n_found += part.n_rows;
         return light_work > 0 && (n_found < fewest || light_work < vertex_work);
     }
 
@@ -429,14 +428,22 @@ class Allotment {
 
 }  // namespace
 
+std::vector<BoundaryRows> sample_boundary(const PathGraph& graph, const Scene& scene, const SceneTangents& tangents,
+                                          const Parts& parts, const BoundaryOptions& options, app::Report& report,
+                                          std::vector<std::uint64_t>& samples, DeriveCounts& counts) {
+    const BoundaryScene s(graph, scene, tangents, options);
+    samples.assign(n_boundary_families, 0);
+    std::vector<BoundaryRows> rows;
+    counts.rays += Allotment(s, parts, report).sample(rows, samples);
+    return rows;
+}
+
 void differentiate_boundary(const PathGraph& graph, const Scene& scene, const SceneTangents& tangents,
                             const Parts& parts, const BoundaryOptions& options, app::Report& report, Derivative& out,
                             DeriveCounts& counts) {
     if (!parts.primary && !parts.direct && !parts.indirect) return;
-    const BoundaryScene s(graph, scene, tangents, options);
-    std::vector<std::uint64_t> samples(n_boundary_families);
-    std::vector<BoundaryRows> rows;
-    counts.rays += Allotment(s, parts, report).sample(rows, samples);
+    std::vector<std::uint64_t> samples;
+    std::vector<BoundaryRows> rows = sample_boundary(graph, scene, tangents, parts, options, report, samples, counts);
     set_rows(rows, tangents.n(), out);
     out.boundary_samples = std::move(samples);
 }

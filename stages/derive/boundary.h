@@ -14,6 +14,7 @@
 #include "stages/core/edges/edge_tree.h"
 #include "stages/core/graph/graph_reader.h"
 #include "stages/core/sampling/streams.h"
+#include "stages/derive/adjoint.h"
 #include "stages/derive/derive.h"
 #include "stages/derive/surface_motion.h"
 
@@ -22,8 +23,16 @@ namespace loom::derive {
 using Velocities = std::span<Vector3<double>>;             // [parameter], m per unit
 using ConstVelocities = std::span<const Vector3<double>>;  // [parameter]
 
-/// Rows of boundary samples, in the order in which they were made.
+/// Rows of boundary samples, in the order in which they were made; with weights of a loss only their contraction.
 struct BoundaryRows {
+    BoundaryRows() = default;
+    explicit BoundaryRows(const Adjoint* adjoint_) : adjoint(adjoint_) {}
+
+    const Adjoint* adjoint = nullptr;  // null: rows are stored
+    std::vector<double> gradient;      // of the loss, by parameter
+    double square = 0;                 // sum over rows of the squares of their derivatives
+    std::uint64_t n_rows = 0;
+
     std::vector<std::uint32_t> pixel;
     std::vector<double> opl;         // negative: never arrives
     std::vector<double> camera_opl;  // its share up to the first vertex
@@ -34,11 +43,25 @@ struct BoundaryRows {
     /// in:      rates  by parameter: dL is light times rate
     void add(std::uint64_t pixel_, double opl_, double camera_opl_, const Rgb<double>& light,
              std::span<const double> rates, BoundaryFamily family_, std::uint64_t sample_) {
+        ++n_rows;
+        if (adjoint) {
+            const Rgb<double> weight = adjoint->value_at(pixel_, opl_);
+            const double by_rate = light.r * weight.r + light.g * weight.g + light.b * weight.b;
+            gradient.resize(rates.size());
+            for (std::size_t p = 0; p < rates.size(); ++p) {
+                gradient[p] += by_rate * rates[p];
+                square += sqr(by_rate * rates[p]);
+            }
+            return;
+        }
         pixel.push_back(std::uint32_t(pixel_));
         opl.push_back(opl_);
         camera_opl.push_back(camera_opl_);
         for (const double rate : rates)
-            for (int c = 0; c < 3; ++c) dL.push_back(float(light[c] * rate));
+            for (int c = 0; c < 3; ++c) {
+                dL.push_back(float(light[c] * rate));
+                square += sqr(double(dL.back()));
+            }
         family.push_back(std::uint8_t(family_));
         sample.push_back(sample_);
     }
@@ -163,7 +186,12 @@ Effort add_edge_light(const BoundaryScene& s, std::uint64_t n_samples, const std
 Effort add_indirect(const BoundaryScene& s, double share, bool surfaces, bool environment,
                     std::vector<BoundaryRows>& rows, std::span<std::uint64_t> samples, app::Report& report);
 
-/// Samples all boundary terms that `parts` requires, into the rows of `out`, sorted by pixel, family and sample.
+/// Samples all boundary terms that `parts` requires.
+/// out:     samples  [family]
+std::vector<BoundaryRows> sample_boundary(const PathGraph& graph, const Scene& scene, const SceneTangents& tangents,
+                                          const Parts& parts, const BoundaryOptions& options, app::Report& report,
+                                          std::vector<std::uint64_t>& samples, DeriveCounts& counts);
+/// sample_boundary(), into the rows of `out`, sorted by pixel, family and sample.
 void differentiate_boundary(const PathGraph& graph, const Scene& scene, const SceneTangents& tangents,
                             const Parts& parts, const BoundaryOptions& options, app::Report& report, Derivative& out,
                             DeriveCounts& counts);

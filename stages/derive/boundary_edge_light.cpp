@@ -174,7 +174,7 @@ Effort add_edge_light(const BoundaryScene& s, std::uint64_t n_samples, const std
         weights.push_back(wanted[e] ? std::max(double(s.scene.emitter_pmf.pmf(e)), 1e-3) : 0);
     constexpr std::uint64_t chunk = 256;
     const std::size_t first = rows.size();
-    rows.resize(first + (n_samples + chunk - 1) / chunk);
+    rows.resize(first + (n_samples + chunk - 1) / chunk, BoundaryRows(s.options.adjoint));
     app::Progress progress(report, "silhouettes visible from emitters", n_samples);
     tbb::enumerable_thread_specific<Sampling> workers([&] { return Sampling(s, n_samples, weights); });
     parallel_chunks(n_samples, chunk, s.options.threads, [&](std::uint64_t i, std::uint64_t begin, std::uint64_t end) {

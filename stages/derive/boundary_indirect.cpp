@@ -236,7 +236,7 @@ Effort add_indirect(const BoundaryScene& s, double share, bool surfaces, bool en
     constexpr std::uint64_t chunk = 16384;
     const std::size_t first = rows.size();
     const std::uint64_t n_paths = s.graph.n_paths();
-    rows.resize(first + (n_paths + chunk - 1) / chunk);
+    rows.resize(first + (n_paths + chunk - 1) / chunk, BoundaryRows(s.options.adjoint));
     app::Progress progress(report, "edges in front of surfaces", n_paths);
     tbb::enumerable_thread_specific<Sampling> workers(
         [&] { return Sampling(s, std::min(share, 1.0), surfaces, environment); });

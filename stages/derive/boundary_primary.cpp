@@ -467,7 +467,7 @@ Effort add_primary(const BoundaryScene& s, std::uint64_t n_samples, std::vector<
     const Scene& scene = s.scene;
     constexpr std::uint64_t chunk = PathBatch::capacity / 2;
     const std::size_t first = rows.size();
-    rows.resize(first + (n_samples + chunk - 1) / chunk);
+    rows.resize(first + (n_samples + chunk - 1) / chunk, BoundaryRows(s.options.adjoint));
     app::Progress progress(report, "edges visible from the camera", n_samples);
     // Rays pass the edge by this many pixels.
     const double beside = 2e-5 * primary.map().pixels_per_radian();

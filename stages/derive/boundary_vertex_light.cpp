@@ -224,7 +224,7 @@ Effort add_vertex_light(const BoundaryScene& s, double share, const std::vector<
     constexpr std::uint64_t chunk = 4096;
     const std::size_t first = rows.size();
     const std::uint64_t n_paths = s.graph.n_paths();
-    rows.resize(first + (n_paths + chunk - 1) / chunk);
+    rows.resize(first + (n_paths + chunk - 1) / chunk, BoundaryRows(s.options.adjoint));
     app::Progress progress(report, "edges in front of emitters", n_paths);
     tbb::enumerable_thread_specific<Sampling> workers([&] { return Sampling(s); });
     parallel_chunks(n_paths, chunk, s.options.threads, [&](std::uint64_t i, std::uint64_t begin, std::uint64_t end) {

@@ -14,6 +14,7 @@
 #include "stages/core/scene/build.h"
 #include "stages/derive/boundary.h"
 #include "stages/derive/interior.h"
+#include "stages/derive/reverse_boundary.h"
 #include "stages/derive/temporal.h"
 
 namespace loom::derive {
@@ -188,6 +189,10 @@ void declare(app::Command& command, Options& options) {
                    "parameter: a $NAME of the scene file, or a part: shape:ID/pose, shape:ID/scale, shape:ID/normals, "
                    "shape:ID/vertices, shape:ID/radiance, shape:ID/bsdf/PARAMETER, bsdf:ID/PARAMETER, emitter:ID/pose, "
                    "emitter:ID/radiance, sensor/pose; may be repeated");
+    command.file(
+        "--adjoint", options.adjoint,
+        "weights of a histogram: a transient_cube (.h5) whose radiance is d loss / d bin; the output is then the "
+        "gradient of the loss (.h5) by any number of parameters, also bsdf:ID/reflectance/texels");
     command.option("-D,--define", options.defines, "NAME=VALUE of a scene parameter $NAME, as for the graph");
     command.option("--sensor", options.sensor,
                    "sensor of the graph, by id or by number from 0 in the order of the file (default: the first)");
@@ -217,7 +222,63 @@ void declare(app::Command& command, Options& options) {
     command.threads(options.threads);
     command.flag("--plan", options.plan, "print the plan and stop");
     command.example("loom-derive scenes/shadow-mover.xml graph.h5 --wrt theta -o d.h5");
+    command.example(
+        "loom-derive scenes/shadow-mover.xml graph.h5 --adjoint weights.h5 --wrt shape:blocker/vertices -o "
+        "gradient.h5");
 }
+
+namespace {
+
+/// Writes the gradient of a loss.
+void run_backward(const Options& options, const PathGraph& graph, const InputId& graph_id, const Scene& scene,
+                  const SceneTangents& tangents, const WantedParts& wanted, const Parts& parts, double load_s,
+                  app::Report& report) {
+    const Adjoint adjoint(read_transient_cube(options.adjoint), graph, options.adjoint);
+    GradientSums sums(scene);
+    std::vector<double> by_vertex, by_texel;
+    DeriveCounts counts;
+    std::string plan = fmt::format("reverse; {}", parts.plan);
+    if (parts.interior)
+        counts.touched_paths =
+            sweep_paths(graph, scene, tangents, wanted, adjoint, options.threads, report, sums, by_vertex, by_texel);
+    by_vertex.resize(3 * wanted.n_vertices);
+    by_texel.resize(3 * wanted.n_texels);
+    if (parts.primary || parts.direct || parts.indirect) {
+        if (!adjoint.timing().camera_segment)
+            throw InputError(fmt::format(
+                "{}: counts lengths from the first hit, but boundary terms count from the camera; leave them out with "
+                "--off primary --off direct --off indirect",
+                options.adjoint));
+        const MotionBasis basis(scene, tangents, wanted);
+        plan += fmt::format("; boundaries by {} motions in {} passes", basis.n_columns(), basis.n_blocks());
+        if (!basis.left_out().empty())
+            report.warn("boundary terms of {} are left out: more than {} motions", basis.left_out(),
+                        MotionBasis::max_columns);
+        if (!basis.left_out().empty()) plan += fmt::format(", without {}", basis.left_out());
+        report.info("plan: {}", plan);
+        basis.add_boundary(
+            graph, scene, options.off,
+            {options.effort, options.seed, options.threads, options.direct, Attachment::surface, &adjoint}, report,
+            sums, by_vertex, counts);
+    }
+    Gradient gradient = gradient_of(tangents, wanted, sums, std::move(by_vertex), std::move(by_texel));
+    gradient.graph = graph_id.hash;
+    gradient.provenance = report.provenance(
+        options.seed,
+        {{app::base_name(options.scene), graph.provenance.inputs[0].hash}, graph_id, identify(options.adjoint)}, plan);
+    write_gradient(gradient, options.output);
+
+    Cost cost = report.cost(plan);
+    cost.samples = graph.n_paths();
+    cost.rays = counts.rays;
+    cost.load_s = load_s;
+    cost.sources = {options.scene, options.adjoint};
+    write_cost_of(options.output, cost, {options.graph});
+    report.done("loss {:.9g}; {} parameters, {} vertices, {} texels; {} of {} paths touched", gradient.loss,
+                tangents.n(), wanted.n_vertices, wanted.n_texels, counts.touched_paths, graph.n_paths());
+}
+
+}  // namespace
 
 void run(const Options& options, app::Report& report) {
     if (options.output.empty() && !options.plan) throw InputError("--output: missing (an .h5 file)");
@@ -237,11 +298,15 @@ void run(const Options& options, app::Report& report) {
     const SceneDescription description = read_scene(options.scene, defines, options.sensor);
     const std::unique_ptr<Scene> scene = build_scene(description);
     require_scene_of(graph, options.graph, *scene, options.scene);
-    const SceneTangents tangents =
-        find_tangents(*scene, description, options.scene, defines, options.sensor, options.wrt);
-    if (tangents.n() > max_parameters)
-        throw InputError(fmt::format("--wrt: {} parameters, but one run differentiates by {} at most", tangents.n(),
-                                     max_parameters));
+    const bool backward = !options.adjoint.empty();
+    SceneTangents tangents = find_tangents(*scene, description, options.scene, defines, options.sensor,
+                                           backward ? without_parts(options.wrt) : options.wrt);
+    const WantedParts wanted = backward ? find_parts(*scene, options.wrt, tangents) : WantedParts{};
+    if (!backward && tangents.n() > max_parameters)
+        throw InputError(
+            fmt::format("--wrt: {} parameters, but one run differentiates the light by {} at most; --adjoint "
+                        "differentiates a loss by any number",
+                        tangents.n(), max_parameters));
     const double load_s = report.cost().cpu_s - before_s;
     if (const std::string missing = missing_columns(graph, *scene, tangents, attached_of(*scene, options.attachment));
         !missing.empty())
@@ -259,6 +324,10 @@ void run(const Options& options, app::Report& report) {
     }
     report.info("plan: {}", parts.plan);
 
+    if (backward) {
+        run_backward(options, graph, graph_id, *scene, tangents, wanted, parts, load_s, report);
+        return;
+    }
     DeriveCounts counts;
     Derivative derivative = differentiate(
         graph, *scene, tangents, parts,

@@ -36,6 +36,7 @@ struct Options {
     std::string scene, graph, output;
     std::vector<std::string> wrt;      // $parameters or named parts
     std::vector<std::string> defines;  // name=value
+    std::string adjoint;               // weights of a histogram: one backward sweep; empty: forward
     std::string sensor;                // id or index, from 0; empty: the first
     std::vector<std::string> off;      // parts to leave out
     double effort = 0.25;              // of boundary samples, over that of tracing and binning the graph
@@ -50,6 +51,8 @@ struct Options {
 };
 
 void declare(app::Command& command, Options& options);
+
+class Adjoint;
 
 /// Parts of a derivative that a scene and its parameters require.
 struct Parts {
@@ -66,6 +69,7 @@ struct BoundaryOptions {
     int threads = 0;
     Direct direct = Direct::automatic;
     Attachment attachment = Attachment::automatic;
+    const Adjoint* adjoint = nullptr;  // weights of a loss: contract the rows
 };
 
 struct Attached;

@@ -5,12 +5,11 @@
 #include <array>
 #include <cmath>
 
-#include "stages/core/graph/graph_reader.h"
 #include "stages/core/graph/own_samples.h"
 #include "stages/core/scattering/gradient.h"
 #include "stages/core/scene/delta_light.h"
 #include "stages/core/scene/nlos.h"
-#include "stages/derive/surface_motion.h"
+#include "stages/derive/path_source.h"
 
 namespace loom::derive {
 namespace {
@@ -43,95 +42,17 @@ struct ColourTangent {
     bool is_zero() const { return c[0].is_zero() && c[1].is_zero() && c[2].is_zero(); }
 };
 
-/// A Bsdf with the derivatives of its parameters.
-template <int n, class Real>
-Bsdf<Dual<n, Real>> with_tangent(const Bsdf<float>& bsdf, const MaterialTangent& t, int i) {
-    Bsdf<Dual<n, Real>> b(bsdf);
-    const auto set = [i](Dual<n, Real>& x, double rate) { x.d[std::size_t(i)] = Real(rate); };
-    for (int c = 0; c < 3; ++c) {
-        set(b.diffuse[c], t.diffuse[c]);
-        set(b.specular[c], t.specular[c]);
-        set(b.transmittance[c], t.transmittance[c]);
-        set(b.eta_c[c], t.eta_c[c]);
-        set(b.k_c[c], t.k_c[c]);
-    }
-    set(b.alpha_u, t.alpha_u);
-    set(b.alpha_v, t.alpha_v);
-    set(b.eta, t.eta);
-    set(b.opacity, t.opacity);
-    set(b.exponent, t.exponent);
-    return b;
-}
-
-struct Source {
-    const PathGraph& graph;
-    const Scene& scene;
-    const SceneTangents& tangents;
-    GraphReader reader;
-    SurfaceMotions motions;
-    std::vector<char> shape_matters, material_matters, emitter_matters;
-
-    Attached attached;
-
-    Source(const PathGraph& g, const Scene& s, const SceneTangents& t, const Attached& how)
-        : graph(g), scene(s), tangents(t), reader(g), motions(s, t), attached(how) {
-        for (std::uint32_t i = 0; i < s.shapes.size(); ++i) {
-            shape_matters.push_back(t.moves(i) || !t.shading_normals[i].empty());
-        }
-        for (const auto& effects : t.materials) material_matters.push_back(!effects.empty());
-        prepare_coats();
-        for (std::size_t e = 0; e < s.emitters.size(); ++e) {
-            const bool of_shape = s.emitters[e].kind == EmitterKind::area;
-            emitter_matters.push_back(!t.emitters[e].empty() || !t.radiance[e].empty() ||
-                                      (of_shape && shape_matters[s.emitters[e].shape_idx]));
-        }
-    }
-
-    /// Whether light of an emitter may change although nothing before it does.
-    bool light_changes(std::size_t emitter) const {
-        return emitter_matters[emitter] || scene.nlos || !graph.vertices.medium.empty();
-    }
-
-    /// Computes the slopes of coats whose roughness or index changes, by a parameter or along a texture.
-    void prepare_coats() {
-        const bool slides = tangents.camera_moves() || tangents.any_shape_moves();
-        for (std::size_t m = 0; m < scene.materials.size(); ++m) {
-            if (scene.materials[m].model.kind != BsdfKind::rough_plastic) continue;
-            bool changes = slides && scene.materials[m].alpha_u_idx >= 0;
-            for (const auto& [p, effect] : tangents.materials[m])
-                changes |= effect.alpha_u != 0 || effect.alpha_v != 0 || effect.eta != 0;
-            if (changes) reader.prepare_slopes(m);
-        }
-    }
-
-    /// Laser spot of the capture that a path belongs to.
-    const NlosCapture::LaserPoint& laser_point(std::size_t path) const {
-        const NlosCapture& capture = *scene.nlos;
-        return capture.laser_points[capture.laser_point(path % graph.n_pixels())];
-    }
-
-    SurfacePlace place(std::size_t j, const ShadingPoint& at) const {
-        const auto& v = graph.vertices;
-        return {v.shape[j],
-                v.primitive.empty() ? 0 : v.primitive[j],
-                position<double>(graph, j),
-                Vec(at.ng),
-                Vec(at.frame.n),
-                Vec(at.frame.s)};
-    }
-};
-
 /// One walk along a path with n parameters.
 template <int n>
 class Walk {
   public:
-    explicit Walk(const Source& source) : s_(source), g_(source.graph) {}
+    explicit Walk(const PathSource& source) : s_(source), g_(source.graph) {}
 
     using Numbers = Tangent<n>;
     using Vectors = VectorTangent<n>;
     using Colours = ColourTangent<n>;
 
-    /// on_edge(k, dL, dopl), on_seen(path, dLe, dopl), on_vertex(j, at, beta, opl, motion)
+    /// on_edge(k, L, dL, dopl), on_seen(path, Le, dLe, dopl), on_vertex(j, at, beta, opl, motion)
     template <class OnEdge, class OnSeen, class OnVertex>
     void path(std::size_t path, std::size_t& edge, OnEdge&& on_edge, OnSeen&& on_seen, OnVertex&& on_vertex) {
         const auto [begin, end] = vertices_of(g_, path);
@@ -271,8 +192,6 @@ class Walk {
         return d;
     }
 
-    static Frame<double> in_double(const Framef& f) { return {Vec(f.s), Vec(f.t), Normal3<double>(f.n)}; }
-
     /// d log(cos / r^2) of a segment's end, the growth of its area included.
     static Numbers geometry_change(const Vec& u, double r, const Vectors& ddot, const Vec& normal,
                                    const Vectors& dnormal, const Numbers& area) {
@@ -368,7 +287,7 @@ class Walk {
                     for (int c = 0; c < 3; ++c) dLe.c[std::size_t(c)].d[p] += rate[c];
                 }
         }
-        if (!dLe.is_zero() || !here.dopl.is_zero()) on_seen(path, dLe, here.dopl);
+        if (!dLe.is_zero() || !here.dopl.is_zero()) on_seen(path, Rgb<double>(Le), dLe, here.dopl);
     }
 
     template <class OnSeen>
@@ -377,7 +296,7 @@ class Walk {
         Colours dLe;
         const auto e = std::size_t(s_.scene.environment_idx);
         add_emission(e, Rgb<double>(rgb(g_.paths.Le, path)), Rgb<double>(1), dLe);
-        if (!dLe.is_zero()) on_seen(path, dLe, Numbers{});
+        if (!dLe.is_zero()) on_seen(path, Rgb<double>(rgb(g_.paths.Le, path)), dLe, Numbers{});
     }
 
     /// Adds the change of a stored radiance Li with that of its emitter's.
@@ -467,14 +386,6 @@ class Walk {
         }
     }
 
-    /// Whether the vertex after j, nulls left out, is on a surface with a delta lobe, so that the ray to it stays.
-    bool reaches_delta(std::size_t j) const {
-        const auto& v = g_.vertices;
-        std::size_t k = j + 1;
-        while (Lobe(v.lobe[k]) == Lobe::null && (v.flags[k] & vertex_flag::continued)) ++k;
-        return has_delta_lobe(s_.reader.model(v.material[k]).kind);
-    }
-
     void leave(std::size_t j, const ShadingPoint& at, const Arrival& here) {
         const Lobe lobe = Lobe(g_.vertices.lobe[j]);
         const double inv_pdf = 1 / double(g_.vertices.pdf_w[j]);
@@ -489,7 +400,7 @@ class Walk {
         }
         const Vec wi(continuation_direction(g_, j));
         a_ = start_at(at, here, scatter(at, here, wi, inv_pdf));
-        a_.by_ray = reaches_delta(j);
+        a_.by_ray = s_.reaches_delta(j);
         if (a_.by_ray) set_ray(a_.frame, a_.frame.to_local(wi), {}, here, a_);
     }
 
@@ -566,7 +477,7 @@ class Walk {
             const double r = length(d);
             const Vec u = d / r;
             PointMotion<n> motion;
-            const SurfacePlace place = place_of_light(k, emitter, light);
+            const SurfacePlace place = s_.place_of_light(k, emitter, light);
             const bool of_area = s_.scene.emitters[emitter].kind == EmitterKind::area;
             if (of_area)
                 s_.motions.add_material(place, motion);
@@ -581,7 +492,7 @@ class Walk {
             add_length(a, e.eta, e.medium, k, r, u, ddot, opl, dopl);
             if (!of_area) change_delta_light(k, emitter, here, dLi);
         }
-        add_emission(emitter, Li, unit_emission(emitter, here), dLi);
+        add_emission(emitter, Li, s_.unit_emission(emitter, here.place.p), dLi);
 
         Rgb<double> beta;
         Colours dbeta;
@@ -589,7 +500,7 @@ class Walk {
         dbeta.add(beta, geometry);
         dbeta.scale(Li);
         dbeta.add(beta, dLi);
-        if (!dbeta.is_zero() || !dopl.is_zero()) on_edge(k, dbeta, dopl);
+        if (!dbeta.is_zero() || !dopl.is_zero()) on_edge(k, beta * Li, dbeta, dopl);
     }
 
     /// Turn of a direction with an emitter at infinity.
@@ -620,21 +531,6 @@ class Walk {
         }
     }
 
-    SurfacePlace place_of_light(std::size_t k, std::size_t emitter, const Pt& y) const {
-        SurfacePlace place;
-        place.shape_idx = s_.scene.emitters[emitter].shape_idx;
-        place.p = y;
-        if (!g_.light_edges.n.empty()) place.ng = place.ns = Vec(unit_vector<Normal3f>(g_.light_edges.n, k));
-        return place;
-    }
-
-    /// Li of a radiance of 1: of a light whose radiance is 0 in a channel.
-    Rgb<double> unit_emission(std::size_t emitter, const Arrival& here) const {
-        const Emitter& e = s_.scene.emitters[emitter];
-        if (e.kind != EmitterKind::point && e.kind != EmitterKind::spot) return Rgb<double>(1);
-        return Rgb<double>(1 / length2(here.place.p - Pt(e.position)));
-    }
-
     /// Adds the change of the light of a point, spot or projector with the distance to it and the place in its beam, or
     /// of a laser spot with the direction in which it reflects.
     void change_delta_light(std::size_t k, std::size_t emitter, const Arrival& here, Colours& dLi) const {
@@ -663,7 +559,7 @@ class Walk {
         const Vec n_spot(normal), d = here.place.p - spot;
         const double r = length(d);
         const Vec u = d / r;
-        const std::uint32_t material = s_.scene.shapes[s_.laser_point(path_).hit.shape_idx].material_idx;
+        const std::uint32_t material = s_.lit_material(path_);
         ShadingPoint lit;
         lit.frame = Framef(normal);
         lit.bsdf = Bsdf<float>(s_.scene.materials[material].model);
@@ -697,7 +593,7 @@ class Walk {
         }
     }
 
-    const Source& s_;
+    const PathSource& s_;
     const PathGraph& g_;
     Start a_;
     std::size_t path_ = 0;
@@ -706,7 +602,7 @@ class Walk {
 }  // namespace
 
 struct InteriorWalker::Impl {
-    Source source;
+    PathSource source;
     mutable std::vector<float> dL, dopl;
     mutable std::vector<Vec> velocity, turn;
 
@@ -748,32 +644,37 @@ InteriorWalker::~InteriorWalker() = default;
 InteriorWalker::InteriorWalker(InteriorWalker&&) noexcept = default;
 
 bool InteriorWalker::touches(std::size_t path) const {
-    const Source& s = impl_->source;
-    const PathGraph& g = s.graph;
-    if (s.tangents.camera_moves()) return true;
-    const auto [begin, end] = vertices_of(g, path);
-    if (begin == end) return s.scene.environment_idx >= 0 && s.emitter_matters[std::size_t(s.scene.environment_idx)];
-    for (std::size_t j = begin; j < end; ++j)
-        if (s.shape_matters[g.vertices.shape[j]] || s.material_matters[g.vertices.material[j]]) return true;
-    // Lights that change reach every path that samples them.
-    for (const char matters : s.emitter_matters)
-        if (matters) return true;
-    // Media are materials; a capture's wall is the light of every path.
-    if (!g.vertices.medium.empty())
-        for (std::size_t j = begin; j < end; ++j)
-            if (const auto m = g.vertices.medium[j]; m != no_medium && s.material_matters[m]) return true;
-    if (!s.scene.nlos) return false;
-    const Hit& lit = s.laser_point(path).hit;
-    return lit && s.material_matters[s.scene.shapes[lit.shape_idx].material_idx];
+    return impl_->source.touches(path);
 }
 
 void InteriorWalker::walk(std::size_t path, std::size_t& edge, const OnRow& on_edge, const OnRow& on_seen) const {
     impl_->with_walk([&](auto&& walk) {
         walk.path(
             path, edge,
-            [&](std::size_t k, const auto& change, const auto& length) { on_edge(impl_->row(k, change, length)); },
-            [&](std::size_t p, const auto& change, const auto& length) { on_seen(impl_->row(p, change, length)); },
+            [&](std::size_t k, const Rgb<double>&, const auto& change, const auto& length) {
+                on_edge(impl_->row(k, change, length));
+            },
+            [&](std::size_t p, const Rgb<double>&, const auto& change, const auto& length) {
+                on_seen(impl_->row(p, change, length));
+            },
             [](std::size_t, const ShadingPoint&, const Rgb<double>&, double, const auto&) {});
+    });
+}
+
+void InteriorWalker::walk_exactly(std::size_t path, std::size_t& edge, const OnExactRow& on_edge,
+                                  const OnExactRow& on_seen) const {
+    const std::size_t n = impl_->source.tangents.n();
+    std::vector<Rgb<double>> dL(n);
+    const auto pass = [&](const OnExactRow& to) {
+        return [&](std::size_t of, const Rgb<double>& L, const auto& change, const auto& length) {
+            for (std::size_t p = 0; p < n; ++p)
+                for (int c = 0; c < 3; ++c) dL[p][c] = change.c[std::size_t(c)].d[p];
+            to({of, L, dL, std::span(length.d).first(n)});
+        };
+    };
+    impl_->with_walk([&](auto&& walk) {
+        walk.path(path, edge, pass(on_edge), pass(on_seen),
+                  [](std::size_t, const ShadingPoint&, const Rgb<double>&, double, const auto&) {});
     });
 }
 
@@ -801,7 +702,7 @@ void InteriorWalker::walk_vertices(std::size_t path, const OnVertex& on_vertex) 
     }
     std::size_t edge = g.n_light_edges();
     double camera_opl = 0;
-    const auto no_row = [](std::size_t, const auto&, const auto&) {};
+    const auto no_row = [](std::size_t, const Rgb<double>&, const auto&, const auto&) {};
     impl_->with_walk([&](auto&& walk) {
         walk.path(path, edge, no_row, no_row,
                   [&](std::size_t j, const ShadingPoint& at, const Rgb<double>& beta, double opl, const auto& motion) {

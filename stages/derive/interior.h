@@ -49,6 +49,16 @@ class InteriorWalker {
     bool touches(std::size_t path) const;
     /// in:      edge  first light edge of the path; out: that of the next path
     void walk(std::size_t path, std::size_t& edge, const OnRow& on_edge, const OnRow& on_seen) const;
+    /// An InteriorRow without rounding, with the light itself.
+    struct ExactRow {
+        std::size_t row;
+        Rgb<double> L;
+        std::span<const Rgb<double>> dL;  // [parameter]
+        std::span<const double> dopl;
+    };
+    using OnExactRow = std::function<void(const ExactRow&)>;
+    /// walk() in double precision.
+    void walk_exactly(std::size_t path, std::size_t& edge, const OnExactRow& on_edge, const OnExactRow& on_seen) const;
     /// Calls on_vertex at every vertex, in order.
     void walk_vertices(std::size_t path, const OnVertex& on_vertex) const;
 

@@ -124,6 +124,9 @@ class SurfaceMotions {
     /// Change of a textured emission, as a factor on radiance.
     Rgb<double> emission_along(const SurfacePlace& at, const Vector3<double>& slide) const;
 
+    /// Texture coordinates of a point.
+    Point2f uv_of(const SurfacePlace& at) const { return uv_along(at, {}).uv; }
+
     /// Divergence over the surface of the slip T = v_ray - V between the end of a turning ray and the material point:
     ///   T = -c + d (n . c) / (n . d),  c = V - v_a - turn x d
     /// in:      d  from the start of the ray;  c  its value here

@@ -121,6 +121,14 @@ Spectrum Texture::eval(Point2f uv) const {
     return look_up<Spectrum>(*this, uv, [](const auto& v) { return as_spectrum(v); });
 }
 
+Texture::Texels Texture::texels(Point2f uv) const {
+    uv = transformed(to_uv, uv);
+    if (nearest) return {{nearest_pixel(*image, uv, wrap)}, {1}};
+    const Footprint f = footprint(*image, uv, wrap);
+    const float w11 = f.x * f.y, w10 = f.x - w11, w01 = f.y - w11, w00 = 1.0f - f.x - w01;
+    return {{f.p00, f.p10, f.p01, f.p11}, {w00, w10, w01, w11}};
+}
+
 void Texture::prefetch(Point2f uv) const {
     if (kind != TextureKind::bitmap) return;
     const Footprint f = footprint(*image, transformed(to_uv, uv), wrap);

@@ -70,6 +70,13 @@ struct Texture {
     /// d eval_float / d(u, v) of the bilinear interpolant; 0 for `nearest`, checkerboard and constant.
     /// differs: Mitsuba 3.8 scales by the image size after a rotation in to_uv, this function before it
     Point2f eval_gradient(Point2f uv) const;
+    /// The pixels that eval() reads and their weights: eval() is linear in them.
+    struct Texels {
+        std::array<std::size_t, 4> pixel{};  // row-major
+        std::array<float, 4> weight{};
+    };
+    /// needs:   a bitmap
+    Texels texels(Point2f uv) const;
     /// Returns the mean over the unit square of the untransformed texture.
     Spectrum mean() const;
     /// Return the largest value of each channel, and the smallest and largest value of eval_float(), over all (u, v).

@@ -1,0 +1,42 @@
+#include "stages/derive/path_source.h"
+
+namespace loom::derive {
+
+PathSource::PathSource(const PathGraph& g, const Scene& s, const SceneTangents& t, const Attached& how)
+    : graph(g), scene(s), tangents(t), reader(g), motions(s, t), attached(how) {
+    for (std::uint32_t i = 0; i < s.shapes.size(); ++i)
+        shape_matters.push_back(t.moves(i) || !t.shading_normals[i].empty());
+    for (const auto& effects : t.materials) material_matters.push_back(!effects.empty());
+    for (std::size_t e = 0; e < s.emitters.size(); ++e) {
+        const bool of_shape = s.emitters[e].kind == EmitterKind::area;
+        emitter_matters.push_back(!t.emitters[e].empty() || !t.radiance[e].empty() ||
+                                  (of_shape && shape_matters[s.emitters[e].shape_idx]));
+    }
+    // Coats whose roughness or index changes, by a parameter or along a texture.
+    for (std::size_t m = 0; m < s.materials.size(); ++m) {
+        if (s.materials[m].model.kind != BsdfKind::rough_plastic) continue;
+        bool coat = s.materials[m].alpha_u_idx >= 0 && t.geometry();
+        for (const auto& [p, effect] : t.materials[m])
+            coat |= effect.alpha_u != 0 || effect.alpha_v != 0 || effect.eta != 0;
+        if (coat) reader.prepare_slopes(m);
+    }
+}
+
+bool PathSource::touches(std::size_t path) const {
+    const PathGraph& g = graph;
+    if (tangents.camera_moves()) return true;
+    const auto [begin, end] = vertices_of(g, path);
+    if (begin == end) return scene.environment_idx >= 0 && emitter_matters[std::size_t(scene.environment_idx)];
+    for (std::size_t j = begin; j < end; ++j)
+        if (shape_matters[g.vertices.shape[j]] || material_matters[g.vertices.material[j]]) return true;
+    // Lights that change reach every path that samples them.
+    for (const char matters : emitter_matters)
+        if (matters) return true;
+    // Media are materials; a capture's wall is the light of every path.
+    if (!g.vertices.medium.empty())
+        for (std::size_t j = begin; j < end; ++j)
+            if (const auto m = g.vertices.medium[j]; m != no_medium && material_matters[m]) return true;
+    return scene.nlos && laser_point(path).hit && material_matters[lit_material(path)];
+}
+
+}  // namespace loom::derive
