@@ -174,7 +174,7 @@ std::uint64_t add_edge_light(const BoundaryScene& s, std::uint64_t n_samples, co
     constexpr std::uint64_t chunk = 256;
     const std::size_t first = rows.size();
     rows.resize(first + (n_samples + chunk - 1) / chunk, BoundaryRows(s.options.adjoint));
-    app::Progress progress(report, "edges seen from emitters", n_samples);
+    app::Progress progress(report, "edges visible from emitters", n_samples);
     tbb::enumerable_thread_specific<Sampling> workers([&] { return Sampling(s, n_samples, weights); });
     parallel_chunks(n_samples, chunk, s.options.threads, [&](std::uint64_t i, std::uint64_t begin, std::uint64_t end) {
         for (std::uint64_t k = begin; k < end; ++k) workers.local().sample(k, rows[first + i]);

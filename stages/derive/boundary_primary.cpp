@@ -517,7 +517,7 @@ std::uint64_t add_primary(const BoundaryScene& s, std::uint64_t n_samples, std::
     constexpr std::uint64_t chunk = PathBatch::capacity / 2;
     const std::size_t first = rows.size();
     rows.resize(first + (n_samples + chunk - 1) / chunk, BoundaryRows(s.options.adjoint));
-    app::Progress progress(report, "edges seen by the camera", n_samples);
+    app::Progress progress(report, "edges visible to the camera", n_samples);
     // Rays pass the edge by this many pixels.
     const double beside = 2e-5 * primary.map().pixels_per_radian();
     tbb::enumerable_thread_specific<Worker> workers([&] { return Worker(s); });
