@@ -105,7 +105,7 @@ TEST(GradientFile, DamagedBytesDoNoHarm) {
     const ScratchFolder folder;
     write_gradient(tiny_gradient(), folder / "g.h5", Sync::no);
     const std::string bytes = testing::file_bytes(folder / "g.h5");
-    for (std::size_t i = 0; i < bytes.size(); i += 37) {
+    for (std::size_t i = 0; i < bytes.size(); i += 97) {
         std::string damaged = bytes;
         damaged[i] = char(damaged[i] ^ 0x5a);
         for (const std::string_view text : {std::string_view(damaged), std::string_view(bytes).substr(0, i)}) {
