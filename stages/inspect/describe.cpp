@@ -1,14 +1,17 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <filesystem>
 #include <map>
+#include <numeric>
 #include <optional>
 
 #include "formats/chain.h"
 #include "formats/clusters.h"
+#include "formats/gradient.h"
 #include "formats/image.h"
 #include "formats/io/cost.h"
 #include "formats/io/error.h"
@@ -244,6 +247,38 @@ struct CubeFacts {
     }
 };
 
+bool is_gradient(const Survey& survey) {
+    return survey.attribute("filetype") == Gradient::format.name;
+}
+
+/// The largest derivatives of a loss.
+std::string gradient_text(const Gradient& g) {
+    constexpr std::size_t shown = 12;
+    std::vector<std::size_t> order(g.parameters.name.size());
+    std::iota(order.begin(), order.end(), std::size_t(0));
+    const auto& by = g.parameters.gradient;
+    std::stable_sort(order.begin(), order.end(),
+                     [&](std::size_t a, std::size_t b) { return std::abs(by[a]) > std::abs(by[b]); });
+    std::string text = fmt::format("loss {:.9g}; {} parameters, {} vertices, {} texels\n", g.loss, order.size(),
+                                   g.vertices.gradient.size() / 3, g.texels.gradient.size() / 3);
+    for (std::size_t i = 0; i < std::min(order.size(), shown); ++i)
+        text += fmt::format("d loss / d {} = {:.6g} per {}, at {:.6g}\n", g.parameters.name[order[i]], by[order[i]],
+                            g.parameters.unit[order[i]], g.parameters.value[order[i]]);
+    if (order.size() > shown) text += fmt::format("and {} smaller ones\n", order.size() - shown);
+    const auto size = [](const Column<double>& numbers, std::uint64_t begin, std::uint64_t end) {
+        double sum = 0;
+        for (std::uint64_t i = 3 * begin; i < 3 * end; ++i) sum += numbers[i] * numbers[i];
+        return std::sqrt(sum);
+    };
+    for (std::size_t m = 0; m < g.vertices.name.size(); ++m)
+        text += fmt::format("{}: length {:.6g} per m\n", g.vertices.name[m],
+                            size(g.vertices.gradient, g.vertices.first[m], g.vertices.first[m + 1]));
+    for (std::size_t m = 0; m < g.texels.name.size(); ++m)
+        text += fmt::format("{}: {} x {}, length {:.6g}\n", g.texels.name[m], g.texels.width[m], g.texels.height[m],
+                            size(g.texels.gradient, g.texels.first[m], g.texels.first[m + 1]));
+    return text;
+}
+
 bool has_cost(const std::string& file) {
     return std::filesystem::exists(cost_path(file));
 }
@@ -432,6 +467,7 @@ std::string text_of(const Survey& survey, const std::string& file, const std::st
     if (is_path_graph(survey)) text += graph_text(GraphFacts(read_path_graph(file)));
     if (is_clusters(survey)) text += ClusterFacts(file, graph).text();
     if (is_transient_cube(file)) text += CubeFacts(file).text();
+    if (is_gradient(survey)) text += gradient_text(read_gradient(file));
     if (has_ledger(survey)) text += LedgerFacts(survey, file).text();
     std::size_t name_width = 7;
     for (const auto& d : survey.datasets) name_width = std::max(name_width, d.name.size());

@@ -1,6 +1,9 @@
 // Reverse mode of loom-derive: the backward sweep equals the contraction of the forward derivatives with the weights, on
 // the same paths, for every kind of parameter.
-// Detected mutations: see the tests.
+// Detected mutations: growth of areas lost; slides over normals or textures lost; change of a refracted ray by the index
+// lost; length by the index of a medium lost; turn of the shading frame lost; distance to a
+// point light lost; the segment before the first hit counted although the film leaves it out; texels weighted equally;
+// the centre or the size of a basis motion lost.
 
 #include "stages/derive/reverse.h"
 
@@ -8,9 +11,12 @@
 
 #include <random>
 
+#include "formats/io/error.h"
 #include "stages/core/description/description.h"
 #include "stages/core/graph/own_samples.h"
+#include "stages/derive/boundary.h"
 #include "stages/derive/interior.h"
+#include "stages/derive/reverse_boundary.h"
 #include "tests/traced_graph.h"
 
 namespace loom::derive {
@@ -28,6 +34,20 @@ struct Case {
 
 constexpr int film_width = 7, film_height = 5, n_bins = 11;
 
+/// in:      names  --wrt
+Case make_case(const std::filesystem::path& file, const Defines& defines, const std::vector<std::string>& names,
+               std::uint64_t spp) {
+    Case c;
+    const SceneDescription description = read_scene(file, defines, "");
+    c.scene = build_scene(description);
+    c.tangents.emplace(find_tangents(*c.scene, description, file, defines, "", without_parts(names)));
+    c.wanted = find_parts(*c.scene, names, *c.tangents);
+    OptionalColumns columns;
+    columns.primitives = columns.media = true;
+    c.graph = testing::trace_graph(*c.scene, testing::path_options(*c.scene, 7), spp, 0, columns);
+    EXPECT_EQ(missing_columns(c.graph, *c.scene, *c.tangents), "");
+    return c;
+}
 /// in:      body   sensor type and parameters without film, BSDFs, shapes, emitters
 ///          names  --wrt
 Case make_case(const std::string& sensor, const std::string& body, const std::vector<std::string>& names,
@@ -39,38 +59,33 @@ Case make_case(const std::string& sensor, const std::string& body, const std::ve
 {}
 </scene>)",
         max_depth, sensor, film_width, film_height, body);
-    Case c;
-    const SceneDescription description = read_scene(file, {}, "");
-    c.scene = build_scene(description);
-    c.tangents.emplace(find_tangents(*c.scene, description, file, {}, "", without_parts(names)));
+    Case c = make_case(file, {}, names, spp);
     std::filesystem::remove(file);
-    c.wanted = find_parts(*c.scene, names, *c.tangents);
-    OptionalColumns columns;
-    columns.primitives = columns.media = true;
-    c.graph = testing::trace_graph(*c.scene, testing::path_options(*c.scene, 7), spp, 0, columns);
-    EXPECT_EQ(missing_columns(c.graph, *c.scene, *c.tangents), "");
     return c;
 }
 
 struct Response {
     const char* pulse;
     double length = 0, gate = 1;  // gate: in bins
+    bool from_camera = true;
 };
 
 /// Random weights, of which a few are 0.
-TransientCube weights(const Response& response, double start, double end) {
+TransientCube weights(const Response& response, double start, double end, std::uint32_t height = film_height) {
     TransientCube cube;
-    cube.film = {film_width, film_height, 1};
+    cube.film = {film_width, height, 1};
     cube.time.n_bins = n_bins;
     cube.time.start_opl = start;
     cube.time.bin_width_opl = (end - start) / n_bins;
     cube.time.gate_opl = response.gate * cube.time.bin_width_opl;
     cube.response.pulse = response.pulse;
     cube.response.length_opl = response.length;
+    cube.response.tail_opl = 0.4;
     cube.response.period_opl = 3.1;
+    cube.time.camera_segment = response.from_camera;
     std::mt19937 random(3);
     std::uniform_real_distribution<float> uniform(-1, 1);
-    std::vector<float> values(3 * n_bins * film_width * film_height);
+    std::vector<float> values(3 * n_bins * film_width * height);
     for (float& x : values) x = uniform(random) > 0.8f ? 0.0f : uniform(random);
     cube.radiance = std::move(values);
     return cube;
@@ -109,19 +124,24 @@ Forward contract_forward(const Case& c, const SceneTangents& tangents, const Adj
     }
     edge = 0;
     for (std::size_t path = 0; path < g.n_paths(); ++path) {
+        std::vector<double> first(n);  // change of the segment that does not count
         const auto add = [&](const InteriorWalker::ExactRow& row, double t) {
             LightWeight a;
             if (!adjoint.at(path % g.n_pixels(), t, a)) return;
             for (std::size_t p = 0; p < n; ++p)
                 for (int k = 0; k < 3; ++k) {
-                    const double x = inv_n * row.dL[p][k] * a.value[k], y = inv_n * row.L[k] * row.dopl[p] * a.slope[k];
+                    const double x = inv_n * row.dL[p][k] * a.value[k],
+                                 y = inv_n * row.L[k] * (row.dopl[p] - first[p]) * a.slope[k];
                     f.gradient[p] += x + y;
                     f.size[p] += std::abs(x) + std::abs(y);
                 }
         };
         walker.walk_exactly(
             path, edge, [&](const auto& row) { add(row, opl[row.row]); },
-            [&](const auto& row) { add(row, seen[row.row]); });
+            [&](const auto& row) {
+                if (!adjoint.timing().camera_segment) first.assign(row.dopl.begin(), row.dopl.end());
+                add(row, seen[row.row]);
+            });
     }
     return f;
 }
@@ -136,14 +156,13 @@ Gradient sweep(const Case& c, const Adjoint& adjoint, int threads = 0) {
     return gradient_of(*c.tangents, c.wanted, sums, std::move(by_vertex), std::move(by_texel));
 }
 
-constexpr Response responses[] = {{"delta"}, {"box", 0.7}, {"gaussian", 0.3, 1.5}, {"expgauss", 0.2}, {"sine"}};
+constexpr Response responses[] = {{"delta"},         {"box", 0.7}, {"gaussian", 0.3, 1.5},
+                                  {"expgauss", 0.2}, {"sine"},     {"gaussian", 0.4, 1, false}};
 
 /// Expects equal gradients for every response. Parameters are expected to matter: a gradient of 0 tests nothing.
 void expect_duality(const Case& c, double start, double end) {
     for (const Response& response : responses) {
-        TransientCube cube = weights(response, start, end);
-        if (response.pulse == std::string("expgauss")) cube.response.tail_opl = 0.4;
-        const Adjoint adjoint(std::move(cube), c.graph, "weights");
+        const Adjoint adjoint(weights(response, start, end, c.graph.sensor.height), c.graph, "weights");
         const Forward forward = contract_forward(c, *c.tangents, adjoint);
         const Gradient backward = sweep(c, adjoint);
         EXPECT_NEAR(backward.loss, forward.loss, 1e-6 * std::abs(forward.loss) + 1e-9);
@@ -187,7 +206,6 @@ constexpr const char* room = R"(
 <emitter type="spot" id="spot"><transform name="to_world"><lookat origin="-1,-1,2.5" target="0.2,0.1,0" up="0,1,0"/></transform><rgb name="intensity" value="6"/><float name="cutoff_angle" value="35"/></emitter>
 )";
 
-// Detected mutations: see below.
 TEST(Reverse, EveryKindOfParameterOfARoom) {
     const Case c =
         make_case(pinhole, room,
@@ -295,7 +313,16 @@ TEST(Reverse, SlidesOverSmoothNormalsAndTextures) {
     for (const auto& file : {mesh, image, flat}) std::filesystem::remove(file);
 }
 
-/// Forward derivatives by some of the vertices' columns, in blocks.
+TEST(Reverse, LaserSpotsOfAnNlosCapture) {
+    const std::filesystem::path file = std::filesystem::path(LOOM_SOURCE_DIR) / "scenes/nlos.xml";
+    for (const char* capture : {"single", "confocal"}) {
+        const Case c = make_case(
+            file, {{"res", "7"}, {"capture", capture}},
+            {"shape:lower/pose", "shape:ball/pose", "bsdf:white/reflectance/rgb", "bsdf:orange/reflectance"}, 100);
+        expect_duality(c, 1, 4);
+    }
+}
+
 TEST(Reverse, HundredVerticesEqualForwardInBlocks) {
     for (const bool smooth : {false, true}) {
         const auto mesh = patch(6, smooth);  // 49 positions, 147 columns
@@ -363,6 +390,161 @@ TEST(Reverse, TexelsAddUpToTheLoss) {
     EXPECT_NE(g.loss, 0);
     EXPECT_NEAR(sum, g.loss, 2e-3 * std::abs(g.loss));  // colours are rounded to half in the graph
     for (const auto& file : {mesh, image}) std::filesystem::remove(file);
+}
+
+/// A square between lamp and floor, seen from above.
+constexpr const char* shadow = R"(
+<bsdf type="diffuse" id="white"><rgb name="reflectance" value="0.7,0.6,0.5"/></bsdf>
+<shape type="rectangle" id="floor"><transform name="to_world"><scale value="3"/></transform><ref id="white"/></shape>
+<shape type="rectangle" id="blocker"><transform name="to_world"><scale value="0.5"/><translate x="0.2" y="0.1" z="1"/></transform><ref id="white"/></shape>
+<shape type="sphere" id="ball"><point name="center" x="-1" y="0.3" z="0.8"/><float name="radius" value="0.4"/><ref id="white"/></shape>
+<shape type="rectangle" id="lamp"><transform name="to_world"><rotate x="1" angle="180"/><scale value="0.6"/><translate x="0.1" y="0" z="2.8"/></transform><ref id="white"/><emitter type="area"><rgb name="radiance" value="5,4,3"/></emitter></shape>
+<emitter type="point" id="point"><point name="position" x="1" y="-1" z="2"/><rgb name="intensity" value="2,1,3"/></emitter>
+)";
+const std::vector<std::string> shadow_names{"shape:blocker/pose", "shape:blocker/scale", "shape:ball/pose",
+                                            "shape:lamp/pose",    "emitter:point/pose",  "sensor/pose"};
+
+TEST(Reverse, RefusesWeightsThatCannotBeEvaluated) {
+    const Case c = make_case(pinhole, shadow, {"shape:blocker/pose"}, 1, 2);
+    const auto said = [&](const std::function<void(TransientCube&)>& change) -> std::string {
+        TransientCube cube = weights(responses[1], 2.5, 10);
+        change(cube);
+        try {
+            const Adjoint adjoint(std::move(cube), c.graph, "w.h5");
+        } catch (const InputError& error) {
+            return error.what();
+        }
+        return "taken";
+    };
+    EXPECT_EQ(said([](TransientCube&) {}), "taken");
+    EXPECT_NE(said([](TransientCube& w) { w.film.width = 5, w.film.height = 7; }).find("w.h5: is 5 x 7 pixels"),
+              std::string::npos);
+    const auto refused = [&](const std::function<void(TransientCube&)>& change) {
+        EXPECT_TRUE(said(change).starts_with("w.h5: ")) << said(change);
+    };
+    refused([](TransientCube& w) { w.response.pulse = "table"; });
+    refused([](TransientCube& w) { w.response.pulse.clear(); });
+    refused([](TransientCube& w) { w.response.length_opl = 0; });
+    refused([](TransientCube& w) { w.response.length_opl = NAN; });
+    refused([](TransientCube& w) { w.response.pulse = "expgauss", w.response.tail_opl = -1; });
+    refused([](TransientCube& w) { w.response.pulse = "sine", w.response.period_opl = 0; });
+    refused([](TransientCube& w) { w.time.gate_opl = 0; });
+    refused([](TransientCube& w) { w.time.gate_opl = INFINITY; });
+    refused([](TransientCube& w) { w.time.start_opl = NAN; });
+    refused([](TransientCube& w) { w.time.bin_width_opl = INFINITY; });
+    refused([](TransientCube& w) {
+        std::vector<float> values(w.radiance.begin(), w.radiance.end());
+        values[17] = NAN;
+        w.radiance = std::move(values);
+    });
+}
+
+TEST(Reverse, RefusesPartsThatDoNotExist) {
+    const auto said = [&](const char* name) -> std::string {
+        try {
+            (void)make_case(pinhole, shadow, {name}, 1, 2);
+        } catch (const InputError& error) {
+            return error.what();
+        }
+        return "taken";
+    };
+    EXPECT_EQ(said("shape:blocker/vertices"), "taken");
+    EXPECT_EQ(said("shape:nobody/vertices"), "--wrt shape:nobody/vertices: the scene has no shape 'nobody'");
+    EXPECT_EQ(said("shape:ball/vertices"), "--wrt shape:ball/vertices: a sphere or disk has no vertices");
+    EXPECT_EQ(said("shape:lamp/vertices"), "--wrt shape:lamp/vertices: vertices of an emitter cannot move alone");
+    EXPECT_EQ(said("bsdf:white/reflectance/texels"),
+              "--wrt bsdf:white/reflectance/texels: its reflectance is no image");
+    EXPECT_EQ(said("shape:/vertices"), "--wrt shape:/vertices: the scene has no shape ''");
+}
+
+// Each family, with the same samples: rows contracted as they are made, and afterwards.
+TEST(Reverse, BoundaryRowsAreContractedAsTheyAreMade) {
+    const Case c = make_case(pinhole, shadow, shadow_names, 64, 4);
+    const Adjoint adjoint(weights(responses[2], 2.5, 10), c.graph, "weights");
+    app::Report report;
+    report.set_quiet(true);
+    const auto sample = [&](BoundaryFamily family, const Adjoint* by) {
+        const BoundaryOptions options{1, 3, 0, by};
+        const BoundaryScene s(c.graph, *c.scene, *c.tangents, options);
+        std::vector<BoundaryRows> rows;
+        std::vector<std::uint64_t> samples(n_boundary_families);
+        const std::vector<char> all(c.scene->emitters.size(), 1);
+        if (family == BoundaryFamily::primary) add_primary(s, 4000, rows, samples, report);
+        if (family == BoundaryFamily::vertex_light) add_vertex_light(s, 1, all, true, rows, samples, report);
+        if (family == BoundaryFamily::edge_light) add_edge_light(s, 1000, all, rows, samples, report);
+        if (family == BoundaryFamily::indirect) add_indirect(s, 0.5, true, true, rows, samples, report);
+        return rows;
+    };
+    const std::size_t n = c.tangents->n();
+    for (int family = 0; family < n_boundary_families; ++family) {
+        std::vector<double> expected(n), size(n), gradient(n);
+        for (const BoundaryRows& rows : sample(BoundaryFamily(family), nullptr))
+            for (std::size_t i = 0; i < rows.pixel.size(); ++i) {
+                const Rgb<double> a = adjoint.value_at(rows.pixel[i], rows.opl[i]);
+                for (std::size_t p = 0; p < n; ++p)
+                    for (int k = 0; k < 3; ++k) {
+                        const double x = a[k] * double(rows.dL[3 * (i * n + p) + std::size_t(k)]);
+                        expected[p] += x, size[p] += std::abs(x);
+                    }
+            }
+        for (const BoundaryRows& rows : sample(BoundaryFamily(family), &adjoint)) {
+            EXPECT_TRUE(rows.dL.empty());
+            for (std::size_t p = 0; p < rows.gradient.size(); ++p) gradient[p] += rows.gradient[p];
+        }
+        EXPECT_GT(*std::max_element(size.begin(), size.end()), 0) << "family " << family;
+        for (std::size_t p = 0; p < n; ++p)
+            EXPECT_NEAR(gradient[p], expected[p], 1e-6 * size[p] + 1e-12) << "family " << family << ", " << p;
+    }
+}
+
+// Boundary terms by a basis of motions against those by the parameters themselves, 24 seeds each. A term lost or of the
+// wrong sign is off by 8 standard errors or more.
+TEST(Reverse, BoundaryTermsOfABasisEqualThoseOfTheParameters) {
+    const Case c = make_case(pinhole, shadow, shadow_names, 100, 3);
+    // Smooth weights: random ones cancel the derivative.
+    TransientCube cube = weights(responses[2], 2.5, 10);
+    std::vector<float> values(cube.radiance.size());
+    for (std::size_t i = 0; i < values.size(); ++i)
+        values[i] = float(1.5 + std::sin(0.4 * double(i / 3 % n_bins) + 0.2 * double(i / (3 * n_bins) % film_width)));
+    cube.radiance = std::move(values);
+    const Adjoint adjoint(std::move(cube), c.graph, "weights");
+    app::Report report;
+    report.set_quiet(true);
+    const std::size_t n = c.tangents->n();
+    const Parts parts = required_parts(*c.scene, c.graph, *c.tangents, {"interior"});
+    const MotionBasis basis(*c.scene, *c.tangents, c.wanted);
+    EXPECT_EQ(basis.n_columns(), 5u * 12);
+    constexpr int n_seeds = 24;
+    std::vector<std::vector<double>> by_parameters, by_basis;
+    for (std::uint64_t seed = 0; seed < n_seeds; ++seed) {
+        DeriveCounts counts;
+        std::vector<std::uint64_t> samples;
+        std::vector<double> gradient(n), by_vertex;
+        for (const BoundaryRows& rows :
+             sample_boundary(c.graph, *c.scene, *c.tangents, parts, {2, seed, 0, &adjoint}, report, samples, counts))
+            for (std::size_t p = 0; p < rows.gradient.size(); ++p) gradient[p] += rows.gradient[p];
+        by_parameters.push_back(gradient);
+        GradientSums sums(*c.scene);
+        basis.add_boundary(c.graph, *c.scene, {"interior"}, {2, 1000 + seed, 0, &adjoint}, report, sums, by_vertex,
+                           counts);
+        by_basis.push_back(sums.by_parameter(*c.tangents));
+    }
+    double largest = 0;
+    for (std::size_t p = 0; p < n; ++p) {
+        const auto moments = [&](const std::vector<std::vector<double>>& all) {
+            double mean = 0, var = 0;
+            for (const auto& one : all) mean += one[p] / n_seeds;
+            for (const auto& one : all) var += sqr(one[p] - mean) / (n_seeds - 1);
+            return std::pair(mean, var / n_seeds);
+        };
+        const auto [a, var_a] = moments(by_parameters);
+        const auto [b, var_b] = moments(by_basis);
+        const double error = std::sqrt(var_a + var_b);
+        // 31 parameters, 46 degrees of freedom: other seeds would fail in one of 250 runs.
+        EXPECT_NEAR(a, b, 4.2 * error + 1e-12) << c.tangents->parameters[p].name << " +- " << error;
+        if (error > 0) largest = std::max(largest, std::abs(a) / error);
+    }
+    EXPECT_GT(largest, 30);
 }
 
 TEST(Reverse, EqualBitsForAnyNumberOfThreads) {
