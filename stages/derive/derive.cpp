@@ -221,6 +221,7 @@ void declare(app::Command& command, Options& options) {
                    app::Range<std::uint32_t>{1, max_temporal_bins});
     command.threads(options.threads);
     command.flag("--plan", options.plan, "print the plan and stop");
+    declare_doppler(command, options.doppler);
     command.example("loom-derive scenes/shadow-mover.xml graph.h5 --wrt theta -o d.h5");
     command.example(
         "loom-derive scenes/shadow-mover.xml graph.h5 --adjoint weights.h5 --wrt shape:blocker/vertices -o "
@@ -281,6 +282,14 @@ void run_backward(const Options& options, const PathGraph& graph, const InputId&
 }  // namespace
 
 void run(const Options& options, app::Report& report) {
+    if (!options.doppler.output.empty()) {
+        if (options.wrt.empty()) throw InputError("--wrt: missing; name a parameter of the scene");
+        run_doppler(options, report);
+        return;
+    }
+    const DopplerRequest& doppler = options.doppler;
+    if (!doppler.graphs.empty() || !doppler.speeds.empty() || doppler.numbers.chirp != 0)
+        throw InputError("--with, --speed, --chirp: need --doppler");
     if (options.output.empty() && !options.plan) throw InputError("--output: missing (an .h5 file)");
     if (options.wrt.empty()) throw InputError("--wrt: missing; name a parameter of the scene");
     for (const std::string& part : options.off)

@@ -9,6 +9,7 @@
 
 #include "formats/derivative.h"
 #include "formats/path_graph.h"
+#include "stages/derive/doppler.h"
 #include "stages/derive/scene_tangents.h"
 
 namespace loom::app {
@@ -48,6 +49,7 @@ struct Options {
     std::optional<std::uint32_t> bins;
     int threads = 0;    // 0: all
     bool plan = false;  // print the plan and stop
+    DopplerRequest doppler;
 };
 
 void declare(app::Command& command, Options& options);

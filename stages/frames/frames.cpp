@@ -15,6 +15,7 @@
 #include "stages/core/app/command.h"
 #include "stages/core/plot/false_colours.h"
 #include "stages/core/plot/gnuplot.h"
+#include "stages/frames/doppler.h"
 #include "stages/frames/pictures.h"
 
 namespace loom::frames {
@@ -232,10 +233,13 @@ double draw_derivative(const Options& options, const TransientCube& cube, std::s
 }  // namespace
 
 void declare(app::Command& command, Options& options) {
-    command.file("cube", options.cube, "transient cube (.h5)").required();
+    command
+        .file("cube", options.cube, "transient cube (.h5), or velocities of loom-derive --doppler, drawn as one image")
+        .required();
     command
         .output("-o,--output", options.output,
-                "strip of frames (.png); beside it streak-x, streak-y, peak (.png), curves (.svg .png .tsv .gp)")
+                "strip of frames (.png); beside it streak-x, streak-y, peak (.png), curves (.svg .png .tsv .gp); of "
+                "velocities their colours, with the spectra in beat (.svg .png .tsv .gp)")
         .required();
     command.option("--exposure", options.exposure_ev, "exposure of frames and strip, on top of --quantile",
                    app::Range<double>{-50, 50, "EV"});
@@ -268,6 +272,10 @@ void run(const Options& options, app::Report& report) {
     if (options.derivatives && !options.parameter.empty())
         throw InputError("--parameter and --derivatives exclude each other: one derivative, or the value and all");
     check_output_path(given);
+    if (is_doppler(options.cube)) {
+        draw_doppler(options, report);
+        return;
+    }
     const TransientCube cube = read_transient_cube(options.cube);
     const std::uint32_t w = cube.film.width, h = cube.film.height;
     Selection selection;

@@ -29,7 +29,7 @@ class MakeDerive : public PipelineTest {
         for (const char* name : {"derive", "transient", "merge", "frames"}) {
             const fs::path file = bin / (std::string("loom-") + name);
             std::ofstream(file) << "#!/bin/sh\nprintf '%s\\n' loom-" << name << " \"$@\" '' >>'" << log().string()
-                                << "'\nwhile [ $# -gt 0 ]; do [ \"$1\" = -o ] && : >\"$2\"; shift; done\n";
+                                << "'\nwhile [ $# -gt 0 ]; do case $1 in -o|--doppler) : >\"$2\"; esac; shift; done\n";
             fs::permissions(file, fs::perms::owner_all);
         }
     }
@@ -43,11 +43,12 @@ class MakeDerive : public PipelineTest {
     }
     /// Makes the cube and the images.
     /// out:     the words of each script that ran, by lines
-    std::vector<std::vector<std::string>> runs(const std::string& variables, const std::string& pipeline = "derive") {
+    std::vector<std::vector<std::string>> runs(const std::string& variables, const std::string& pipeline = "derive",
+                                               const std::string& made = "cube.h5") {
         fs::remove(log());
         const Outcome outcome = sh(make(variables, pipeline));
         EXPECT_EQ(outcome.code, 0) << outcome.err;
-        EXPECT_EQ(outcome.out, (folder / "x/cube.h5").string() + "\n");
+        EXPECT_EQ(outcome.out, (folder / "x" / made).string() + "\n");
         traced = outcome.err.find("loom-trace: ") != std::string::npos;
         std::istringstream lines(bytes_of(log()));
         std::vector<std::vector<std::string>> commands(1);
@@ -177,6 +178,21 @@ TEST_F(MakeDerive, results_have_a_folder_of_their_own) {
     };
     EXPECT_NE(printed("derive").find("echo out/edits/derive/cube.h5"), std::string::npos);
     EXPECT_NE(printed("transient").find("echo out/edits/cube.h5"), std::string::npos);
+}
+
+// Detected mutations: the graph of one pass alone; speeds without their names.
+TEST_F(MakeDerive, doppler_takes_all_graphs) {
+    const auto commands = runs("WRT='x turn' DOPPLER=1 SPEED='x=2 turn=-1' CHIRP=1e14", "derive", "doppler.h5");
+    ASSERT_EQ(commands.size(), 2u);
+    EXPECT_EQ(commands[0][0], "loom-derive");
+    EXPECT_EQ(values(commands[0], "--speed"), (std::vector<std::string>{"x=2", "turn=-1"}));
+    EXPECT_EQ(values(commands[0], "--chirp"), std::vector<std::string>{"1e14"});
+    EXPECT_EQ(commands[0][2], (folder / "x/passes/pass-0.h5").string());
+    EXPECT_EQ(values(commands[0], "--with"), std::vector<std::string>{(folder / "x/passes/pass-1.h5").string()});
+    EXPECT_EQ(commands[1][0], "loom-frames");
+    EXPECT_EQ(runs("WRT='x turn' DOPPLER=1 SPEED='x=2 turn=-1' CHIRP=2e14", "derive", "doppler.h5").size(), 2u);
+    EXPECT_FALSE(traced);
+    EXPECT_NE(sh(make("WRT=x DOPPLER=1 KEEP=0")).code, 0);
 }
 
 // The stages themselves. Detected mutation: loom-merge leaves the derivatives of merged cubes at zero.
