@@ -182,16 +182,17 @@ struct Chord {
 /// Sum of the distances from a point on a line to one or two foci.
 class DistanceSum {
   public:
-    DistanceSum(const Pt& x, const Vec& axis, std::span<const Focus> foci) : n_(int(foci.size())) {
+    DistanceSum(const Pt& x, const Vec& axis, std::span<const Focus> foci) : n_(foci.size() == 1 ? 1 : 2) {
         for (int i = 0; i < n_; ++i) {
             const Vec d = x - foci[std::size_t(i)].p;
-            along_[i] = dot(d, axis);
-            square_[i] = length2(d);
+            along_[std::size_t(i)] = dot(d, axis);
+            square_[std::size_t(i)] = length2(d);
         }
     }
     double at(double s) const {
         double sum = 0;
-        for (int i = 0; i < n_; ++i) sum += std::sqrt(std::max(s * s + 2 * s * along_[i] + square_[i], 0.0));
+        for (int i = 0; i < n_; ++i)
+            sum += std::sqrt(std::max(s * s + 2 * s * along_[std::size_t(i)] + square_[std::size_t(i)], 0.0));
         return sum;
     }
     /// Returns where the sum is least.
@@ -214,7 +215,7 @@ class DistanceSum {
 
   private:
     int n_;
-    double along_[2], square_[2];
+    std::array<double, 2> along_{}, square_{};
 };
 
 /// A vertex that slides, with the light of its path as a function of its place.
@@ -483,7 +484,7 @@ class Lines {
         if (!find_polygon(emitter.shape_idx, nullptr, slide.x, slide.polygon)) return false;
         if (emitter.parallelogram) complete(slide.polygon);
         const Pt from = position<double>(g_, x.j);
-        slide.foci[0] = front_of(x.at, from, slide.x, !next_event);
+        slide.foci[0] = front_of(x.at, from, slide.x, false);
         if (!sight_.between(slide.foci[0], slide.polygon)) return false;
         slide.eta = e.eta.empty() ? 1 : double(e.eta[k]);
         slide.rest_opl = x.opl;
@@ -494,20 +495,14 @@ class Lines {
             const double r2 = length2(d);
             return std::abs(dot(ny, d)) / (r2 * std::sqrt(r2));
         };
-        const double now = geometry(slide.x);
-        const float pdf_now = f_cos_pdf(x.at, Vector3f(normalize(slide.x - from))).pdf_w;
-        if (!(pdf_now > 0)) return false;
         const double pdf_w = double(next_event ? e.pdf_nee_w[k] : g_.vertices.pdf_w[x.j]);
-        const Rgb<double> scale = x.beta * Rgb<double>(rgb(e.Li, k)) * (1 / (pdf_w * now));
+        const double weight = double(mis_weight(next_event, e.pdf_nee_w[k], e.pdf_bsdf_w[k], Heuristic::power)) / pdf_w;
+        const Rgb<double> scale = x.beta * Rgb<double>(rgb(e.Li, k)) * (weight / geometry(slide.x));
         rest_rates(x, light_velocity(slide), slide, dopl);
         return add_lines(
             slide,
             [&](const Pt& z) {
-                const auto bsdf = f_cos_pdf(x.at, Vector3f(normalize(z - from)));
-                const double here = geometry(z);
-                const float weight = mis_weight(next_event, float(e.pdf_nee_w[k] * now / here),
-                                                e.pdf_bsdf_w[k] * (bsdf.pdf_w / pdf_now), Heuristic::power);
-                return scale * Rgb<double>(bsdf.f_cos) * (here * double(weight));
+                return scale * Rgb<double>(f_cos_pdf(x.at, Vector3f(normalize(z - from))).f_cos) * geometry(z);
             },
             [&](const Pt& z) {
                 const Vec u = normalize(z - from);

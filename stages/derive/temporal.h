@@ -5,12 +5,13 @@
 //
 // Line samples of phi.                                                  [TR section 5: "future work"; own derivation]
 // One vertex x of a stored path slides over its flat polygon, all others stay. F is the integrand of the path by areas,
-// MIS weight and opl' included, p the density of the stored path. Along an in-plane unit axis a, opl(s) = c + eta sum_i
+// opl' included, p the density of the stored path. Along an in-plane unit axis a, opl(s) = c + eta sum_i
 // |x + s a - f_i| is convex in s, with the one or two neighbours f_i as foci, and takes each value at most twice, in
 // closed form. Let I be the part of the line where p > 0, and h a kernel on it that integrates to 1. Then
 //   E[h(x) / p(x) sum over roots z in I of F(z) / |d_a opl(z)|]
 //     = integral over lines of sum over z of F(z) / |d_a opl(z)|,  because h integrates to 1 over the x of a line,
 //     = phi(t).
+// With several techniques, each brings its part times its MIS weight w(x): they share h, and their w sum to 1 at each x.
 // So neither the density at z nor that along the line occurs, only F(z) / p(x), whose other factors the graph holds.
 // Two orthogonal axes share by w_a = (d_a opl)^2 / |grad opl|^2, so that |d_a opl| in the denominator cancels.
 // Needs: what decides whether a path is treated this way, and I itself, must be the same for all x of the polygon.

@@ -142,7 +142,7 @@ std::string letter_z() {
 }
 
 // Reference: quadrature of the third bounce. Power: standard errors are below 1 % of the largest bin. Detected
-// mutations: one axis alone; one root per border; kernel too small by 5 %; the sign of the second neighbour in opl'.
+// mutations: one axis alone; one root per border; the sign of the second neighbour in opl'.
 TEST(TemporalDerivative, BoxBinsOfALetterAroundACornerAreExact) {
     const derive::TemporalBins window{1.85, .006, 320, false};
     const Moving m = load(letter_z());
@@ -258,8 +258,8 @@ std::string square_light(bool mesh) {
 
 class AreaLight : public ::testing::TestWithParam<bool> {};
 
-// Detected mutations: opl', light or MIS weight of x in place of that of the root; one axis alone; one root per border;
-// BSDF hits left out.
+// Detected mutations: opl' or light of x in place of that of the root; one axis alone; one root per border; kernel 5 %
+// too small; BSDF hits left out.
 TEST_P(AreaLight, BoxBinsAreThoseOfQuadrature) {
     const derive::TemporalBins window{4.6, .03, 30, true};
     const Moving m = load(floor_and_light(square_light(GetParam()).c_str()));
