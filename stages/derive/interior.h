@@ -39,7 +39,8 @@ struct VertexState {
 /// Walks along stored paths with their derivatives. Borrows all arguments of the constructor; one per thread.
 class InteriorWalker {
   public:
-    InteriorWalker(const PathGraph& graph, const Scene& scene, const SceneTangents& tangents, const Attached& attached);
+    InteriorWalker(const PathGraph& graph, const Scene& scene, const SceneTangents& tangents,
+                   const Attached& attached = {});
     ~InteriorWalker();
     InteriorWalker(InteriorWalker&&) noexcept;
 
@@ -70,6 +71,6 @@ class InteriorWalker {
 /// The primitive column that a graph must have for these parameters, and the column of media; empty: it has them.
 /// out:     what is missing and the command that stores it
 std::string missing_columns(const PathGraph& graph, const Scene& scene, const SceneTangents& tangents,
-                            const Attached& attached);
+                            const Attached& attached = {});
 
 }  // namespace loom::derive

@@ -39,9 +39,10 @@ std::vector<Case> cases() {
 
 /// Calls f(edge or none, L, opl, row) for each row with a derivative and the light to which it belongs.
 template <class OnEdge, class OnSeen>
-void each_row(const PathGraph& g, const Scene& scene, const SceneTangents& t, OnEdge&& on_edge, OnSeen&& on_seen) {
-    ASSERT_EQ(missing_columns(g, scene, t), "");
-    const InteriorWalker walker(g, scene, t);
+void each_row(const PathGraph& g, const Scene& scene, const SceneTangents& t, OnEdge&& on_edge, OnSeen&& on_seen,
+              const Attached& attached = {}) {
+    ASSERT_EQ(missing_columns(g, scene, t, attached), "");
+    const InteriorWalker walker(g, scene, t, attached);
     const GraphReader reader(g);
     const OpticalLengths lengths(g, {});
     std::size_t edge = 0, walked = 0;
@@ -112,9 +113,9 @@ TEST(DeriveRigid, LightStaysWhenEverythingMovesAsOne) {
             EXPECT_LE(light.first, rounding * (size(L) + light.others)) << row.row;
             EXPECT_LE(length.first, rounding * ((std::isfinite(opl) ? opl : 0) + length.others)) << row.row;
         };
-        each_row(g, *c.scene, t, check, check);
+        for (const double reach : {0.0, 0.5, double(INFINITY)}) each_row(g, *c.scene, t, check, check, {reach});
         // Lights alone at infinity, and walls that fill the view, move nothing.
-        EXPECT_GT(n_rows, 400u);
+        EXPECT_GT(n_rows, 1200u);
         if (c.name != "mirror-corridor.xml" && c.name != "slab.xml") {
             EXPECT_GT(n_moving, n_rows / 10);
         }
