@@ -158,7 +158,7 @@ void declare(app::Command& command, Options& options) {
     command.option("--seed", options.seed, "seed of the boundary samples");
     command.threads(options.threads);
     command.flag("--plan", options.plan, "print the plan and stop");
-    command.example("loom-derive scenes/shadow-mover.xml graph.h5 --wrt theta -o d.h5");
+    command.example("loom-derive scenes/edits.xml graph.h5 --wrt x -o d.h5");
 }
 
 void run(const Options& options, app::Report& report) {
