@@ -222,10 +222,9 @@ void declare(app::Command& command, Options& options) {
     command.threads(options.threads);
     command.flag("--plan", options.plan, "print the plan and stop");
     declare_doppler(command, options.doppler);
-    command.example("loom-derive scenes/shadow-mover.xml graph.h5 --wrt theta -o d.h5");
+    command.example("loom-derive scenes/edits.xml graph.h5 --wrt x -o d.h5");
     command.example(
-        "loom-derive scenes/shadow-mover.xml graph.h5 --adjoint weights.h5 --wrt shape:blocker/vertices -o "
-        "gradient.h5");
+        "loom-derive scenes/edits.xml graph.h5 --adjoint weights.h5 --wrt shape:short-box/vertices -o gradient.h5");
 }
 
 namespace {

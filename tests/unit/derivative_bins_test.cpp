@@ -299,8 +299,7 @@ TEST_F(DerivativeBins, AgreeWithEveryBinOfEveryRow) {
 }
 
 // Without the camera's segment its share of each length goes, and with it its derivative.
-// Detected mutations: boundary rows from the camera, by family; edges without a row left out; the camera's derivative kept
-// for the next path.
+// Detected mutations: edges without a row left out.
 TEST_F(DerivativeBins, AgreeWithoutTheCameraSegment) {
     Timing timing;
     timing.camera_segment = false;

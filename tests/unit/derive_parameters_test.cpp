@@ -63,7 +63,6 @@ class DeriveParameters : public SceneFolder {
     }
 };
 
-// Detected mutations: A' for A' A^-1; degrees for radians; the offset without the turn about the centre.
 TEST_F(DeriveParameters, MotionsOfShapesAreFound) {
     const Found named = find(scene(), {"shape:box/pose", "shape:box/scale"});
     const auto& parts = named.tangents.shapes[index(named.scene->shapes, "box")];
@@ -97,7 +96,6 @@ TEST_F(DeriveParameters, MotionsOfShapesAreFound) {
     expect_near(found(scale, R"(<scale value="$theta"/>)", {{"theta", "2"}}), half, 1e-6);
 }
 
-// Detected mutations: eta for the absolute index; the one of colours that changes taken for all.
 TEST_F(DeriveParameters, MaterialsAndLightsAreFound) {
     struct {
         const char *named, *from, *to, *value;

@@ -98,8 +98,8 @@ double size(const Spectrum& c) {
 /// Terms that cancel are computed from directions in float.
 constexpr double rounding = 2e-5;
 
-// Detected mutations: camera, emitter or normals left out; signs of the Jacobian; 3 for 2 in the power of r; frames that do
-// not turn; delta lobes by fixed directions; an environment that does not turn.
+// Detected mutations: a shading frame that does not turn about its normal, or the other way, in either direction of the
+// change of frame; a point light that stays.
 TEST(DeriveRigid, LightStaysWhenEverythingMovesAsOne) {
     for (const Case& c : cases()) {
         SCOPED_TRACE(c.name);
@@ -122,8 +122,6 @@ TEST(DeriveRigid, LightStaysWhenEverythingMovesAsOne) {
     }
 }
 
-// Detected mutations: the camera's segment or the last one left out; lengths without the index; the index of the last
-// medium for all; sliding points that stay.
 TEST(DeriveRigid, AllLengthsGrowTogether) {
     AffineVelocity growth;
     const Vec about{0.3, -0.2, 0.5};
@@ -149,6 +147,7 @@ TEST(DeriveRigid, AllLengthsGrowTogether) {
     }
 }
 
+// Detected mutations: lengths that keep their index.
 // A slab of clear or of rough glass of thickness T across the view: d opl / d eta = T along its axis, for each crossing
 // as long as it is.
 TEST(DeriveRigid, LengthsInGlassGrowWithItsIndex) {
@@ -214,8 +213,7 @@ Derivative boundary_of(const PathGraph& g, const Scene& scene, const SceneTangen
     return differentiate(g, scene, t, parts, {2, 7, threads}, report, counts);
 }
 
-// Detected mutations: a velocity left out, or with the other share; the film's velocity without the camera's; rounds,
-// terminators and directions to lights at infinity that stay.
+// Detected mutations: shares of the two ends exchanged; a shading frame that does not turn.
 TEST(DeriveRigid, NoBoundaryMovesWhenEverythingMovesAsOne) {
     std::array<std::size_t, n_boundary_families> n_rows{};
     for (const Case& c : cases()) {

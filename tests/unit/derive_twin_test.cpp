@@ -468,9 +468,9 @@ class Twin {
     double theta_ = 0;
 };
 
-// Detected mutations: 2 for 3 in the power of r; the area's growth left out; a sign of the twist, of local_change() or of
-// set_ray(); normals that stay while a point slides; the index's change of length, or of direction, left out; a point
-// light's distance; a projector that stays.
+// Detected mutations: 2 for 3 in the power of r; the area's growth left out; a sign of the twist in local_change() or in
+// set_ray(), and none; smooth normals that stay while a point slides; the index's change of length, or of direction, left
+// out; delta lights that stay.
 /// Compares all rows of all parameters with the twin.
 /// out:     rows by parameter whose derivative is not 0
 std::vector<std::size_t> compare(const Scene& scene, const SceneTangents& t, std::uint64_t spp, std::uint64_t seed) {
