@@ -336,7 +336,7 @@ class Allotment {
                 {[this, surfaces = parts.indirect](double share, Rows& rows, Samples samples, app::Report& to) {
                      return add_indirect(s_, share, surfaces, environment_, rows, samples, to);
                  },
-                 0.25 * pilot_share_, 1});
+                 pilot_share_ / 16, 1});
     }
 
     /// Samples all families within the budget: in proportion to sqrt(variance / cost) of a pilot of each.

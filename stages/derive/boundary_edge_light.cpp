@@ -27,6 +27,7 @@ class Sampling {
         : s_(s), n_(n), choice_(weights), outline_(s), v_light_(s.n()), v_surface_(s.n()), rates_(s.n()) {}
 
     std::uint64_t n_rays = 0;
+    std::uint64_t n_listed() const { return outline_.n_found(); }
 
     void sample(std::uint64_t i, BoundaryRows& rows) {
         const Scene& scene = s_.scene;
@@ -53,7 +54,9 @@ class Sampling {
         const Shaft shaft = light.infinite ? Shaft::along(Vector3f(light.y)) : Shaft::to_infinity(from);
         // Seen from the camera, surfaces that move or slide make every edge matter.
         const bool all = s_.tangents.camera_moves() || s_.tangents.any_shape_moves() || s_.emitter_moves(emitter_idx);
-        if (!outline_.collect(shaft, light.y, light.infinite, v_light_, s_.film_speed, s_.edges(all), all)) return;
+        if (!outline_.collect(shaft, light.y, light.infinite, v_light_, s_.film_speed, s_.edges(all), all,
+                              sampler.pair(std::uint32_t(2 + n_points)).x))
+            return;
         for (int k = 0; k < n_points; ++k) {
             const Point2f u = sampler.pair(std::uint32_t(2 + k));
             OutlinePoint b;
@@ -183,7 +186,10 @@ Effort add_edge_light(const BoundaryScene& s, std::uint64_t n_samples, const std
     });
     samples[std::size_t(BoundaryFamily::edge_light)] += n_samples;
     Effort effort{0, n_samples * n_points};
-    for (const Sampling& worker : workers) effort.rays += worker.n_rays;
+    for (const Sampling& worker : workers) {
+        effort.rays += worker.n_rays;
+        effort.steps += worker.n_listed() / 8;
+    }
     return effort;
 }
 

@@ -61,6 +61,7 @@ class Sampling {
 
     std::uint64_t n_samples = 0, n_walked = 0;
     std::uint64_t n_rays() const { return light_.n_rays + n_checks_; }
+    std::uint64_t n_listed() const { return outline_.n_found(); }
 
     void sample_path(std::size_t path, BoundaryRows& rows) {
         const std::uint64_t seed = streams::family(s_.options.seed, 5);
@@ -140,7 +141,7 @@ class Sampling {
         };
         // Attached to surfaces, what lies behind an edge may move although neither the edge nor the vertex does.
         const bool all = !std::isinf(s_.attached.reach) || moving(x.velocity) || moving(x.turn);
-        bool any = outline_.collect(shaft, p.x_s, false, x.velocity, far_speed_, s_.edges(all), all);
+        bool any = outline_.collect(shaft, p.x_s, false, x.velocity, far_speed_, s_.edges(all), all, sampler.pair(2).y);
         if (all && !s_.creases.empty()) any = outline_.add_creases(shaft, far_speed_, sampler.pair(2).x);
         if (!any || !outline_.sample(sampler.pair(1), p.b)) return;
         const Vector3f wi(p.b.omega);
@@ -249,7 +250,7 @@ Effort add_indirect(const BoundaryScene& s, double share, bool surfaces, bool en
     Effort effort;
     for (const Sampling& worker : workers) {
         effort.rays += worker.n_rays();
-        effort.steps += worker.n_walked;
+        effort.steps += worker.n_walked + worker.n_listed() / 8;
         samples[std::size_t(BoundaryFamily::indirect)] += worker.n_samples;
     }
     return effort;

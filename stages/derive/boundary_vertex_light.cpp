@@ -68,6 +68,7 @@ class Sampling {
         : s_(s), v_light_(s.n()), rates_(s.n()), outline_(s), walker_(s.graph, s.scene, s.tangents, s.attached) {}
 
     std::uint64_t n_rays = 0, n_samples = 0, n_walked = 0;
+    std::uint64_t n_listed() const { return outline_.n_found(); }
 
     void sample_path(std::size_t path, double share, const std::vector<char>& at_first, bool deeper,
                      BoundaryRows& rows) {
@@ -106,7 +107,9 @@ class Sampling {
                                 : Shaft::to_sphere(from, light.round.center, light.round.radius);
         const bool all = &tree == &s_.all_edges;
         const Pt x_s(at.p);
-        if (!outline_.collect(shaft, x_s, false, x.velocity, s_.emitter_speed[emitter_idx], tree, all)) return;
+        if (!outline_.collect(shaft, x_s, false, x.velocity, s_.emitter_speed[emitter_idx], tree, all,
+                              sampler.pair(2).x))
+            return;
         OutlinePoint b;
         if (!outline_.sample(sampler.pair(1), b)) return;
         Pt y;
@@ -236,7 +239,7 @@ Effort add_vertex_light(const BoundaryScene& s, double share, const std::vector<
     Effort effort;
     for (const Sampling& worker : workers) {
         effort.rays += worker.n_rays;
-        effort.steps += worker.n_walked;
+        effort.steps += worker.n_walked + worker.n_listed() / 8;
         samples[std::size_t(BoundaryFamily::vertex_light)] += worker.n_samples;
     }
     return effort;

@@ -7,6 +7,22 @@ namespace loom::derive {
 using Vec = Vector3<double>;
 using Pt = Point3<double>;
 
+namespace {
+
+/// Keeps a part of many segments, evenly spaced from a random start.
+/// out:     probability of each to be kept
+double keep_some(std::vector<EdgeSegment>& segments, float u) {
+    constexpr std::size_t most = 128;
+    const std::size_t n = segments.size();
+    if (n <= most) return 1;
+    for (std::size_t k = 0; k < most; ++k)
+        segments[k] = segments[std::min(std::size_t((double(k) + double(u)) * double(n) / double(most)), n - 1)];
+    segments.resize(most);
+    return double(most) / double(n);
+}
+
+}  // namespace
+
 void Outline::look(OutlinePoint& point) const {
     if (at_infinity_) {
         point.omega = -Vec(eye_);
@@ -46,7 +62,7 @@ void Outline::combine_weights(std::span<const double> far_speed) {
 }
 
 bool Outline::collect(const Shaft& shaft, const Pt& eye, bool at_infinity, ConstVelocities v_eye,
-                      std::span<const double> far_speed, const EdgeTree& tree, bool all) {
+                      std::span<const double> far_speed, const EdgeTree& tree, bool all, float u) {
     tree_ = &tree;
     eye_ = eye;
     at_infinity_ = at_infinity;
@@ -58,7 +74,9 @@ bool Outline::collect(const Shaft& shaft, const Pt& eye, bool at_infinity, Const
     if (tree.n_edges() > 0) tree.collect(shaft, segments_);
     creases_.clear();
     OutlinePoint point;
-    for (const EdgeSegment& segment : segments_) add_segment(segment, 1);
+    n_found_ += segments_.size();
+    segment_share_ = keep_some(segments_, u);
+    for (const EdgeSegment& segment : segments_) add_segment(segment, segment_share_);
     rounds_ = at_infinity ? s_.rounds_along(Vec(eye), all) : s_.rounds_from(eye, all);
     for (const Round& round : rounds_) {
         constexpr int looked_at = 8;
@@ -86,6 +104,7 @@ bool Outline::add_creases(const Shaft& shaft, std::span<const double> far_speed,
     constexpr std::size_t most = 256;
     const std::size_t n = s_.creases.size(), n_listed = std::min(n, most);
     crease_share_ = n > 0 ? double(n_listed) / double(n) : 1;
+    n_found_ += n_listed;
     for (std::size_t k = 0; k < n_listed; ++k) {
         // Evenly spaced, from a random start.
         const std::size_t i = n <= most ? k : std::size_t((double(k) + double(u)) * double(n) / double(most));
@@ -146,7 +165,7 @@ bool Outline::place_on_edge(std::size_t i, double t, OutlinePoint& point) {
     point.shape_idx = edge.shape_idx;
     // d angle / d length = height / r^2
     point.density = (at_infinity_ ? 1 : arc.height / sqr(point.r)) / (arc.end - arc.begin);
-    if (is_crease) point.density *= crease_share_;
+    point.density *= is_crease ? crease_share_ : segment_share_;
     s_.edge_velocity(tree_->set(), edge, s, velocity_);
     return true;
 }
