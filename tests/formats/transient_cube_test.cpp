@@ -106,8 +106,7 @@ TEST_F(TransientCubes, MergedPartsAreTheCubeOfAllSamples) {
         for (std::size_t i = 0; i < 18; ++i) EXPECT_NEAR((merged.*field)[i], (all.*field)[i], 3e-7f * (all.*field)[i]);
 }
 
-// Detected mutations: the quotient over half of the step; the variance of one pair as if its cubes were independent; of two
-// pairs without R - 1; the value of the upper side alone.
+// Detected mutations: twice the quotient; the variance of one pair as if its cubes were independent.
 TEST_F(TransientCubes, QuotientsAreDifferencesOverTheStep) {
     const auto samples = random_samples(8);
     for (const auto& [name, first, seed] :

@@ -5,10 +5,9 @@ Optional: run by `make peers-derive`; nothing else needs it. Left in a folder:
 
   derive.tsv    a row per program: mean of the derivative and its standard error, MSE against a reference image, CPU seconds, their product
 
-Mitsuba: `direct_projective` (depth 2) or `prb_projective`, forward mode, silhouettes sampled by their defaults. Ours: loom-trace,
+Mitsuba: `direct_projective` (depth 2) or `prb_projective`, forward mode, silhouettes sampled by its defaults but for --guiding. Ours: loom-trace,
 loom-derive, and the sum of its rows over all times. All programs run on one thread, several times with their own seeds. Mitsuba's time
-is that of a render after kernels have been compiled; ours is whole processes, the scene's reading taken off. The mean over
-the runs that the noise of the other program's image cannot move is compared by z.
+is that of a render after kernels have been compiled; ours is whole processes, the scene's reading taken off. `mse` is against the reference, `mse_within` from the spread between runs, and `product` is mse_within x cpu_s.
 """
 
 import argparse
@@ -28,6 +27,7 @@ parser.add_argument("--bin", default="build/bin", help="folder of our programs")
 parser.add_argument("--out", required=True, metavar="FOLDER")
 parser.add_argument("--spp", type=int, default=16)
 parser.add_argument("--depth", type=int, default=2)
+parser.add_argument("--guiding", default="octree", choices=("octree", "grid", "none"), help="of Mitsuba's silhouette samples")
 parser.add_argument("--runs", type=int, default=4)
 args = parser.parse_args()
 
@@ -99,7 +99,7 @@ name = "direct_projective" if args.depth == 2 else "prb_projective"
 programs = {"loom-derive": ours}
 found = {"loom-derive": [ours(args.spp, 1 + k) for k in range(args.runs)]}
 try:
-    integrator = mi.load_dict({"type": name} if args.depth == 2 else {"type": name, "max_depth": args.depth})
+    integrator = mi.load_dict({"type": name, "guiding": args.guiding} | ({} if args.depth == 2 else {"max_depth": args.depth}))
     theirs(integrator, args.spp, 1000)  # compiles
     found[f"mitsuba {name}"] = [theirs(integrator, args.spp, k) for k in range(args.runs)]
 except Exception as reason:  # plugins refuse scenes in many ways
