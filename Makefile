@@ -4,7 +4,7 @@
 .DEFAULT_GOAL := demo
 .DELETE_ON_ERROR:
 pipelines := demo image edit edit-techniques edit-images transient derive chart chart-all chart-transient chart-edit-graph chart-edit-cost report \
-	table table-edit choices peers peers-transient
+	table table-edit table-derive choices peers peers-transient peers-derive
 .PHONY: $(pipelines) edit-pictures oidn format lint tools build stages test test-full stability asan bench clean help
 SHELL := /bin/sh
 include pipelines/variables.mk
@@ -89,6 +89,9 @@ table: stages ## cost and error of path graphs and path tracing, a row per scene
 table-edit: stages ## residuals and correlated paths at equal time, a row per edit
 	@$(MAKE) --no-print-directory -f pipelines/table-edit.mk table-edit
 
+table-derive: stages ## derivatives and differences of scenes at equal time, a row per parameter
+	@$(MAKE) --no-print-directory -f pipelines/table-derive.mk table-derive
+
 choices: stages ## gathers, pools or directs (CHOICES=) compared at equal time
 	@$(MAKE) --no-print-directory -f pipelines/choices.mk choices
 
@@ -101,6 +104,11 @@ peers-transient: stages ## mitransient on SCENE, compared with our cube (from Py
 	@[ -n $(python) ] || [ -e $(BUILD)/peers/ready-transient ] || { $(call packages,install,peers mitsuba); python3 -m venv $(BUILD)/peers && \
 		$(BUILD)/peers/bin/pip install -q mitsuba==3.8.0 mitransient==1.3.1 h5py >&2 && touch $(BUILD)/peers/ready-transient; }
 	@$(MAKE) --no-print-directory -f pipelines/peers-transient.mk peers-transient PYTHON=$(if $(PEERS_PYTHON),$(python),$(BUILD)/peers/bin/python)
+
+peers-derive: stages ## Mitsuba 3's derivatives of a steady image, compared with ours (from PyPI)
+	@[ -n $(python) ] || [ -e $(BUILD)/peers/ready-derive ] || { $(call packages,install,peers mitsuba); python3 -m venv $(BUILD)/peers && \
+		$(BUILD)/peers/bin/pip install -q mitsuba==3.8.0 h5py >&2 && touch $(BUILD)/peers/ready-derive; }
+	@$(MAKE) --no-print-directory -f pipelines/peers-derive.mk peers-derive PYTHON=$(if $(PEERS_PYTHON),$(python),$(BUILD)/peers/bin/python)
 
 ##@ Build and test
 

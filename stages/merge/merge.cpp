@@ -169,6 +169,9 @@ void declare(app::Command& command, Options& options) {
     command.files("--minus", options.minus,
                   "for each part, the image of the old scene with the same random numbers; merges the differences, "
                   "VarMean from the spread between them");
+    command.option("--quotient", options.quotient,
+                   "NAME=LOW:HIGH: write the difference quotient of cubes by this parameter, from the parts, traced at "
+                   "HIGH, and --minus, traced at LOW with the same random numbers");
     command.output("-o,--output", options.output, "merged image or cube");
     command.flag("--zip", options.zip, "compress the output image");
     command.file(
@@ -390,12 +393,15 @@ void run(const Options& options, app::Report& report) {
     if (options.output.empty()) throw InputError("--output: missing (an .exr file, or .h5 for cubes)");
     if (options.parts.empty()) throw InputError("no input: give images (.exr) or transient cubes (.h5)");
     if (std::filesystem::path(options.parts[0]).extension() != ".h5") {
+        if (!options.quotient.empty()) throw InputError("--quotient: is for transient cubes, not for images");
         ImageMerger(options, report).run();
         return;
     }
-    if (options.zip || options.no_blend || !options.direct.empty() || !options.minus.empty() || options.unbiased > 0)
-        throw InputError("--zip, --direct, --minus, --unbiased, --no-blend: are for images, not for cubes");
-    run_cubes(options, report);
+    if (options.zip || options.no_blend || !options.direct.empty() || options.unbiased > 0)
+        throw InputError("--zip, --direct, --unbiased, --no-blend: are for images, not for cubes");
+    if (options.minus.empty() != options.quotient.empty())
+        throw InputError("--minus, --quotient: cubes need both or none");
+    options.quotient.empty() ? run_cubes(options, report) : run_quotient(options, report);
 }
 
 }  // namespace loom::merge

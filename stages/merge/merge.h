@@ -17,6 +17,7 @@ namespace loom::merge {
 struct Options {
     std::vector<std::string> parts;  // images or transient cubes, in the order of summation
     std::vector<std::string> minus;  // images before an edit, one per part and with the same random streams
+    std::string quotient;            // NAME=LOW:HIGH: of cubes, write the difference quotient by this parameter
     std::string output;              // the merged image or cube
     bool zip = false;                // compress the output
     std::string direct;              // image of emission and direct light alone, to be blended in
@@ -60,5 +61,11 @@ Image difference_of(const Image& after, const Image& before, const std::string& 
 /// Merges transient cubes row by row; neither parts nor result are held in memory.
 /// throws:  InputError naming the part with another size, window or response
 void run_cubes(const Options& options, app::Report& report);
+
+/// Writes a cube with the derivative by one parameter as the difference quotient of cubes with two of its values.
+///   derivative = mean over pairs of (part - minus) / (HIGH - LOW);   value: mean of both
+/// out:     variance of the derivative from the spread between pairs; of one pair, an upper bound
+/// throws:  InputError naming the cube that does not fit the first, or has another seed than its partner
+void run_quotient(const Options& options, app::Report& report);
 
 }  // namespace loom::merge

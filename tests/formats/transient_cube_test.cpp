@@ -106,6 +106,63 @@ TEST_F(TransientCubes, MergedPartsAreTheCubeOfAllSamples) {
         for (std::size_t i = 0; i < 18; ++i) EXPECT_NEAR((merged.*field)[i], (all.*field)[i], 3e-7f * (all.*field)[i]);
 }
 
+// Detected mutations: twice the quotient; the variance of one pair as if its cubes were independent.
+TEST_F(TransientCubes, QuotientsAreDifferencesOverTheStep) {
+    const auto samples = random_samples(8);
+    for (const auto& [name, first, seed] :
+         {std::tuple{"high-0.h5", 0, 1}, {"low-0.h5", 2, 1}, {"high-1.h5", 4, 2}, {"low-1.h5", 6, 2}}) {
+        TransientCubeHeader h = header(2);
+        h.provenance.seed = std::uint64_t(seed);
+        write(folder / name, samples, std::size_t(first), std::size_t(first) + 2, h);
+    }
+    const auto quotient = [&](const std::vector<std::string>& high, const std::vector<std::string>& low,
+                              const std::string& step) {
+        merge::Options options;
+        for (const std::string& name : high) options.parts.push_back(folder / name);
+        for (const std::string& name : low) options.minus.push_back(folder / name);
+        options.output = folder / "quotient.h5";
+        options.quotient = step;
+        app::Report report;
+        report.set_quiet(true);
+        merge::run(options, report);
+        return read_transient_cube(options.output);
+    };
+    const TransientCube one = quotient({"high-0.h5"}, {"low-0.h5"}, "a=b=0.5:0.75"),
+                        two = quotient({"high-0.h5", "high-1.h5"}, {"low-0.h5", "low-1.h5"}, "x=-0.125:0.125");
+    const TransientCube parts[] = {read_transient_cube(folder / "high-0.h5"), read_transient_cube(folder / "low-0.h5"),
+                                   read_transient_cube(folder / "high-1.h5"), read_transient_cube(folder / "low-1.h5")};
+    EXPECT_EQ(one.parameters.name, std::vector<std::string>{"a=b"});
+    EXPECT_EQ(one.parameters.value[0], 0.625);
+    EXPECT_EQ(two.parameters.value[0], 0);
+    EXPECT_EQ(two.film.samples_per_pixel, 4u);
+    for (std::size_t i = 0; i < one.radiance.size(); ++i) {
+        const double v[] = {parts[0].radiance[i], parts[1].radiance[i], parts[2].radiance[i], parts[3].radiance[i]};
+        const double d0 = (v[0] - v[1]) / 0.25, d1 = (v[2] - v[3]) / 0.25;
+        EXPECT_NEAR(one.radiance[i], (v[0] + v[1]) / 2, 1e-6);
+        EXPECT_NEAR(one.derivative.bins[i], d0, 1e-5);
+        EXPECT_NEAR(one.derivative.var_mean[i], 2 * (parts[0].var_mean[i] + parts[1].var_mean[i]) / 0.0625, 1e-4);
+        EXPECT_NEAR(two.derivative.bins[i], (d0 + d1) / 2, 1e-5);
+        EXPECT_NEAR(two.derivative.var_mean[i], (d0 - d1) * (d0 - d1) / 4, 1e-4);
+    }
+    for (std::size_t i = 0; i < 18; ++i)
+        EXPECT_NEAR(one.derivative.steady[i], (parts[0].steady[i] - parts[1].steady[i]) / 0.25, 1e-5);
+
+    const auto refused = [&](const std::vector<std::string>& high, const std::vector<std::string>& low,
+                             const std::string& step) -> std::string {
+        try {
+            quotient(high, low, step);
+        } catch (const InputError& error) {
+            return error.what();
+        }
+        return "nothing";
+    };
+    EXPECT_NE(refused({"high-0.h5"}, {"low-1.h5"}, "x=0:1").find("was made with seed 2"), std::string::npos);
+    EXPECT_NE(refused({"high-0.h5", "high-1.h5"}, {"low-0.h5"}, "x=0:1").find("1 cubes after --minus for 2 parts"),
+              std::string::npos);
+    for (const char* step : {"x", "x=1", "=0:1", "x=1:0", "x=0:nan"})
+        EXPECT_NE(refused({"high-0.h5"}, {"low-0.h5"}, step).find("must be NAME=LOW:HIGH"), std::string::npos) << step;
+}
+
 TEST_F(TransientCubes, UnlikePartsAreRefused) {
     const auto samples = random_samples(4);
     write(folder / "a.h5", samples, 0, 2, header(2));
