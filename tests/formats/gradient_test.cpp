@@ -1,5 +1,4 @@
 // Gradients: written and read again; every way in which a file can be wrong is refused with the name of the dataset.
-// Detected mutations: each check of problem() left out.
 #include "formats/gradient.h"
 
 #include <gtest/gtest.h>

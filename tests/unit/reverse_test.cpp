@@ -464,7 +464,7 @@ TEST(Reverse, BoundaryRowsAreContractedAsTheyAreMade) {
     app::Report report;
     report.set_quiet(true);
     const auto sample = [&](BoundaryFamily family, const Adjoint* by) {
-        const BoundaryOptions options{1, 3, 0, by};
+        const BoundaryOptions options{1, 3, 0, Direct::automatic, Attachment::surface, by};
         const BoundaryScene s(c.graph, *c.scene, *c.tangents, options);
         std::vector<BoundaryRows> rows;
         std::vector<std::uint64_t> samples(n_boundary_families);
@@ -497,8 +497,7 @@ TEST(Reverse, BoundaryRowsAreContractedAsTheyAreMade) {
     }
 }
 
-// Boundary terms by a basis of motions against those by the parameters themselves, 24 seeds each. A term lost or of the
-// wrong sign is off by 8 standard errors or more.
+// Boundary terms by a basis of motions against those by the parameters themselves, 24 seeds each.
 TEST(Reverse, BoundaryTermsOfABasisEqualThoseOfTheParameters) {
     const Case c = make_case(pinhole, shadow, shadow_names, 100, 3);
     // Smooth weights: random ones cancel the derivative.
@@ -521,12 +520,14 @@ TEST(Reverse, BoundaryTermsOfABasisEqualThoseOfTheParameters) {
         std::vector<std::uint64_t> samples;
         std::vector<double> gradient(n), by_vertex;
         for (const BoundaryRows& rows :
-             sample_boundary(c.graph, *c.scene, *c.tangents, parts, {2, seed, 0, &adjoint}, report, samples, counts))
+             sample_boundary(c.graph, *c.scene, *c.tangents, parts,
+                             {2, seed, 0, Direct::automatic, Attachment::surface, &adjoint}, report, samples, counts))
             for (std::size_t p = 0; p < rows.gradient.size(); ++p) gradient[p] += rows.gradient[p];
         by_parameters.push_back(gradient);
         GradientSums sums(*c.scene);
-        basis.add_boundary(c.graph, *c.scene, {"interior"}, {2, 1000 + seed, 0, &adjoint}, report, sums, by_vertex,
-                           counts);
+        basis.add_boundary(c.graph, *c.scene, {"interior"},
+                           {2, 1000 + seed, 0, Direct::automatic, Attachment::surface, &adjoint}, report, sums,
+                           by_vertex, counts);
         by_basis.push_back(sums.by_parameter(*c.tangents));
     }
     double largest = 0;

@@ -45,7 +45,7 @@ struct Case {
         derive::DeriveCounts counts;
         derive::Parts parts;
         Derivative d = derive::differentiate(graph, *scene, *tangents, parts, {}, report, counts);
-        derive::differentiate_temporal(graph, *scene, *tangents, window, threads, report, d);
+        derive::differentiate_temporal(graph, *scene, *tangents, {}, window, threads, report, d);
         EXPECT_EQ(d.problem(), "");
         return d;
     }
@@ -96,7 +96,6 @@ TEST(TemporalRows, AreTheSameForAnyNumberOfThreads) {
     EXPECT_EQ(values(one.temporal_bins.exact_energy), values(three.temporal_bins.exact_energy));
 }
 
-// Detected mutations: flux added to the bin before the border, or with one sign; the outer borders left out.
 TEST(TemporalRows, MoveLightBetweenBinsAndFromOutside) {
     const Derivative d = the_case().derivative();
     // All bins, some of them, and pairs of them.
