@@ -352,8 +352,9 @@ class Allotment {
             total += std::sqrt(family.variance * family.cost);
         }
         // Tracing a path and binning it costs about as much as this many rays.
+        // One that ends on an emitter has neither vertex nor light edge.
         const double path_cost =
-            1.5 * double(s_.graph.n_vertices() + s_.graph.n_light_edges()) / std::max(n_paths_, 1.0);
+            1.5 * std::max(1.0, double(s_.graph.n_vertices() + s_.graph.n_light_edges()) / std::max(n_paths_, 1.0));
         const double budget = s_.options.effort * n_paths_ * path_cost;
         for (const Family& family : families_) {
             const double wanted = total > 0 ? budget / total * std::sqrt(family.variance / family.cost) : 0;

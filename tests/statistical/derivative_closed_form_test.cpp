@@ -160,8 +160,8 @@ struct ByFamily {
         report.set_quiet(true);
         for (int i = 0; i < replicates; ++i) {
             const PathGraph graph = trace_derivable(*scene.scene, spp, std::uint64_t(100 + i));
-            const Derivative interior = differentiate(graph, scene, 0, 1, {"primary", "direct", "indirect"});
-            const derive::BoundaryOptions options{1, std::uint64_t(500 + i), 0};
+            const Derivative interior = differentiate(graph, scene, 0, {"primary", "direct", "indirect"});
+            const derive::BoundaryOptions options{.seed = std::uint64_t(500 + i)};
             const derive::BoundaryScene boundary(graph, *scene.scene, scene.tangents, options);
             std::vector<derive::BoundaryRows> rows[3];
             std::vector<std::uint64_t> samples(n_boundary_families);
@@ -260,7 +260,7 @@ TEST(DerivativeClosedForm, PlaneLitFromThePinhole) {
     std::vector<std::vector<double>> value[3], sum[3];
     for (std::size_t j = 0; j < 3; ++j) value[j].resize(response.n_bins), sum[j].resize(response.n_bins);
     for (int i = 0; i < replicates; ++i) {
-        const PathGraph graph = trace_derivable(*scene.scene, full_run() ? 65536 : 4096, std::uint64_t(100 + i));
+        const PathGraph graph = trace_derivable(*scene.scene, full_run() ? 65536 : 2048, std::uint64_t(100 + i));
         const Derivative d = differentiate(graph, scene, std::uint64_t(500 + i));
         for (std::size_t j = 0; j < 3; ++j) {
             response.pulse = pulses[j];
@@ -323,7 +323,7 @@ TEST(DerivativeClosedForm, FurnaceDoesNotNoticeAMover) {
         };
         std::vector<Shares> shares(n);
         for (int i = 0; i < 16; ++i) {
-            const PathGraph graph = trace_derivable(*scene.scene, full_run() ? 4096 : 512, std::uint64_t(100 + i));
+            const PathGraph graph = trace_derivable(*scene.scene, full_run() ? 4096 : 128, std::uint64_t(100 + i));
             const Derivative d = differentiate(graph, scene, std::uint64_t(500 + i));
             for (std::size_t p = 0; p < n; ++p) {
                 const DerivedBins bins = bins_of(graph, &d, one_bin(), p);
@@ -335,7 +335,7 @@ TEST(DerivativeClosedForm, FurnaceDoesNotNoticeAMover) {
                     return sum;
                 };
                 shares[p].total.push_back(share(bins.steady));
-                shares[p].interior.push_back(share(bins.steady_without(n_boundary_families)));
+                shares[p].interior.push_back(share(bins.steady_without(all_edges)));
                 for (std::size_t f = 0; f < n_boundary_families; ++f)
                     shares[p].family[f].push_back(share(bins.steady_boundary[f]));
             }
@@ -351,6 +351,10 @@ TEST(DerivativeClosedForm, FurnaceDoesNotNoticeAMover) {
             }
             std::printf("\n");
             EXPECT_LT(std::abs(e.mean), 3 * e.se) << scene.tangents.parameters[p].name;
+            // The power: what is 0 in sum is not 0 in its shares.
+            if (scene.tangents.parameters[p].name == "shape:mover/pose.y") {
+                EXPECT_GT(inner.mean, (full_run() ? 20 : 10) * inner.se);
+            }
         }
     }
 }

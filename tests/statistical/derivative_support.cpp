@@ -18,28 +18,27 @@ PathGraph trace_derivable(const Scene& scene, std::uint64_t spp, std::uint64_t s
     return testing::trace_graph(scene, testing::path_options(scene, seed), spp, 0, {false, true, true});
 }
 
-Derivative differentiate(const PathGraph& graph, const DerivableScene& scene, std::uint64_t seed, double effort,
+Derivative differentiate(const PathGraph& graph, const DerivableScene& scene, std::uint64_t seed,
                          const std::vector<std::string>& off) {
     app::Report report;
     report.set_quiet(true);
     derive::DeriveCounts counts;
     const derive::Parts parts = derive::required_parts(*scene.scene, graph, scene.tangents, off);
-    return derive::differentiate(graph, *scene.scene, scene.tangents, parts, {effort, seed, 0}, report, counts);
+    return derive::differentiate(graph, *scene.scene, scene.tangents, parts, {.seed = seed}, report, counts);
 }
 
-std::vector<double> DerivedBins::without(int family) const {
-    std::vector<double> out = derivative;
-    for (int f = 0; f < n_boundary_families; ++f)
-        if (f == family || family == n_boundary_families)
-            for (std::size_t i = 0; i < out.size(); ++i) out[i] -= boundary[std::size_t(f)][i];
-    return out;
+const char* name_of(BoundarySet boundaries) {
+    return boundaries == primary_edges    ? "primary edges"
+           : boundaries == direct_edges   ? "direct edges"
+           : boundaries == indirect_edges ? "indirect edges"
+                                          : "boundaries";
 }
 
-std::vector<double> DerivedBins::steady_without(int family) const {
+std::vector<double> DerivedBins::steady_without(BoundarySet boundaries) const {
     std::vector<double> out = steady;
-    for (int f = 0; f < n_boundary_families; ++f)
-        if (f == family || family == n_boundary_families)
-            for (std::size_t i = 0; i < out.size(); ++i) out[i] -= steady_boundary[std::size_t(f)][i];
+    for (std::size_t f = 0; f < n_boundary_families; ++f)
+        if (boundaries >> f & 1)
+            for (std::size_t i = 0; i < out.size(); ++i) out[i] -= steady_boundary[f][i];
     return out;
 }
 
@@ -92,6 +91,12 @@ DerivedBins bins_of(const PathGraph& graph, const Derivative* derivative, const 
         });
     }
     return out;
+}
+
+double place_in(int i, int n) {
+    constexpr double golden = 0.6180339887498949;
+    const double within = golden * (i + 1) - std::floor(golden * (i + 1));
+    return 2 * (i + within) / n - 1;
 }
 
 TimeResponse film_response(const Scene& scene) {

@@ -34,8 +34,14 @@ PathGraph trace_derivable(const Scene& scene, std::uint64_t spp, std::uint64_t s
 
 /// Differentiates a graph as loom-derive does.
 /// in:      off  parts to leave out
-Derivative differentiate(const PathGraph& graph, const DerivableScene& scene, std::uint64_t seed, double effort = 1,
+Derivative differentiate(const PathGraph& graph, const DerivableScene& scene, std::uint64_t seed,
                          const std::vector<std::string>& off = {});
+
+/// A set of boundary families, one bit for each.
+using BoundarySet = unsigned;
+inline constexpr BoundarySet primary_edges = 1, direct_edges = 2 + 4, indirect_edges = 8, all_edges = 15;
+/// Returns its name, for messages.
+const char* name_of(BoundarySet boundaries);
 
 /// Values and derivatives of one graph by one parameter, in bins and then the sum over all times.
 struct DerivedBins {
@@ -45,14 +51,17 @@ struct DerivedBins {
     std::array<std::vector<double>, n_boundary_families> boundary;  // shares of `derivative`
     std::array<std::vector<double>, n_boundary_families> steady_boundary;
 
-    /// Returns the derivative without a family, or the interior alone for n_boundary_families.
-    std::vector<double> without(int family) const;
-    std::vector<double> steady_without(int family) const;
+    /// Returns the sum over all times without some boundaries, see BoundarySet.
+    std::vector<double> steady_without(BoundarySet boundaries) const;
 };
 
 /// in:      derivative  null: values alone
 DerivedBins bins_of(const PathGraph& graph, const Derivative* derivative, const TimeResponse& response,
                     std::size_t parameter = 0, const Timing& timing = {});
+
+/// Returns place i of n, one in each of n equal parts of [-1, 1]. A central difference of any step is the mean of the
+/// derivative over the interval, so that the mean over these places has no bias of a step.
+double place_in(int i, int n);
 
 /// Response of a delta pulse in the bins of a scene's film.
 TimeResponse film_response(const Scene& scene);
