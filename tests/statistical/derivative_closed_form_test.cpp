@@ -208,7 +208,9 @@ TEST(DerivativeClosedForm, PenumbraOfAPointHasKnownRates) {
     }
 }
 
-// Vertices (family 1) and light points (family 2) against the overlap of two rectangles, for five lamp sizes.
+// Vertices (family 1) and light points (family 2) against the overlap of two rectangles, for five lamp sizes. Standard
+// errors are 0.1 to 5 % of the derivative but for the lamp along z, where two large shares cancel. Detected mutations:
+// the eye's velocity without its factor 1 - s; edges at rest in front of a moving receiver not sampled.
 TEST(DerivativeClosedForm, PenumbraAtFiveLampSizes) {
     constexpr double film_half = 0.2;
     const int replicates = 16;
