@@ -359,7 +359,7 @@ class Allotment {
         for (const Family& family : families_) {
             const double wanted = total > 0 ? budget / total * std::sqrt(family.variance / family.cost) : 0;
             // A pilot that finds nothing may have been too small.
-            const double n = std::min(std::max(wanted, family.pilot), family.most);
+            const double n = std::min(std::max(few_digits(wanted), family.pilot), family.most);
             rays_ += family.run(n, rows, samples, report_).rays;
         }
         return rays_;
@@ -372,6 +372,12 @@ class Allotment {
         double variance = 0, cost = 0;  // of one, or of all paths
     };
 
+    /// Rounds to 12 binary digits: with the number of threads sums of squares differ in their last.
+    static double few_digits(double x) {
+        int exponent = 0;
+        const double mantissa = std::frexp(x, &exponent);
+        return std::ldexp(std::round(std::ldexp(mantissa, 12)), exponent - 12);
+    }
     static std::uint64_t count(double n) { return std::uint64_t(std::max(1.0, std::ceil(n))); }
 
     /// Chooses, by emitter, whether light points are the cheaper way for first hits: by variance times cost of a few

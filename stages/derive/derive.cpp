@@ -114,6 +114,22 @@ std::string shares_in_words(const Derivative& d) {
     return text.empty() ? "no arrival time changes" : text;
 }
 
+/// Returns the borders that may move and that no part of those on looks for, in words.
+std::string borders_not_sampled(const Scene& scene, const Parts& parts, int depth) {
+    if (!parts.primary && !parts.direct && !parts.indirect) return "";
+    std::string text;
+    const auto add = [&](bool may_be, const char* what) {
+        if (may_be) text += (text.empty() ? "" : ", ") + std::string(what);
+    };
+    const bool beyond_first_hit = depth < 0 || depth >= 3;
+    add(beyond_first_hit &&
+            std::any_of(scene.emitters.begin(), scene.emitters.end(), [](const Emitter& e) { return e.is_delta(); }),
+        "shadows of point, spot, projector and directional lights beyond the first hit");
+    add(scene.features.delta_lobes, "silhouettes in mirrors and clear glass");
+    add(beyond_first_hit && scene.features.smooth_normals, "terminators of smooth normals beyond the first hit");
+    return text;
+}
+
 }  // namespace
 
 Attached attached_of(const Scene& scene, Attachment attachment) {
@@ -158,6 +174,8 @@ Parts required_parts(const Scene& scene, const PathGraph& graph, const SceneTang
         for (const auto& [p, t] : effects) index |= t.int_ior != 0;
     add("media", index ? "" : "no index of refraction changes");
     parts.plan = fmt::format("on: {}; off: {}", on.empty() ? "nothing" : on, out.empty() ? "nothing" : out);
+    parts.not_sampled = borders_not_sampled(scene, parts, depth);
+    if (!parts.not_sampled.empty()) parts.plan += "; not sampled: " + parts.not_sampled;
     return parts;
 }
 
@@ -331,6 +349,8 @@ void run(const Options& options, app::Report& report) {
         return;
     }
     report.info("plan: {}", parts.plan);
+    if (!parts.not_sampled.empty())
+        report.warn("biased where these move, for they are not sampled: {}", parts.not_sampled);
 
     if (backward) {
         run_backward(options, graph, graph_id, *scene, tangents, wanted, parts, load_s, report);

@@ -216,19 +216,24 @@ Derivative boundary_of(const PathGraph& g, const Scene& scene, const SceneTangen
 // Detected mutations: shares of the two ends exchanged; a shading frame that does not turn.
 TEST(DeriveRigid, NoBoundaryMovesWhenEverythingMovesAsOne) {
     std::array<std::size_t, n_boundary_families> n_rows{};
+    // A few rows of little light lose more digits than all together.
+    constexpr double rounding_of_row = 0.01;
     for (const Case& c : cases()) {
         SCOPED_TRACE(c.name);
         const PathGraph g =
-            testing::trace_graph(*c.scene, testing::path_options(*c.scene, 6), 8, 0, testing::derive_columns);
+            testing::trace_graph(*c.scene, testing::path_options(*c.scene, 6), 16, 0, testing::derive_columns);
         const SceneTangents t = everything_then_each(*c.scene, rigid_motion({0.5, -0.8, 0.3}, {0.2, -0.7, 0.4}));
         const Derivative d = boundary_of(g, *c.scene, t);
         const std::size_t width = 3 * t.n();
+        double first = 0, others = 0;
         for (std::size_t i = 0; i < d.boundary.pixel.size(); ++i) {
             const Sizes rates(std::span(d.boundary.dL.data() + i * width, width), 3);
             const std::size_t family = d.boundary.family[i];
             ++n_rows[family];
-            EXPECT_LE(rates.first, rounding * rates.others) << i << " family " << family;
+            first += rates.first, others += rates.others;
+            EXPECT_LE(rates.first, rounding_of_row * rates.others) << i << " family " << family;
         }
+        EXPECT_LE(first, rounding * others);
     }
     for (const std::size_t n : n_rows) EXPECT_GT(n, 1000u);
 }

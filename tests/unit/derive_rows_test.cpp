@@ -187,17 +187,30 @@ TEST(DeriveRows, PartsAreLeftOut) {
             EXPECT_TRUE(same_bytes(d.interior.dL, all.interior.dL)) << part;
         }
     }
-    EXPECT_EQ(required_parts(*scene, g, t, {}).plan,
-              "on: interior, primary, direct, indirect; off: media (no index of refraction changes)");
+    const std::string missed =
+        "silhouettes in mirrors and clear glass, terminators of smooth normals beyond the first hit";
+    EXPECT_EQ(
+        required_parts(*scene, g, t, {}).plan,
+        "on: interior, primary, direct, indirect; off: media (no index of refraction changes); not sampled: " + missed);
     EXPECT_EQ(required_parts(*scene, g, t, {"direct", "interior"}).plan,
-              "on: primary, indirect; off: interior (--off), direct (--off), media (no index of refraction changes)");
+              "on: primary, indirect; off: interior (--off), direct (--off), media (no index of refraction changes); "
+              "not sampled: " +
+                  missed);
     EXPECT_EQ(required_parts(*scene, g, columns(*scene, {1}), {}).plan,
               "on: interior, media; off: primary (nothing moves), direct (nothing moves), indirect (nothing moves)");
     SceneTangents light(*scene);
     light.emitters[0].push_back({add_parameter(light, "light"), any_motion(1)});
     EXPECT_EQ(required_parts(*scene, g, light, {}).plan,
               "on: interior, direct; off: primary (only lights move), indirect (only lights move), media (no index of "
-              "refraction changes)");
+              "refraction changes); not sampled: " +
+                  missed);
+    EXPECT_EQ(required_parts(*scene, g, t, {"primary", "direct", "indirect"}).not_sampled, "");
+    Scene lamp;
+    lamp.emitters.emplace_back();
+    EXPECT_EQ(required_parts(lamp, g, t, {}).not_sampled, "");
+    lamp.emitters[0].kind = EmitterKind::point;
+    EXPECT_EQ(required_parts(lamp, g, t, {}).not_sampled,
+              "shadows of point, spot, projector and directional lights beyond the first hit");
 }
 
 // The camera's share of boundary lengths: along the stored path for samples of paths; for the others known from an
