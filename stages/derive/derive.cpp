@@ -172,7 +172,7 @@ Parts required_parts(const Scene& scene, const PathGraph& graph, const SceneTang
     bool index = false;
     for (const auto& effects : tangents.materials)
         for (const auto& [p, t] : effects) index |= t.int_ior != 0;
-    add("media", index ? "" : "no index of refraction changes");
+    parts.media = add("media", index ? "" : "no index of refraction changes");
     parts.plan = fmt::format("on: {}; off: {}", on.empty() ? "nothing" : on, out.empty() ? "nothing" : out);
     parts.not_sampled = borders_not_sampled(scene, parts, depth);
     if (!parts.not_sampled.empty()) parts.plan += "; not sampled: " + parts.not_sampled;
@@ -342,7 +342,10 @@ void run(const Options& options, app::Report& report) {
     TemporalBins bins;
     if (options.exact_times) {
         bins = bins_of(options, graph);
-        parts.plan += fmt::format("; exact for {} bins of {:.6g} m from {:.6g} m", bins.n, bins.width, bins.start);
+        parts.plan +=
+            fmt::format("; temporal: exact for {} bins of {:.6g} m from {:.6g} m", bins.n, bins.width, bins.start);
+    } else if (tangents.geometry() || parts.media) {
+        parts.plan += "; temporal: a delta pulse is widened";
     }
     if (options.plan) {
         report.answer(parts.plan + "\n");

@@ -58,7 +58,7 @@ class Adjoint;
 
 /// Parts of a derivative that a scene and its parameters require.
 struct Parts {
-    bool interior = true, primary = false, direct = false, indirect = false;
+    bool interior = true, primary = false, direct = false, indirect = false, media = false;
     std::string plan;         // one line: what is on, what is off and why, what is not sampled
     std::string not_sampled;  // borders that may move and that no part looks for: a bias
 };
