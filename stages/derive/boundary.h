@@ -11,6 +11,8 @@
 #include <vector>
 
 #include "formats/derivative.h"
+#include "stages/core/app/report.h"
+#include "stages/core/compute/parallel.h"
 #include "stages/core/edges/edge_tree.h"
 #include "stages/core/graph/graph_reader.h"
 #include "stages/core/sampling/streams.h"
@@ -170,6 +172,20 @@ struct Effort {
     /// In rays; a step costs about as much as two.
     double cost() const { return double(rays) + 2 * double(steps); }
 };
+
+/// Calls work(worker of the thread, rows of the chunk, begin, end) for chunks of [0, n).
+/// out:     rows  one element more for each chunk
+template <class Workers, class Work>
+void sample_in_chunks(const BoundaryScene& s, std::uint64_t n, std::uint64_t chunk, const char* title, Workers& workers,
+                      std::vector<BoundaryRows>& rows, app::Report& report, const Work& work) {
+    const std::size_t first = rows.size();
+    rows.resize(first + (n + chunk - 1) / chunk, BoundaryRows(s.options.adjoint));
+    app::Progress progress(report, title, n);
+    parallel_chunks(n, chunk, s.options.threads, [&](std::uint64_t i, std::uint64_t begin, std::uint64_t end) {
+        work(workers.local(), rows[first + i], begin, end);
+        progress.add(end - begin);
+    });
+}
 
 /// The four families. Each adds its samples to `samples[family]`.
 /// in:      n_samples  points of curves, or light points

@@ -6,8 +6,6 @@
 
 #include <algorithm>
 
-#include "stages/core/app/report.h"
-#include "stages/core/compute/parallel.h"
 #include "stages/core/sampling/streams.h"
 #include "stages/core/scene/delta_light.h"
 #include "stages/core/tracing/vertex_rules.h"
@@ -175,15 +173,11 @@ Effort add_edge_light(const BoundaryScene& s, std::uint64_t n_samples, const std
     std::vector<double> weights;
     for (std::size_t e = 0; e < s.scene.emitters.size(); ++e)
         weights.push_back(wanted[e] ? std::max(double(s.scene.emitter_pmf.pmf(e)), 1e-3) : 0);
-    constexpr std::uint64_t chunk = 256;
-    const std::size_t first = rows.size();
-    rows.resize(first + (n_samples + chunk - 1) / chunk, BoundaryRows(s.options.adjoint));
-    app::Progress progress(report, "silhouettes visible from emitters", n_samples);
     tbb::enumerable_thread_specific<Sampling> workers([&] { return Sampling(s, n_samples, weights); });
-    parallel_chunks(n_samples, chunk, s.options.threads, [&](std::uint64_t i, std::uint64_t begin, std::uint64_t end) {
-        for (std::uint64_t k = begin; k < end; ++k) workers.local().sample(k, rows[first + i]);
-        progress.add(end - begin);
-    });
+    sample_in_chunks(s, n_samples, 256, "silhouettes visible from emitters", workers, rows, report,
+                     [](Sampling& worker, BoundaryRows& out, std::uint64_t begin, std::uint64_t end) {
+                         for (std::uint64_t k = begin; k < end; ++k) worker.sample(k, out);
+                     });
     samples[std::size_t(BoundaryFamily::edge_light)] += n_samples;
     Effort effort{0, n_samples * n_points};
     for (const Sampling& worker : workers) {

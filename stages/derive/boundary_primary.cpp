@@ -8,8 +8,6 @@
 #include <algorithm>
 #include <optional>
 
-#include "stages/core/app/report.h"
-#include "stages/core/compute/parallel.h"
 #include "stages/core/edges/boundary.h"
 #include "stages/core/sampling/streams.h"
 #include "stages/derive/film_map.h"
@@ -465,15 +463,10 @@ Effort add_primary(const BoundaryScene& s, std::uint64_t n_samples, std::vector<
     const Primary primary(s);
     if (primary.empty()) return {};
     const Scene& scene = s.scene;
-    constexpr std::uint64_t chunk = PathBatch::capacity / 2;
-    const std::size_t first = rows.size();
-    rows.resize(first + (n_samples + chunk - 1) / chunk, BoundaryRows(s.options.adjoint));
-    app::Progress progress(report, "edges visible from the camera", n_samples);
     // Rays pass the edge by this many pixels.
     const double beside = 2e-5 * primary.map().pixels_per_radian();
     tbb::enumerable_thread_specific<Worker> workers([&] { return Worker(s); });
-    parallel_chunks(n_samples, chunk, s.options.threads, [&](std::uint64_t i, std::uint64_t begin, std::uint64_t end) {
-        Worker& w = workers.local();
+    const auto sample_chunk = [&](Worker& w, BoundaryRows& out, std::uint64_t begin, std::uint64_t end) {
         w.rays.clear();
         w.samples.clear();
         w.signs.clear();
@@ -508,14 +501,15 @@ Effort add_primary(const BoundaryScene& s, std::uint64_t n_samples, std::vector<
             const double sign = w.signs[path];
             w.light.walk(path, edge, [&](const Spectrum& L, double opl) {
                 for_pixels_at(scene.sensor, {float(at.film.x), float(at.film.y)}, [&](std::uint64_t pixel, double h) {
-                    rows[first + i].add(pixel, std::isfinite(opl) ? opl : -1, w.light.to_first_hit(path),
-                                        Rgb<double>(L) * Rgb<double>(sign * h / (at.density * double(n_samples))),
-                                        at.rates, BoundaryFamily::primary, w.sample_ids[w.sample_of[path]]);
+                    out.add(pixel, std::isfinite(opl) ? opl : -1, w.light.to_first_hit(path),
+                            Rgb<double>(L) * Rgb<double>(sign * h / (at.density * double(n_samples))), at.rates,
+                            BoundaryFamily::primary, w.sample_ids[w.sample_of[path]]);
                 });
             });
         });
-        progress.add(end - begin);
-    });
+    };
+    sample_in_chunks(s, n_samples, PathBatch::capacity / 2, "edges visible from the camera", workers, rows, report,
+                     sample_chunk);
     samples[std::size_t(BoundaryFamily::primary)] += n_samples;
     Effort effort{0, n_samples};
     for (const Worker& worker : workers) effort.rays += worker.n_checks + worker.light.n_rays;

@@ -5,8 +5,6 @@
 
 #include <algorithm>
 
-#include "stages/core/app/report.h"
-#include "stages/core/compute/parallel.h"
 #include "stages/core/sampling/streams.h"
 #include "stages/core/scene/scene.h"
 #include "stages/derive/boundary.h"
@@ -224,18 +222,12 @@ class Sampling {
 
 Effort add_vertex_light(const BoundaryScene& s, double share, const std::vector<char>& at_first, bool deeper,
                         std::vector<BoundaryRows>& rows, std::span<std::uint64_t> samples, app::Report& report) {
-    constexpr std::uint64_t chunk = 4096;
-    const std::size_t first = rows.size();
-    const std::uint64_t n_paths = s.graph.n_paths();
-    rows.resize(first + (n_paths + chunk - 1) / chunk, BoundaryRows(s.options.adjoint));
-    app::Progress progress(report, "edges in front of emitters", n_paths);
     tbb::enumerable_thread_specific<Sampling> workers([&] { return Sampling(s); });
-    parallel_chunks(n_paths, chunk, s.options.threads, [&](std::uint64_t i, std::uint64_t begin, std::uint64_t end) {
-        Sampling& worker = workers.local();
-        for (std::size_t path = begin; path < end; ++path)
-            worker.sample_path(path, std::min(share, 1.0), at_first, deeper, rows[first + i]);
-        progress.add(end - begin);
-    });
+    sample_in_chunks(s, s.graph.n_paths(), 4096, "edges in front of emitters", workers, rows, report,
+                     [&](Sampling& worker, BoundaryRows& out, std::uint64_t begin, std::uint64_t end) {
+                         for (std::size_t path = begin; path < end; ++path)
+                             worker.sample_path(path, std::min(share, 1.0), at_first, deeper, out);
+                     });
     Effort effort;
     for (const Sampling& worker : workers) {
         effort.rays += worker.n_rays;

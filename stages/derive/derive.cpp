@@ -184,13 +184,7 @@ Derivative differentiate(const PathGraph& graph, const Scene& scene, const Scene
     Derivative d;
     d.n_light_edges = graph.n_light_edges();
     d.n_paths = graph.n_paths();
-    std::vector<double> values;
-    for (const Parameter& parameter : tangents.parameters) {
-        d.parameters.name.push_back(parameter.name);
-        d.parameters.unit.push_back(parameter.unit);
-        values.push_back(parameter.value);
-    }
-    d.parameters.value = std::move(values);
+    describe_parameters(tangents, d.parameters);
     d.boundary_samples = std::vector<std::uint64_t>(n_boundary_families, 0);
     if (parts.interior)
         differentiate_interior(graph, scene, tangents, attached_of(scene, boundary.attachment), boundary.threads,

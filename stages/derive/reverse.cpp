@@ -962,13 +962,7 @@ Gradient gradient_of(const SceneTangents& tangents, const WantedParts& wanted, c
                      std::vector<double> by_vertex, std::vector<double> by_texel) {
     Gradient g;
     g.loss = sums.loss;
-    std::vector<double> values;
-    for (const Parameter& parameter : tangents.parameters) {
-        g.parameters.name.push_back(parameter.name);
-        g.parameters.unit.push_back(parameter.unit);
-        values.push_back(parameter.value);
-    }
-    g.parameters.value = std::move(values);
+    describe_parameters(tangents, g.parameters);
     g.parameters.gradient = sums.by_parameter(tangents);
     const auto append = [](std::vector<double>& to, const AffineGradient& a, bool offset) {
         to.insert(to.end(), a.linear.begin(), a.linear.end());

@@ -92,23 +92,23 @@ Vec unit_axis(int k) {
 
 /// Derivatives at 0 from values at steps of one parameter; exact for polynomials of degree 4.
 struct Stencil {
-    std::array<double, 5> at, weight;  // steps, and weights of the values there
+    std::array<double, 5> at;      // steps, from 0
+    std::array<double, 4> weight;  // of the values at the others; that at 0 makes the sum of weights 0
     /// f'(0) of f(step index) -> double
     template <class F>
     double operator()(F&& f) const {
-        // Weights sum to 0. Without the value at 0, what does not change has a derivative of exactly 0.
+        // From differences, what does not change has a derivative of exactly 0.
         const double now = f(0);
         double sum = 0;
-        for (std::size_t i = 1; i < at.size(); ++i) sum += weight[i] * (f(i) - now);
+        for (std::size_t i = 1; i < at.size(); ++i) sum += weight[i - 1] * (f(i) - now);
         return sum;
     }
     static Stencil central(double h) {
-        return {{0, -2 * h, -h, h, 2 * h}, {0, 1 / (12 * h), -8 / (12 * h), 8 / (12 * h), -1 / (12 * h)}};
+        return {{0, -2 * h, -h, h, 2 * h}, {1 / (12 * h), -8 / (12 * h), 8 / (12 * h), -1 / (12 * h)}};
     }
     /// Towards larger values for h > 0, towards smaller ones for h < 0.
     static Stencil one_sided(double h) {
-        return {{0, h, 2 * h, 3 * h, 4 * h},
-                {-25 / (12 * h), 48 / (12 * h), -36 / (12 * h), 16 / (12 * h), -3 / (12 * h)}};
+        return {{0, h, 2 * h, 3 * h, 4 * h}, {48 / (12 * h), -36 / (12 * h), 16 / (12 * h), -3 / (12 * h)}};
     }
 };
 

@@ -101,6 +101,18 @@ struct SceneTangents {
     bool geometry() const;
 };
 
+/// Sets names, units and values of the parameters in a file that keeps them.
+template <class Columns>
+void describe_parameters(const SceneTangents& tangents, Columns& columns) {
+    std::vector<double> values;
+    for (const Parameter& parameter : tangents.parameters) {
+        columns.name.push_back(parameter.name);
+        columns.unit.push_back(parameter.unit);
+        values.push_back(parameter.value);
+    }
+    columns.value = std::move(values);
+}
+
 /// Finds the effects of parameters.
 /// in:      scene, description  the scene as it is
 ///          file, defines, sensor  to read it again with other values of a $parameter
