@@ -22,7 +22,7 @@ std::size_t first_unsorted(const Column<std::uint32_t>& rows, std::uint64_t end)
 
 /// Whether a sample of a family is a path of the graph.
 bool is_of_path(std::uint8_t family) {
-    return BoundaryFamily(family) == BoundaryFamily::vertex_light || BoundaryFamily(family) == BoundaryFamily::indirect;
+    return BoundaryFamily(family) != BoundaryFamily::primary && BoundaryFamily(family) != BoundaryFamily::edge_light;
 }
 
 /// Boundary rows must lie in pixels of the graph, those that belong to a path in its pixel.
@@ -83,9 +83,11 @@ std::string_view boundary_family_name(BoundaryFamily family) {
         case BoundaryFamily::edge_light:
             return "edge-light";
         case BoundaryFamily::indirect:
+            return "indirect";
+        case BoundaryFamily::joined_light:
             break;
     }
-    return "indirect";
+    return "joined-light";
 }
 
 std::string Derivative::problem() const {
@@ -94,8 +96,10 @@ std::string Derivative::problem() const {
     if (parameters.unit.size() != n || parameters.value.size() != n)
         return fmt::format("parameters: {} names, {} units and {} values", n, parameters.unit.size(),
                            parameters.value.size());
-    if (boundary_samples.size() != n_boundary_families)
-        return fmt::format("boundary/samples: has {} rows, expected {}", boundary_samples.size(), n_boundary_families);
+    constexpr std::size_t fewest = 4;  // of version 1.0
+    if (boundary_samples.size() < fewest || boundary_samples.size() > n_boundary_families)
+        return fmt::format("boundary/samples: has {} rows, expected {} to {}", boundary_samples.size(), fewest,
+                           n_boundary_families);
     for (const auto& [name, rows, end] :
          {std::tuple{"interior/edge", &interior.edge, n_light_edges}, std::tuple{"seen/path", &seen.path, n_paths}})
         if (const std::size_t i = first_unsorted(*rows, end); i < rows->size())
@@ -107,8 +111,9 @@ std::string Derivative::problem() const {
         if (!(from_camera >= 0) || (opl >= 0 && from_camera > opl * (1 + 1e-6)))
             return fmt::format("boundary/camera_opl: row {} is {}, expected 0 to its opl, {}", i, from_camera, opl);
         const std::uint8_t family = boundary.family[i];
-        if (family >= n_boundary_families)
-            return fmt::format("boundary/family: row {} is {}, expected 0 to {}", i, family, n_boundary_families - 1);
+        if (family >= boundary_samples.size())
+            return fmt::format("boundary/family: row {} is {}, expected 0 to {}", i, family,
+                               boundary_samples.size() - 1);
         if (const std::uint64_t end = is_of_path(family) ? n_paths : boundary_samples[family];
             boundary.sample[i] >= end)
             return fmt::format("boundary/sample: row {} is {}, but family {} has {}", i, boundary.sample[i], family,

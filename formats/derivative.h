@@ -28,8 +28,9 @@ enum class BoundaryFamily : std::uint8_t {
     vertex_light = 1,  // edges between a stored vertex and an emitter
     edge_light = 2,    // edges seen from a light point
     indirect = 3,      // edges between a stored vertex and a surface
+    joined_light = 4,  // edges seen from a light point, their shadows from a stored vertex
 };
-inline constexpr int n_boundary_families = 4;
+inline constexpr int n_boundary_families = 5;
 /// Largest number of bins whose borders temporal rows describe.
 inline constexpr std::uint32_t max_temporal_bins = 1u << 16;
 std::string_view boundary_family_name(BoundaryFamily family);
@@ -62,7 +63,7 @@ struct DerivativeHeader {
 
 template <template <class> class ColumnOf>
 struct DerivativeOf : DerivativeHeader {
-    static constexpr FormatId format{"derivative", 1, 0};
+    static constexpr FormatId format{"derivative", 1, 1};
 
     struct Interior {
         ColumnOf<std::uint32_t> edge;
@@ -145,7 +146,7 @@ void DerivativeOf<ColumnOf>::fields(Self& d, Visitor& v) {
     auto& b = d.boundary;
     v.field("boundary/samples", d.boundary_samples, 1, "family", "1",
             "samples of each family, those without light included: 0 primary, 1 stored vertex and emitter, 2 light "
-            "point, 3 indirect");
+            "point, 3 indirect, 4 light point and stored vertex");
     v.field("boundary/pixel", b.pixel, 1, "boundary", "1", "pixel, y width + x; rows are sorted by it");
     v.field("boundary/opl", b.opl, 1, "boundary", "m",
             "optical path length from the camera with phase indices; negative: light at infinity, which has no arrival "
@@ -157,9 +158,9 @@ void DerivativeOf<ColumnOf>::fields(Self& d, Visitor& v) {
            "derivative",
            Finite::counted);
     v.field("boundary/family", b.family, 1, "boundary", "1",
-            "estimator: 0 primary, 1 stored vertex and emitter, 2 light point, 3 indirect");
+            "estimator: 0 primary, 1 stored vertex and emitter, 2 light point, 3 indirect, 4 light point and stored vertex");
     v.field("boundary/sample", b.sample, 1, "boundary", "1",
-            "sample of the family to which the row belongs; for families 1 and 3 the path of the graph");
+            "sample of the family to which the row belongs; for families 1, 3 and 4 the path of the graph");
 
     auto& w = d.temporal_bins;
     v.optional("temporal/start_opl", w.start_opl, 1, "window", "m",

@@ -331,6 +331,11 @@ class Allotment {
                                      return add_edge_light(s_, count(n), by_light_, rows, samples, to);
                                  },
                                  0.05 * pilot_share_ * n_paths_, INFINITY});
+        if (any_delta_ && (s.graph.tracing.max_depth < 0 || s.graph.tracing.max_depth >= 3))
+            families_.push_back({[this](double share, Rows& rows, Samples samples, app::Report& to) {
+                                     return add_joined_light(s_, share, delta_, rows, samples, to);
+                                 },
+                                 pilot_share_ / 4, 1});
         if (parts.indirect || environment_)
             families_.push_back(
                 {[this, surfaces = parts.indirect](double share, Rows& rows, Samples samples, app::Report& to) {
@@ -386,6 +391,7 @@ class Allotment {
         const std::size_t n_emitters = s_.scene.emitters.size();
         by_light_.assign(n_emitters, 0);
         by_vertex_.assign(n_emitters, 0);
+        delta_.assign(n_emitters, 0);
         constexpr std::size_t most = 16;  // pilots; further emitters follow the majority
         std::size_t n_pilots = 0, n_chosen = 0;
         for (std::size_t e = 0; e < n_emitters; ++e) {
@@ -399,7 +405,8 @@ class Allotment {
                 by_vertex_[e] = !by_light_[e];
                 any_area_ = true;
             } else {
-                by_light_[e] = emitter.is_delta();
+                by_light_[e] = delta_[e] = emitter.is_delta();
+                any_delta_ |= emitter.is_delta();
             }
             any_light_points_ |= by_light_[e] != 0;
         }
@@ -427,8 +434,9 @@ class Allotment {
     app::Report& report_;
     app::Report silent_;
     double n_paths_, pilot_share_ = 1;
-    bool environment_ = false, any_area_ = false, any_light_points_ = false;
+    bool environment_ = false, any_area_ = false, any_light_points_ = false, any_delta_ = false;
     std::vector<char> by_light_, by_vertex_;  // by emitter, for first hits
+    std::vector<char> delta_;                 // by emitter
     std::vector<Family> families_;
     std::uint64_t rays_ = 0;
 };

@@ -1,7 +1,7 @@
 #pragma once
 // Boundary terms: light that appears or disappears where an edge moves in front of what is behind it.  [TR Eqs. 16-18]
 //
-// Four estimators (families), each with samples of its own; every sample gives rows of (pixel, opl, derivative).
+// Five estimators (families), each with samples of its own; every sample gives rows of (pixel, opl, derivative).
 
 #include <algorithm>
 #include <cmath>
@@ -171,7 +171,22 @@ struct Effort {
 
     /// In rays; a step costs about as much as two.
     double cost() const { return double(rays) + 2 * double(steps); }
+    Effort& operator+=(const Effort& o) {
+        rays += o.rays, steps += o.steps;
+        return *this;
+    }
 };
+
+/// Index of refraction of the medium in which a stored vertex was reached.
+inline double arriving_index(const PathGraph& graph, std::size_t vertex) {
+    return graph.vertices.eta.empty() ? 1.0 : double(graph.vertices.eta[vertex]);
+}
+/// Index of refraction on the side of wi.
+/// in:      arriving  that on the side of wo
+inline double index_towards(double arriving, const ShadingPoint& at, const Vector3f& wi) {
+    if (!is_interface(*at.bsdf.model) || dot(at.n_side, wi) * dot(at.n_side, at.wo) > 0) return arriving;
+    return dot(at.n_side, wi) > 0 ? double(at.bsdf.model->ext_ior) : double(at.bsdf.model->int_ior);
+}
 
 /// Calls work(worker of the thread, rows of the chunk, begin, end) for chunks of [0, n).
 /// out:     rows  one element more for each chunk
@@ -187,7 +202,7 @@ void sample_in_chunks(const BoundaryScene& s, std::uint64_t n, std::uint64_t chu
     });
 }
 
-/// The four families. Each adds its samples to `samples[family]`.
+/// The families. Each adds its samples to `samples[family]`.
 /// in:      n_samples  points of curves, or light points
 ///          share      probability of each path to be sampled, at most 1
 Effort add_primary(const BoundaryScene& s, std::uint64_t n_samples, std::vector<BoundaryRows>& rows,
@@ -198,6 +213,10 @@ Effort add_vertex_light(const BoundaryScene& s, double share, const std::vector<
 /// in:      wanted  by emitter
 Effort add_edge_light(const BoundaryScene& s, std::uint64_t n_samples, const std::vector<char>& wanted,
                       std::vector<BoundaryRows>& rows, std::span<std::uint64_t> samples, app::Report& report);
+/// Shadows of lights at points beyond those that vertices of paths see.
+/// in:      wanted  by emitter
+Effort add_joined_light(const BoundaryScene& s, double share, const std::vector<char>& wanted,
+                        std::vector<BoundaryRows>& rows, std::span<std::uint64_t> samples, app::Report& report);
 /// in:      surfaces, environment  whether light of surfaces, and that of an environment, is wanted
 Effort add_indirect(const BoundaryScene& s, double share, bool surfaces, bool environment,
                     std::vector<BoundaryRows>& rows, std::span<std::uint64_t> samples, app::Report& report);

@@ -1,15 +1,17 @@
-// Family 2: from a point of an emitter, the silhouettes seen from there; behind each the surface on which the shadow
-// moves, as the camera sees it.
-//   integral of h(film) scale cos_cam f(x_1) Le swept cos_y / r_y^2 over edges and the emitter, r_y = |x_B y|
+// Families 2 and 4: from a point of an emitter, the silhouettes seen from there; behind each the surface on which the
+// shadow moves, as the camera sees it (2), or as a stored vertex does (4).
+//   integral of W f_cos Le swept cos_y / (r_y^2 cos_x) over edges and the emitter, r_y = |x_B y|,
+// cos_x geometric. The importance W per area of the surface is h(film) scale cos_cam for the camera, and
+// beta f_cos cos / r^2 for a stored vertex at distance r.
 
 #include <tbb/enumerable_thread_specific.h>
 
 #include <algorithm>
 
-#include "stages/core/sampling/streams.h"
-#include "stages/core/scene/delta_light.h"
+#include "stages/core/scene/scene.h"
 #include "stages/core/tracing/vertex_rules.h"
-#include "stages/derive/outline.h"
+#include "stages/derive/interior.h"
+#include "stages/derive/shadow_points.h"
 
 namespace loom::derive {
 namespace {
@@ -17,172 +19,254 @@ namespace {
 using Vec = Vector3<double>;
 using Pt = Point3<double>;
 
-constexpr int n_points = 16;  // silhouette points per light point
-
-class Sampling {
+class OnFilm {
   public:
-    Sampling(const BoundaryScene& s, std::uint64_t n, const std::vector<double>& weights)
-        : s_(s), n_(n), choice_(weights), outline_(s), v_light_(s.n()), v_surface_(s.n()), rates_(s.n()) {}
+    OnFilm(const BoundaryScene& s, std::uint64_t n, const std::vector<double>& weights)
+        : s_(s), n_(n), points_(s, weights), v_surface_(s.n()), rates_(s.n()) {
+        for (std::size_t e = 0; e < weights.size(); ++e) emitter_moves_ |= weights[e] > 0 && s.emitter_moves(e);
+    }
 
     std::uint64_t n_rays = 0;
-    std::uint64_t n_listed() const { return outline_.n_found(); }
+    Effort effort() const { return {n_rays + points_.n_rays, points_.n_listed() / 8}; }
 
     void sample(std::uint64_t i, BoundaryRows& rows) {
-        const Scene& scene = s_.scene;
-        const Sampler sampler = s_.sampler(2, i);
-        float u_choice = sampler.pair(0).x;
-        const std::size_t emitter_idx = choice_.sample(u_choice);
-        const Emitter& e = scene.emitters[emitter_idx];
-        const double pmf = double(choice_.pmf(emitter_idx));
-
-        // Place a point on the emitter.
-        Light light;
-        light.emitter_idx = emitter_idx;
-        if (e.kind == EmitterKind::area) {
-            sample_area_point(scene, e, sampler.pair(1), light.point);
-            light.y = Pt(light.point.y);
-            light.density = pmf / double(light.point.area);
-        } else {
-            light.infinite = e.is_infinite();
-            light.y = light.infinite ? Pt(-Vec(e.frame.n)) : Pt(e.position);
-            light.density = pmf;
-        }
-        s_.emitter_velocity(emitter_idx, light.y, v_light_);
-        const RayEnd from{Point3f(light.y), light.point.n, light.point.hit_error};
-        const Shaft shaft = light.infinite ? Shaft::along(Vector3f(light.y)) : Shaft::to_infinity(from);
         // Seen from the camera, surfaces that move or slide make every edge matter.
-        const bool all = s_.tangents.camera_moves() || s_.tangents.any_shape_moves() || s_.emitter_moves(emitter_idx);
-        if (!outline_.collect(shaft, light.y, light.infinite, v_light_, s_.film_speed, s_.edges(all), all,
-                              sampler.pair(std::uint32_t(2 + n_points)).x))
-            return;
-        for (int k = 0; k < n_points; ++k) {
-            const Point2f u = sampler.pair(std::uint32_t(2 + k));
-            OutlinePoint b;
-            if (outline_.sample({(float(k) + u.x) / n_points, u.y}, b)) shade(i, light, b, rows);
-        }
+        const bool all = s_.tangents.camera_moves() || s_.tangents.any_shape_moves() || emitter_moves_;
+        points_.sample(s_.sampler(2, i), s_.film_speed, all, [&](const ShadowPoint& x) { shade(i, x, rows); });
     }
 
   private:
-    struct Light {
-        std::size_t emitter_idx = 0;
-        LightPoint point;
-        Pt y;  // or the direction towards it
-        bool infinite = false;
-        double density = 1;
-    };
-
-    void shade(std::uint64_t i, const Light& light, const OutlinePoint& b, BoundaryRows& rows) {
+    void shade(std::uint64_t i, const ShadowPoint& x, BoundaryRows& rows) {
         const Scene& scene = s_.scene;
-        const Emitter& e = scene.emitters[light.emitter_idx];
-        const bool area = e.kind == EmitterKind::area;
-        const double cos_light = area ? dot(Vec(light.point.n), b.omega) : 1;
-        if (!(cos_light > 0)) return;
-
-        // Go on beside the edge to the surface behind it.
-        const double clearance = s_.clearance(b.p, light.infinite ? 0 : b.r);
-        const Vec beside = b.out / length(b.out);
-        Ray ray;
-        double before = b.r;
-        if (light.infinite) {
-            const Pt start = b.p + beside * clearance;
-            ++n_rays;
-            if (scene.occluded({Point3f(start), Vector3f(-b.omega), 0, INFINITY})) return;
-            ray = {Point3f(start), Vector3f(b.omega), 0, INFINITY};
-            before = 0;
-        } else {
-            const Vector3f d(normalize(b.omega + beside * (clearance / b.r)));
-            ray = area ? spawn_ray({Point3f(light.y), light.point.n, light.point.hit_error}, d)
-                       : Ray{Point3f(light.y), d, 0, INFINITY};
-        }
-        const Hit hit = scene.intersect(ray);
-        ++n_rays;
-        if (!hit || !(double(hit.t) > before)) return;
-        const SurfacePoint at = scene.surface(ray, hit);
-
-        // See it from the camera.
-        const std::optional<FilmPoint> film = scene.sensor.project(at.p);
-        if (!film || !(film->film.x >= -filter_reach() && film->film.x <= float(scene.sensor.width) + filter_reach() &&
-                       film->film.y >= -filter_reach() && film->film.y <= float(scene.sensor.height) + filter_reach()))
+        const float reach = scene.sensor.filter_radius;
+        const std::optional<FilmPoint> film = scene.sensor.project(x.at.p);
+        if (!film || !(film->film.x >= -reach && film->film.x <= float(scene.sensor.width) + reach &&
+                       film->film.y >= -reach && film->film.y <= float(scene.sensor.height) + reach))
             return;
-        const ShadingPoint here = shading_point(scene, at, -film->d);
-        const Vector3f wi(-b.omega);
-        const float cos_shading = std::abs(dot(here.frame.n, wi));
-        const Spectrum f_cos = f_cos_pdf(here, wi).f_cos;
-        if (is_black(f_cos) || !(cos_shading > 0)) return;
-        const double cos_camera = std::abs(dot(Vec(at.ng), Vec(film->d)));
+        const ShadingPoint here = shading_point(scene, x.at, -film->d);
+        const Spectrum f_cos = f_cos_pdf(here, Vector3f(-x.b.omega)).f_cos;
+        if (is_black(f_cos)) return;
+        const double cos_camera = std::abs(dot(Vec(x.at.ng), Vec(film->d)));
         if (!(cos_camera > 0)) return;
         ++n_rays;
         if (scene.occluded(spawn_segment(here.end(), {film->from}))) return;
-
-        // Rate at which light appears.
-        const Pt p(at.p), y = light.infinite ? Pt{} : light.y;
-        const double r = light.infinite ? 0 : length(p - y);
-        s_.film_velocity(at, Pt(film->from), Vec(film->d), v_surface_);
-        const double share = light.infinite ? 0 : 1 - b.r / r;  // |x_S x_B| / |x_S x_L|
-        bool any = false;
-        for (std::size_t q = 0; q < s_.n(); ++q) {
-            Vec v = outline_.velocity()[q];
-            if (light.infinite) {
-                // The direction turns about the surface point.
-                v = v - v_surface_[q] - v_light_[q] * length(b.p - p);
-                rates_[q] = swept(b.out, v);
-            } else {
-                rates_[q] = swept(b.out, relative_velocity(share, v, v_surface_[q], v_light_[q]));
-            }
-            any |= rates_[q] != 0;
-        }
-        if (!any) return;
-        Rgb<double> Le(light.point.Li);
-        if (!area)
-            Le = Rgb<double>(delta_light(scene, e, EmitterPose<float>(e), at.p).Li) *
-                 Rgb<double>(light.infinite ? 1 : r * r);
-        const double geometry = light.infinite ? 1 : cos_light / (b.r * b.r);
-        const Rgb<double> value = Rgb<double>(f_cos) * Le *
-                                  Rgb<double>(film->scale * cos_camera / double(cos_shading) * geometry /
-                                              (b.density * light.density * n_points * double(n_)));
-        const double eta = index_of_media(at, *film), camera_opl = eta * double(film->t);
-        add_to_pixels(film->film, value, light.infinite ? -1 : camera_opl + eta * r, camera_opl, i, rows);
-    }
-
-    /// Index of refraction around the camera, in which a surface that the camera sees lies.
-    double index_of_media(const SurfacePoint&, const FilmPoint& film) const {
-        return double(s_.scene.sensor_media.at(s_.scene, film.from).medium().ior);
-    }
-
-    float filter_reach() const { return s_.scene.sensor.filter_radius; }
-
-    void add_to_pixels(Point2f film, const Rgb<double>& value, double opl, double camera_opl, std::uint64_t i,
-                       BoundaryRows& rows) {
-        for_pixels_at(s_.scene.sensor, film, [&](std::uint64_t pixel, double h) {
+        s_.film_velocity(x.at, Pt(film->from), Vec(film->d), v_surface_);
+        if (!x.rates(v_surface_, rates_)) return;
+        const Rgb<double> value =
+            Rgb<double>(f_cos) * x.light * Rgb<double>(film->scale * cos_camera / double(n_));
+        // A surface that the camera sees lies in the medium around the camera.
+        const double eta = double(scene.sensor_media.at(scene, film->from).medium().ior),
+                     camera_opl = eta * double(film->t), opl = x.infinite ? -1 : camera_opl + eta * x.r;
+        for_pixels_at(scene.sensor, film->film, [&](std::uint64_t pixel, double h) {
             rows.add(pixel, opl, camera_opl, value * Rgb<double>(h), rates_, BoundaryFamily::edge_light, i);
         });
     }
 
     const BoundaryScene& s_;
     std::uint64_t n_;
-    Distribution1 choice_;
-    Outline outline_;
-    std::vector<Vec> v_light_, v_surface_;
+    bool emitter_moves_ = false;
+    ShadowPoints points_;
+    std::vector<Vec> v_surface_;
     std::vector<double> rates_;
+};
+
+/// Shadow points that many vertices choose from.
+class Pool {
+  public:
+    explicit Pool(std::size_t n_parameters) : n_(n_parameters) {}
+
+    void clear() {
+        points_.clear(), v_edge_.clear(), v_emitter_.clear(), weight_.clear();
+        for (std::vector<float>* column : {&x_, &y_, &z_, &nx_, &ny_, &nz_}) column->clear();
+    }
+    bool empty() const { return points_.empty(); }
+    /// in:      speed  how fast light appears there, of any unit
+    void add(const ShadowPoint& p, double speed) {
+        const double light = p.light.r + p.light.g + p.light.b;
+        if (!(light * speed > 0) || !std::isfinite(light * speed)) return;
+        points_.push_back(p);
+        v_edge_.insert(v_edge_.end(), p.v_edge.begin(), p.v_edge.end());
+        v_emitter_.insert(v_emitter_.end(), p.v_emitter.begin(), p.v_emitter.end());
+        weight_.push_back(float(light * speed));
+        x_.push_back(p.at.p.x), y_.push_back(p.at.p.y), z_.push_back(p.at.p.z);
+        nx_.push_back(p.at.ng.x), ny_.push_back(p.at.ng.y), nz_.push_back(p.at.ng.z);
+    }
+    /// Sets the references of the points, which borrow the pool, after the last add().
+    void finish() {
+        for (std::size_t i = 0; i < points_.size(); ++i) {
+            points_[i].v_edge = ConstVelocities(v_edge_).subspan(i * n_, n_);
+            points_[i].v_emitter = ConstVelocities(v_emitter_).subspan(i * n_, n_);
+        }
+        cumulative_.resize(points_.size());
+    }
+
+    /// Chooses a point by its light times both cosines over the square of the distance.
+    /// in:      n  side of the surface at p that scatters; 0: both
+    /// out:     probability  of the point; null: none
+    const ShadowPoint* choose(const Point3f& p, const Normal3f& n, float u, double& probability) {
+        const bool both = n == Normal3f{};
+        float total = 0;
+        for (std::size_t i = 0; i < points_.size(); ++i) {
+            const float dx = x_[i] - p.x, dy = y_[i] - p.y, dz = z_[i] - p.z;
+            const float r2 = dx * dx + dy * dy + dz * dz;
+            const float cos_here = both ? std::sqrt(r2) : std::max(n.x * dx + n.y * dy + n.z * dz, 0.0f);
+            const float cos_there = std::abs(nx_[i] * dx + ny_[i] * dy + nz_[i] * dz);
+            total += r2 > 0 ? weight_[i] * cos_here * cos_there / (r2 * r2) : 0;
+            cumulative_[i] = total;
+        }
+        // Where cosines of shading normals differ from these, a share keeps the weights bounded.
+        constexpr float share = 0.1f;
+        if (!(total > 0) || !std::isfinite(total)) return nullptr;
+        std::size_t i;
+        if (u < share) {
+            i = std::min(std::size_t(u / share * float(points_.size())), points_.size() - 1);
+        } else {
+            const float target = (u - share) / (1 - share) * total;
+            i = std::min(std::size_t(std::upper_bound(cumulative_.begin(), cumulative_.end(), target) -
+                                     cumulative_.begin()),
+                         points_.size() - 1);
+        }
+        const float weight = cumulative_[i] - (i > 0 ? cumulative_[i - 1] : 0);
+        probability = double(share) / double(points_.size()) + (1 - double(share)) * double(weight) / double(total);
+        return &points_[i];
+    }
+
+  private:
+    std::size_t n_;
+    std::vector<ShadowPoint> points_;
+    std::vector<Vec> v_edge_, v_emitter_;                            // [point, parameter]
+    std::vector<float> x_, y_, z_, nx_, ny_, nz_, weight_, cumulative_;  // [point]
+};
+
+class Joined {
+  public:
+    Joined(const BoundaryScene& s, double share, const std::vector<double>& weights)
+        : s_(s),
+          share_(share),
+          points_(s, weights),
+          pool_(s.n()),
+          walker_(s.graph, s.scene, s.tangents, s.attached),
+          velocity_(s.n()),
+          rates_(s.n()),
+          far_speed_(s.surface_speed) {
+        for (std::size_t e = 0; e < weights.size(); ++e) emitter_moves_ |= weights[e] > 0 && s.emitter_moves(e);
+        // A vertex that keeps its direction slides where the one before it moves, as first hits do with the camera.
+        if (s.attached.reach > 0) far_speed_ = s.film_speed;
+    }
+
+    std::uint64_t n_rays = 0, n_samples = 0, n_walked = 0;
+    Effort effort() const { return {n_rays + points_.n_rays, n_walked + points_.n_listed() / 8}; }
+
+    /// Samples the paths of a chunk. They share a pool of shadow points, other chunks have others.
+    void sample_chunk(std::uint64_t begin, std::uint64_t end, BoundaryRows& rows) {
+        const std::uint64_t seed = streams::family(s_.options.seed, 7);
+        fill_pool(begin);
+        for (std::size_t path = begin; path < end && !pool_.empty(); ++path) {
+            if (!(streams::selection(seed, path) < share_)) continue;
+            const std::size_t first = s_.graph.paths.first_vertex[path];
+            walker_.walk_vertices(path, [&](const VertexState& x) {
+                ++n_walked;
+                const int max_depth = s_.graph.tracing.max_depth, n_edges = int(x.vertex - first) + 3;
+                if (max_depth >= 0 && n_edges > max_depth) return;
+                if (!(s_.graph.vertices.flags[x.vertex] & vertex_flag::attempted_bsdf) || !has_smooth_lobe(x.at->bsdf))
+                    return;
+                ++n_samples;
+                join(x, path, Sampler(SamplerKind::independent, seed, x.vertex, 0).pair(0).x, rows);
+            });
+        }
+    }
+
+  private:
+    static constexpr int light_points = 32;  // of a pool
+
+    void fill_pool(std::uint64_t begin) {
+        pool_.clear();
+        const bool all = s_.tangents.any_shape_moves() || emitter_moves_ ||
+                         (s_.tangents.camera_moves() && s_.attached.reach > 0);
+        double slide = 0;
+        for (const double v : far_speed_) slide += v;
+        for (int k = 0; k < light_points; ++k)
+            points_.sample(s_.sampler(8, begin * light_points + std::uint64_t(k)), far_speed_, all,
+                           [&](const ShadowPoint& p) {
+                               s_.shape_velocity(p.at.shape_idx, p.at.primitive_idx, Pt(p.at.p), velocity_);
+                               p.rates(velocity_, rates_);
+                               double speed = 0.05 * slide * length(p.b.out);
+                               for (const double rate : rates_) speed += std::abs(rate);
+                               pool_.add(p, speed);
+                           });
+        pool_.finish();
+    }
+
+    void join(const VertexState& x, std::size_t path, float u, BoundaryRows& rows) {
+        const Scene& scene = s_.scene;
+        const ShadingPoint& at = *x.at;
+        double probability = 0;
+        const Normal3f side = is_interface(*at.bsdf.model) ? Normal3f{} : facing(at.ng, at.wo);
+        const ShadowPoint* found = pool_.choose(at.p, side, u, probability);
+        if (!found) return;
+        const Vec d = Pt(found->at.p) - Pt(at.p);
+        const double r2 = length2(d), r = std::sqrt(r2);
+        if (!(r > 0)) return;
+        const Vector3f wi(d / r);
+        const Spectrum f_here = f_cos_pdf(at, wi).f_cos;
+        if (is_black(f_here)) return;
+        const ShadingPoint there = shading_point(scene, found->at, -wi);
+        const Vector3f to_light(-found->b.omega);
+        const Spectrum f_there = f_cos_pdf(there, to_light).f_cos;
+        const double cos_there = std::abs(dot(Vec(found->at.ng), Vec(wi)));
+        if (is_black(f_there) || !(cos_there > 0)) return;
+        s_.far_velocity(found->at.shape_idx, found->at.primitive_idx, found->at.material_idx, Vec(found->at.ng),
+                        Pt(found->at.p), Pt(at.p), x.velocity, x.turn, velocity_);
+        if (!found->rates(velocity_, rates_)) return;
+        const float hit_error = scene.shapes[s_.graph.vertices.shape[x.vertex]].hit_error;
+        ++n_rays;
+        if (scene.occluded(spawn_segment(RayEnd{at.p, at.ng, hit_error}, there.end()))) return;
+        const Rgb<double> value = x.beta * Rgb<double>(f_here) * Rgb<double>(f_there) * found->light *
+                                  Rgb<double>(cos_there / (r2 * probability * share_ * light_points *
+                                                           double(s_.graph.tracing.samples_per_pixel)));
+        const double eta = index_towards(arriving_index(s_.graph, x.vertex), at, wi),
+                     opl = found->infinite ? -1 : x.opl + eta * r + index_towards(eta, there, to_light) * found->r;
+        rows.add(path % s_.graph.n_pixels(), opl, x.camera_opl, value, rates_, BoundaryFamily::joined_light, path);
+    }
+
+    const BoundaryScene& s_;
+    double share_;
+    bool emitter_moves_ = false;
+    ShadowPoints points_;
+    Pool pool_;
+    InteriorWalker walker_;
+    std::vector<Vec> velocity_;
+    std::vector<double> rates_, far_speed_;
 };
 
 }  // namespace
 
 Effort add_edge_light(const BoundaryScene& s, std::uint64_t n_samples, const std::vector<char>& wanted,
                       std::vector<BoundaryRows>& rows, std::span<std::uint64_t> samples, app::Report& report) {
-    std::vector<double> weights;
-    for (std::size_t e = 0; e < s.scene.emitters.size(); ++e)
-        weights.push_back(wanted[e] ? std::max(double(s.scene.emitter_pmf.pmf(e)), 1e-3) : 0);
-    tbb::enumerable_thread_specific<Sampling> workers([&] { return Sampling(s, n_samples, weights); });
+    const std::vector<double> weights = emitter_weights(s.scene, wanted);
+    tbb::enumerable_thread_specific<OnFilm> workers([&] { return OnFilm(s, n_samples, weights); });
     sample_in_chunks(s, n_samples, 256, "silhouettes visible from emitters", workers, rows, report,
-                     [](Sampling& worker, BoundaryRows& out, std::uint64_t begin, std::uint64_t end) {
+                     [](OnFilm& worker, BoundaryRows& out, std::uint64_t begin, std::uint64_t end) {
                          for (std::uint64_t k = begin; k < end; ++k) worker.sample(k, out);
                      });
     samples[std::size_t(BoundaryFamily::edge_light)] += n_samples;
-    Effort effort{0, n_samples * n_points};
-    for (const Sampling& worker : workers) {
-        effort.rays += worker.n_rays;
-        effort.steps += worker.n_listed() / 8;
+    Effort effort{0, n_samples * ShadowPoints::per_light_point};
+    for (const OnFilm& worker : workers) effort += worker.effort();
+    return effort;
+}
+
+Effort add_joined_light(const BoundaryScene& s, double share, const std::vector<char>& wanted,
+                        std::vector<BoundaryRows>& rows, std::span<std::uint64_t> samples, app::Report& report) {
+    const std::vector<double> weights = emitter_weights(s.scene, wanted);
+    tbb::enumerable_thread_specific<Joined> workers([&] { return Joined(s, std::min(share, 1.0), weights); });
+    sample_in_chunks(s, s.graph.n_paths(), 16384, "shadows behind stored vertices", workers, rows, report,
+                     [](Joined& worker, BoundaryRows& out, std::uint64_t begin, std::uint64_t end) {
+                         worker.sample_chunk(begin, end, out);
+                     });
+    Effort effort;
+    for (const Joined& worker : workers) {
+        effort += worker.effort();
+        samples[std::size_t(BoundaryFamily::joined_light)] += worker.n_samples;
     }
     return effort;
 }

@@ -141,7 +141,7 @@ class Sampling {
                                double(s_.graph.tracing.samples_per_pixel);
         const Rgb<double> value =
             x.beta * Rgb<double>(f_cos) * Rgb<double>(Le) * Rgb<double>(1 / (b.r * b.r * density));
-        rows.add(path % s_.graph.n_pixels(), x.opl + index_towards(x.vertex, at, wi) * r, x.camera_opl, value, rates_,
+        rows.add(path % s_.graph.n_pixels(), x.opl + index_towards(arriving_index(s_.graph, x.vertex), at, wi) * r, x.camera_opl, value, rates_,
                  BoundaryFamily::vertex_light, path);
     }
 
@@ -149,14 +149,6 @@ class Sampling {
         return at.bsdf.model->kind == BsdfKind::rough_dielectric || at.bsdf.model->kind == BsdfKind::dielectric;
     }
     float hit_error(std::size_t vertex) const { return s_.scene.shapes[s_.graph.vertices.shape[vertex]].hit_error; }
-
-    /// Index of refraction of the medium on the side of wi.
-    double index_towards(std::size_t vertex, const ShadingPoint& at, const Vector3f& wi) const {
-        const auto& v = s_.graph.vertices;
-        const double arriving = v.eta.empty() ? 1.0 : double(v.eta[vertex]);
-        if (!is_interface(*at.bsdf.model) || dot(at.n_side, wi) * dot(at.n_side, at.wo) > 0) return arriving;
-        return dot(at.n_side, wi) > 0 ? double(at.bsdf.model->ext_ior) : double(at.bsdf.model->int_ior);
-    }
 
     static bool light_point(const LightPiece& piece, const Shape& light, const Pt& from, const Vec& d, Pt& y) {
         if (piece.n_corners > 0) {

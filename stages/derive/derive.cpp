@@ -122,9 +122,12 @@ std::string borders_not_sampled(const Scene& scene, const Parts& parts, int dept
         if (may_be) text += (text.empty() ? "" : ", ") + std::string(what);
     };
     const bool beyond_first_hit = depth < 0 || depth >= 3;
-    add(beyond_first_hit &&
-            std::any_of(scene.emitters.begin(), scene.emitters.end(), [](const Emitter& e) { return e.is_delta(); }),
-        "shadows of point, spot, projector and directional lights beyond the first hit");
+    add(std::any_of(scene.emitters.begin(), scene.emitters.end(),
+                    [](const Emitter& e) {
+                        return e.kind == EmitterKind::projector ||
+                               (e.kind == EmitterKind::spot && !(e.beam_rad < e.cutoff_rad));
+                    }),
+        "sharp borders of beams");
     add(scene.features.delta_lobes, "silhouettes in mirrors and clear glass");
     add(beyond_first_hit && scene.features.smooth_normals, "terminators of smooth normals beyond the first hit");
     return text;

@@ -21,6 +21,7 @@ int class_of(std::uint8_t family) {
             return 2;
         case BoundaryFamily::vertex_light:
         case BoundaryFamily::indirect:
+        case BoundaryFamily::joined_light:
             break;
     }
     return 0;

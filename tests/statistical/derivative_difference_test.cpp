@@ -237,9 +237,9 @@ TEST_P(DerivativeDifference, BinsAgree) {
 INSTANTIATE_TEST_SUITE_P(Room, DerivativeDifference, ::testing::ValuesIn(kinds),
                          [](const auto& kind) { return std::string(kind.param.name); });
 
-// No family samples shadow edges between a point light and a vertex beyond the first hit: a quarter of the derivative
-// of an image is missing where such shadows move.
-TEST(DerivativeOfPointLights, DISABLED_PointLightBeyondTheFirstHit) {
+// With the point light alone, shadows that it casts at vertices beyond the first hit are a quarter of the derivative of a
+// quadrant of the image.
+TEST(DerivativeOfPointLights, ShadowsBeyondTheFirstHit) {
     expect_equal_bins(kinds[0], {4}, true);
 }
 

@@ -39,7 +39,7 @@ Derivative differentiate(const PathGraph& graph, const DerivableScene& scene, st
 
 /// A set of boundary families, one bit for each.
 using BoundarySet = unsigned;
-inline constexpr BoundarySet primary_edges = 1, direct_edges = 2 + 4, indirect_edges = 8, all_edges = 15;
+inline constexpr BoundarySet primary_edges = 1, direct_edges = 2 + 4 + 16, indirect_edges = 8, all_edges = 31;
 /// Returns its name, for messages.
 const char* name_of(BoundarySet boundaries);
 
