@@ -1,10 +1,10 @@
 #include "stages/derive/boundary.h"
 
 #include <algorithm>
-#include <functional>
 #include <numeric>
 
 #include "stages/core/app/report.h"
+#include "stages/derive/allotment.h"
 
 namespace loom::derive {
 
@@ -19,9 +19,41 @@ std::vector<bool> moving_shapes(const Scene& scene, const SceneTangents& tangent
     return moving;
 }
 
-EdgeTree tree_of(const Scene& scene, const std::vector<bool>& wanted) {
+/// Corners of a box.
+std::array<Pt, 8> corners(const Box3f& box) {
+    std::array<Pt, 8> out;
+    for (std::size_t i = 0; i < 8; ++i)
+        out[i] = {double(i & 1 ? box.hi.x : box.lo.x), double(i & 2 ? box.hi.y : box.lo.y),
+                  double(i & 4 ? box.hi.z : box.lo.z)};
+    return out;
+}
+
+void raise(double& speed, const Vec& v) {
+    speed = std::max(speed, length(v));
+}
+
+/// Largest speeds of the shapes, by shape and parameter, m per unit.
+std::vector<std::vector<double>> shape_speeds(const Scene& scene, const SceneTangents& tangents) {
+    std::vector<std::vector<double>> speed(scene.shapes.size(), std::vector<double>(tangents.n()));
+    for (std::size_t k = 0; k < scene.shapes.size(); ++k) {
+        for (const Pt& p : corners(scene.shapes[k].bounds()))
+            for (const auto& [parameter, v] : tangents.shapes[k]) raise(speed[k][parameter], v.at(p));
+        for (const auto& vertex : tangents.vertices[k])
+            for (const auto& [parameter, v] : vertex) raise(speed[k][parameter], v);
+    }
+    return speed;
+}
+
+EdgeTree tree_of(const Scene& scene, const SceneTangents& tangents, const std::vector<bool>& wanted) {
     if (!wanted.empty() && std::none_of(wanted.begin(), wanted.end(), [](bool w) { return w; })) return {};
-    return EdgeTree(find_edges(scene.shapes, wanted));
+    const std::vector<std::vector<double>> of_shapes = shape_speeds(scene, tangents);
+    EdgeSet set = find_edges(scene.shapes, wanted);
+    std::vector<float> speeds;
+    for (const Edge& edge : set.edges) {
+        const std::vector<double>& by_parameter = of_shapes[edge.shape_idx];
+        speeds.push_back(float(std::accumulate(by_parameter.begin(), by_parameter.end(), 0.0)));
+    }
+    return EdgeTree(std::move(set), speeds);
 }
 
 }  // namespace
@@ -31,10 +63,11 @@ BoundaryScene::BoundaryScene(const PathGraph& g, const Scene& s, const SceneTang
       scene(s),
       tangents(t),
       options(o),
+      seed(o.seed),
       reader(g),
       motions(s, t),
-      all_edges(tree_of(s, {})),
-      moving_edges(tree_of(s, moving_shapes(s, t))),
+      all_edges(tree_of(s, t, {})),
+      moving_edges(tree_of(s, t, moving_shapes(s, t))),
       attached(attached_of(s, o.attachment)) {
     find_speeds();
     if (attached.reach == 0) return;
@@ -44,23 +77,11 @@ BoundaryScene::BoundaryScene(const PathGraph& g, const Scene& s, const SceneTang
 }
 
 void BoundaryScene::find_speeds() {
-    const auto corners = [](const Box3f& box) {
-        std::array<Pt, 8> out;
-        for (std::size_t i = 0; i < 8; ++i)
-            out[i] = {double(i & 1 ? box.hi.x : box.lo.x), double(i & 2 ? box.hi.y : box.lo.y),
-                      double(i & 4 ? box.hi.z : box.lo.z)};
-        return out;
-    };
-    const auto raise = [](double& speed, const Vec& v) { speed = std::max(speed, length(v)); };
-    std::vector<std::vector<double>> shape_speed(scene.shapes.size(), std::vector<double>(n()));
+    const std::vector<std::vector<double>> shape_speed = shape_speeds(scene, tangents);
     surface_speed.assign(n(), 0);
     Box3f all;
     for (std::size_t k = 0; k < scene.shapes.size(); ++k) {
         all.add(scene.shapes[k].bounds());
-        for (const Pt& p : corners(scene.shapes[k].bounds()))
-            for (const auto& [parameter, v] : tangents.shapes[k]) raise(shape_speed[k][parameter], v.at(p));
-        for (const auto& vertex : tangents.vertices[k])
-            for (const auto& [parameter, v] : vertex) raise(shape_speed[k][parameter], v);
         for (std::size_t p = 0; p < n(); ++p) surface_speed[p] = std::max(surface_speed[p], shape_speed[k][p]);
     }
     film_speed = surface_speed;
@@ -296,160 +317,15 @@ void set_rows(std::vector<BoundaryRows>& parts, std::size_t n_parameters, Deriva
     out.boundary.sample = reordered(all.sample, order);
 }
 
-/// Sum over all rows of the squares of their derivatives: the variance of their pixels, but for the square of the mean.
-double second_moment(const std::vector<BoundaryRows>& rows) {
-    double sum = 0;
-    for (const BoundaryRows& part : rows) sum += part.square;
-    return sum;
-}
-
-/// The boundary families that a derivative needs, and how many samples each takes.
-class Allotment {
-  public:
-    using Rows = std::vector<BoundaryRows>;
-    using Samples = std::span<std::uint64_t>;
-
-    Allotment(const BoundaryScene& s, const Parts& parts, app::Report& report)
-        : s_(s), report_(report), silent_(report.name()), n_paths_(double(s.graph.n_paths())) {
-        silent_.set_quiet(true);
-        pilot_share_ = std::min(1.0, std::clamp(0.02 * n_paths_, 16384.0, 65536.0) / n_paths_);
-        for (const Emitter& e : s.scene.emitters)
-            environment_ |= parts.direct && (e.kind == EmitterKind::constant || e.kind == EmitterKind::envmap);
-        if (parts.direct) choose_direct();
-        if (parts.primary)
-            families_.push_back({[this](double n, Rows& rows, Samples samples, app::Report& to) {
-                                     return add_primary(s_, count(n), rows, samples, to);
-                                 },
-                                 pilot_share_ * n_paths_, INFINITY});
-        if (any_area_)
-            families_.push_back({[this](double share, Rows& rows, Samples samples, app::Report& to) {
-                                     return add_vertex_light(s_, share, by_vertex_, true, rows, samples, to);
-                                 },
-                                 pilot_share_, 1});
-        if (any_light_points_)
-            families_.push_back({[this](double n, Rows& rows, Samples samples, app::Report& to) {
-                                     return add_edge_light(s_, count(n), by_light_, rows, samples, to);
-                                 },
-                                 0.05 * pilot_share_ * n_paths_, INFINITY});
-        if (any_delta_ && (s.graph.tracing.max_depth < 0 || s.graph.tracing.max_depth >= 3))
-            families_.push_back({[this](double share, Rows& rows, Samples samples, app::Report& to) {
-                                     return add_joined_light(s_, share, delta_, rows, samples, to);
-                                 },
-                                 pilot_share_ / 4, 1});
-        if (parts.indirect || environment_)
-            families_.push_back(
-                {[this, surfaces = parts.indirect](double share, Rows& rows, Samples samples, app::Report& to) {
-                     return add_indirect(s_, share, surfaces, environment_, rows, samples, to);
-                 },
-                 pilot_share_ / 16, 1});
-    }
-
-    /// Samples all families within the budget: in proportion to sqrt(variance / cost) of a pilot of each.
-    std::uint64_t sample(Rows& rows, Samples samples) {
-        double total = 0;
-        for (Family& family : families_) {
-            Rows tried;
-            std::vector<std::uint64_t> n_tried(n_boundary_families);
-            const Effort effort = family.run(family.pilot, tried, n_tried, silent_);
-            rays_ += effort.rays;
-            family.variance = second_moment(tried) * family.pilot;
-            family.cost = std::max(effort.cost() / family.pilot, 1e-9);
-            total += std::sqrt(family.variance * family.cost);
-        }
-        // Tracing a path and binning it costs about as much as this many rays.
-        // One that ends on an emitter has neither vertex nor light edge.
-        const double path_cost =
-            1.5 * std::max(1.0, double(s_.graph.n_vertices() + s_.graph.n_light_edges()) / std::max(n_paths_, 1.0));
-        const double budget = s_.options.effort * n_paths_ * path_cost;
-        for (const Family& family : families_) {
-            const double wanted = total > 0 ? budget / total * std::sqrt(family.variance / family.cost) : 0;
-            // A pilot that finds nothing may have been too small.
-            const double n = std::min(std::max(few_digits(wanted), family.pilot), family.most);
-            rays_ += family.run(n, rows, samples, report_).rays;
-        }
-        return rays_;
-    }
-
-  private:
-    struct Family {
-        std::function<Effort(double, Rows&, Samples, app::Report&)> run;
-        double pilot, most;             // number of samples, or share of the paths
-        double variance = 0, cost = 0;  // of one, or of all paths
-    };
-
-    /// Rounds to 12 binary digits: with the number of threads sums of squares differ in their last.
-    static double few_digits(double x) {
-        int exponent = 0;
-        const double mantissa = std::frexp(x, &exponent);
-        return std::ldexp(std::round(std::ldexp(mantissa, 12)), exponent - 12);
-    }
-    static std::uint64_t count(double n) { return std::uint64_t(std::max(1.0, std::ceil(n))); }
-
-    /// Chooses, by emitter, whether light points are the cheaper way for first hits: by variance times cost of a few
-    /// samples of each. Lights without area have no other.
-    void choose_direct() {
-        const std::size_t n_emitters = s_.scene.emitters.size();
-        by_light_.assign(n_emitters, 0);
-        by_vertex_.assign(n_emitters, 0);
-        delta_.assign(n_emitters, 0);
-        constexpr std::size_t most = 16;  // pilots; further emitters follow the majority
-        std::size_t n_pilots = 0, n_chosen = 0;
-        for (std::size_t e = 0; e < n_emitters; ++e) {
-            const Emitter& emitter = s_.scene.emitters[e];
-            if (emitter.kind == EmitterKind::area) {
-                if (s_.options.direct == Direct::automatic)
-                    by_light_[e] = n_pilots++ < most ? prefers_light_points(e) : char(2 * n_chosen > most);
-                else
-                    by_light_[e] = s_.options.direct == Direct::lights;
-                n_chosen += std::size_t(by_light_[e]);
-                by_vertex_[e] = !by_light_[e];
-                any_area_ = true;
-            } else {
-                by_light_[e] = delta_[e] = emitter.is_delta();
-                any_delta_ |= emitter.is_delta();
-            }
-            any_light_points_ |= by_light_[e] != 0;
-        }
-    }
-
-    char prefers_light_points(std::size_t e) {
-        std::vector<char> only(s_.scene.emitters.size());
-        only[e] = 1;
-        Rows by_vertex, by_light;
-        std::vector<std::uint64_t> n_tried(n_boundary_families);
-        const Effort vertices = add_vertex_light(s_, pilot_share_, only, false, by_vertex, n_tried, silent_),
-                     lights =
-                         add_edge_light(s_, count(0.05 * pilot_share_ * n_paths_), only, by_light, n_tried, silent_);
-        rays_ += vertices.rays + lights.rays;
-        const double vertex_work = second_moment(by_vertex) * vertices.cost(),
-                     light_work = second_moment(by_light) * lights.cost();
-        // Few vertices that find an edge are no measure of the variance, which rare ones make.
-        constexpr std::size_t fewest = 100;
-        std::uint64_t n_found = 0;
-        for (const BoundaryRows& part : by_vertex) n_found += part.n_rows;
-        return light_work > 0 && (n_found < fewest || light_work < vertex_work);
-    }
-
-    const BoundaryScene& s_;
-    app::Report& report_;
-    app::Report silent_;
-    double n_paths_, pilot_share_ = 1;
-    bool environment_ = false, any_area_ = false, any_light_points_ = false, any_delta_ = false;
-    std::vector<char> by_light_, by_vertex_;  // by emitter, for first hits
-    std::vector<char> delta_;                 // by emitter
-    std::vector<Family> families_;
-    std::uint64_t rays_ = 0;
-};
-
 }  // namespace
 
 std::vector<BoundaryRows> sample_boundary(const PathGraph& graph, const Scene& scene, const SceneTangents& tangents,
                                           const Parts& parts, const BoundaryOptions& options, app::Report& report,
                                           std::vector<std::uint64_t>& samples, DeriveCounts& counts) {
-    const BoundaryScene s(graph, scene, tangents, options);
+    BoundaryScene s(graph, scene, tangents, options);
     samples.assign(n_boundary_families, 0);
     std::vector<BoundaryRows> rows;
-    counts.rays += Allotment(s, parts, report).sample(rows, samples);
+    counts.rays += sample_families(s, parts, rows, samples, report);
     return rows;
 }
 

@@ -32,7 +32,7 @@ struct BoundaryRows {
 
     const Adjoint* adjoint = nullptr;  // null: rows are stored
     std::vector<double> gradient;      // of the loss, by parameter
-    double square = 0;                 // sum over rows of the squares of their derivatives
+    std::vector<double> square;        // [parameter]: sum over rows of the squares of their derivatives
     std::uint64_t n_rows = 0;
 
     std::vector<std::uint32_t> pixel;
@@ -46,23 +46,24 @@ struct BoundaryRows {
     void add(std::uint64_t pixel_, double opl_, double camera_opl_, const Rgb<double>& light,
              std::span<const double> rates, BoundaryFamily family_, std::uint64_t sample_) {
         ++n_rows;
+        square.resize(rates.size());
         if (adjoint) {
             const Rgb<double> weight = adjoint->value_at(pixel_, opl_);
             const double by_rate = light.r * weight.r + light.g * weight.g + light.b * weight.b;
             gradient.resize(rates.size());
             for (std::size_t p = 0; p < rates.size(); ++p) {
                 gradient[p] += by_rate * rates[p];
-                square += sqr(by_rate * rates[p]);
+                square[p] += sqr(by_rate * rates[p]);
             }
             return;
         }
         pixel.push_back(std::uint32_t(pixel_));
         opl.push_back(opl_);
         camera_opl.push_back(camera_opl_);
-        for (const double rate : rates)
+        for (std::size_t p = 0; p < rates.size(); ++p)
             for (int c = 0; c < 3; ++c) {
-                dL.push_back(float(light[c] * rate));
-                square += sqr(double(dL.back()));
+                dL.push_back(float(light[c] * rates[p]));
+                square[p] += sqr(double(dL.back()));
             }
         family.push_back(std::uint8_t(family_));
         sample.push_back(sample_);
@@ -91,6 +92,7 @@ class BoundaryScene {
     const Scene& scene;
     const SceneTangents& tangents;
     const BoundaryOptions& options;
+    std::uint64_t seed;  // of the samples: those of a pilot are others
     GraphReader reader;
     SurfaceMotions motions;
     EdgeTree all_edges, moving_edges;  // of all shapes, and of those that move
@@ -101,8 +103,9 @@ class BoundaryScene {
     /// Numbers of sample i of a stream, of the kind of the graph's.
     Sampler sampler(std::uint64_t stream, std::uint64_t i) const {
         const bool sobol = graph.tracing.sampler == "sobol";
-        const std::uint64_t seed = streams::family(options.seed, stream);
-        return sobol ? Sampler(SamplerKind::sobol, seed, 0, i) : Sampler(SamplerKind::independent, seed, i, 0);
+        const std::uint64_t of_stream = streams::family(seed, stream);
+        return sobol ? Sampler(SamplerKind::sobol, of_stream, 0, i)
+                     : Sampler(SamplerKind::independent, of_stream, i, 0);
     }
     /// Edges that matter between points of which one moves, or neither.
     const EdgeTree& edges(bool ends_move) const { return ends_move ? all_edges : moving_edges; }

@@ -159,7 +159,7 @@ class Joined {
 
     /// Samples the paths of a chunk. They share a pool of shadow points, other chunks have others.
     void sample_chunk(std::uint64_t begin, std::uint64_t end, BoundaryRows& rows) {
-        const std::uint64_t seed = streams::family(s_.options.seed, 7);
+        const std::uint64_t seed = streams::family(s_.seed, 7);
         fill_pool(begin);
         for (std::size_t path = begin; path < end && !pool_.empty(); ++path) {
             if (!(streams::selection(seed, path) < share_)) continue;

@@ -48,7 +48,7 @@ class Sampling {
           environment_(environment),
           outline_(s),
           walker_(s.graph, s.scene, s.tangents, s.attached),
-          light_(s, streams::family(s.options.seed, 3)),
+          light_(s, streams::family(s.seed, 3)),
           v_light_(s.n()),
           rates_(s.n()),
           far_speed_(s.surface_speed) {
@@ -62,7 +62,7 @@ class Sampling {
     std::uint64_t n_listed() const { return outline_.n_found(); }
 
     void sample_path(std::size_t path, BoundaryRows& rows) {
-        const std::uint64_t seed = streams::family(s_.options.seed, 5);
+        const std::uint64_t seed = streams::family(s_.seed, 5);
         if (!(streams::selection(seed, path) < share_)) return;
         const std::size_t first = s_.graph.paths.first_vertex[path];
         MediumStack media;
@@ -139,7 +139,7 @@ class Sampling {
         };
         // Attached to surfaces, what lies behind an edge may move although neither the edge nor the vertex does.
         const bool all = !std::isinf(s_.attached.reach) || moving(x.velocity) || moving(x.turn);
-        bool any = outline_.collect(shaft, p.x_s, false, x.velocity, far_speed_, s_.edges(all), all, sampler.pair(2).y);
+        bool any = outline_.collect(shaft, p.x_s, false, x.velocity, far_speed_, s_.edges(all), all, 1, sampler.pair(2).y);
         if (all && !s_.creases.empty()) any = outline_.add_creases(shaft, far_speed_, sampler.pair(2).x);
         if (!any || !outline_.sample(sampler.pair(1), p.b)) return;
         const Vector3f wi(p.b.omega);

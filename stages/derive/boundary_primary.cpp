@@ -453,7 +453,7 @@ struct Worker {
     std::vector<Vec> v;
     std::uint64_t n_checks = 0;
 
-    explicit Worker(const BoundaryScene& s) : light(s, streams::family(s.options.seed, 0)), v(s.n()) {}
+    explicit Worker(const BoundaryScene& s) : light(s, streams::family(s.seed, 0)), v(s.n()) {}
 };
 
 }  // namespace

@@ -70,7 +70,7 @@ class Sampling {
 
     void sample_path(std::size_t path, double share, const std::vector<char>& at_first, bool deeper,
                      BoundaryRows& rows) {
-        const std::uint64_t seed = streams::family(s_.options.seed, 1);
+        const std::uint64_t seed = streams::family(s_.seed, 1);
         if (!(streams::selection(seed, path) < share)) return;
         walker_.walk_vertices(path, [&](const VertexState& x) {
             ++n_walked;
@@ -105,7 +105,7 @@ class Sampling {
                                 : Shaft::to_sphere(from, light.round.center, light.round.radius);
         const bool all = &tree == &s_.all_edges;
         const Pt x_s(at.p);
-        if (!outline_.collect(shaft, x_s, false, x.velocity, s_.emitter_speed[emitter_idx], tree, all,
+        if (!outline_.collect(shaft, x_s, false, x.velocity, s_.emitter_speed[emitter_idx], tree, all, 1,
                               sampler.pair(2).x))
             return;
         OutlinePoint b;

@@ -40,7 +40,8 @@ struct Options {
     std::string adjoint;               // weights of a histogram: one backward sweep; empty: forward
     std::string sensor;                // id or index, from 0; empty: the first
     std::vector<std::string> off;      // parts to leave out
-    double effort = 0.25;              // of boundary samples, over that of tracing and binning the graph
+    std::optional<double> effort;      // of boundary samples, over that of tracing and binning the graph; none: least
+                                       // variance times cost
     Direct direct = Direct::automatic;
     Attachment attachment = Attachment::automatic;
     std::uint64_t seed = 0;
@@ -67,7 +68,7 @@ Parts required_parts(const Scene& scene, const PathGraph& graph, const SceneTang
 
 /// Sampling of boundary terms.
 struct BoundaryOptions {
-    double effort = 0.25;  // over that of tracing and binning
+    std::optional<double> effort = {};  // over that of tracing and binning; none: least variance times cost
     std::uint64_t seed = 0;
     int threads = 0;
     Direct direct = Direct::automatic;

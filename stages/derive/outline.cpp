@@ -1,27 +1,12 @@
 #include "stages/derive/outline.h"
 
 #include <algorithm>
+#include <bit>
 
 namespace loom::derive {
 
 using Vec = Vector3<double>;
 using Pt = Point3<double>;
-
-namespace {
-
-/// Keeps a part of many segments, evenly spaced from a random start.
-/// out:     probability of each to be kept
-double keep_some(std::vector<EdgeSegment>& segments, float u) {
-    constexpr std::size_t most = 128;
-    const std::size_t n = segments.size();
-    if (n <= most) return 1;
-    for (std::size_t k = 0; k < most; ++k)
-        segments[k] = segments[std::min(std::size_t((double(k) + double(u)) * double(n) / double(most)), n - 1)];
-    segments.resize(most);
-    return double(most) / double(n);
-}
-
-}  // namespace
 
 void Outline::look(OutlinePoint& point) const {
     if (at_infinity_) {
@@ -62,7 +47,7 @@ void Outline::combine_weights(std::span<const double> far_speed) {
 }
 
 bool Outline::collect(const Shaft& shaft, const Pt& eye, bool at_infinity, ConstVelocities v_eye,
-                      std::span<const double> far_speed, const EdgeTree& tree, bool all, float u) {
+                      std::span<const double> far_speed, const EdgeTree& tree, bool all, int n_points, float u) {
     tree_ = &tree;
     eye_ = eye;
     at_infinity_ = at_infinity;
@@ -71,12 +56,25 @@ bool Outline::collect(const Shaft& shaft, const Pt& eye, bool at_infinity, Const
     known_.clear();
     extent_.clear();
     segments_.clear();
-    if (tree.n_edges() > 0) tree.collect(shaft, segments_);
+    // Of many edges a random part: fewer blocks cost less time and more variance, with a flat optimum. In the shaft of a
+    // light there are mostly few, and what lies behind them is the light.
+    const bool to_light = shaft.planes().size() > 1;
+    const std::size_t n_blocks = 64 * std::size_t(n_points), most_visits = (to_light ? 64 : 4) * n_blocks;
+    const bool try_all = tree.n_edges() <= 4 * n_blocks || to_light;
+    std::size_t n_visited = try_all ? tree.collect(shaft, segments_, most_visits) : 0;
+    if (!try_all || n_visited > most_visits) {
+        double end_speed = 0;
+        if (!at_infinity)
+            for (const Vec& v : v_eye) end_speed += length(v);
+        if (to_light)
+            for (const double v : far_speed) end_speed += v;
+        n_visited +=
+            tree.collect_some(shaft, double(n_blocks), end_speed, std::bit_cast<std::uint32_t>(u), segments_);
+    }
     creases_.clear();
     OutlinePoint point;
-    n_found_ += segments_.size();
-    segment_share_ = keep_some(segments_, u);
-    for (const EdgeSegment& segment : segments_) add_segment(segment, segment_share_);
+    n_found_ += segments_.size() + n_visited / 4;
+    for (const EdgeSegment& segment : segments_) add_segment(segment);
     rounds_ = at_infinity ? s_.rounds_along(Vec(eye), all) : s_.rounds_from(eye, all);
     for (const Round& round : rounds_) {
         constexpr int looked_at = 8;
@@ -101,9 +99,9 @@ bool Outline::collect(const Shaft& shaft, const Pt& eye, bool at_infinity, Const
 }
 
 bool Outline::add_creases(const Shaft& shaft, std::span<const double> far_speed, float u) {
-    constexpr std::size_t most = 256;
+    constexpr std::size_t most = 32;
     const std::size_t n = s_.creases.size(), n_listed = std::min(n, most);
-    crease_share_ = n > 0 ? double(n_listed) / double(n) : 1;
+    const double crease_share = n > 0 ? double(n_listed) / double(n) : 1;
     n_found_ += n_listed;
     for (std::size_t k = 0; k < n_listed; ++k) {
         // Evenly spaced, from a random start.
@@ -113,15 +111,15 @@ bool Outline::add_creases(const Shaft& shaft, std::span<const double> far_speed,
         std::array<EdgeInterval, 2> inside;
         if (shaft.is_silhouette(edge) || shaft.clip(edge, inside) == 0) continue;
         const EdgeSegment segment{inside[0].s0, inside[0].s1, edge_idx,
-                                  float(edge.length() * (inside[0].s1 - inside[0].s0))};
-        add_segment(segment, crease_share_);
+                                  float(edge.length() * (inside[0].s1 - inside[0].s0)), float(crease_share)};
+        add_segment(segment);
         creases_.push_back(segment);
     }
     combine_weights(far_speed);
     return !cumulative_.empty() && cumulative_.back() > 0;
 }
 
-void Outline::add_segment(const EdgeSegment& segment, double share) {
+void Outline::add_segment(const EdgeSegment& segment) {
     OutlinePoint point;
     const Edge& edge = tree_->edge(segment.edge_idx);
     const double len = edge.length();
@@ -145,8 +143,8 @@ void Outline::add_segment(const EdgeSegment& segment, double share) {
     // Light per angle falls with the distance; the sine of the edge's slant is in the angle.
     const double sine = std::max(length(point.out), 1e-6);
     arcs_.push_back(arc);
-    known_.push_back(extent * importance(point.p, point.out) / (sine * share));
-    extent_.push_back((at_infinity_ ? extent : extent / point.r) / share);
+    known_.push_back(extent * importance(point.p, point.out) / (sine * double(segment.share)));
+    extent_.push_back((at_infinity_ ? extent : extent / point.r) / double(segment.share));
 }
 
 bool Outline::place_on_edge(std::size_t i, double t, OutlinePoint& point) {
@@ -165,7 +163,7 @@ bool Outline::place_on_edge(std::size_t i, double t, OutlinePoint& point) {
     point.shape_idx = edge.shape_idx;
     // d angle / d length = height / r^2
     point.density = (at_infinity_ ? 1 : arc.height / sqr(point.r)) / (arc.end - arc.begin);
-    point.density *= is_crease ? crease_share_ : segment_share_;
+    point.density *= double(segment.share);
     s_.edge_velocity(tree_->set(), edge, s, velocity_);
     return true;
 }

@@ -32,10 +32,11 @@ class Outline {
     ///          v_eye     its velocity, by parameter
     ///          far_speed  largest speed of what may lie behind the silhouettes, by parameter
     ///          tree      edges to look for; all: rounds that rest count, too
-    ///          u         uniform: which part of many silhouettes
+    ///          n_points  points that sample() will draw
+    ///          u         random bits: which part of many silhouettes
     /// out:     whether there is anything
     bool collect(const Shaft& shaft, const Point3<double>& eye, bool at_infinity, ConstVelocities v_eye,
-                 std::span<const double> far_speed, const EdgeTree& tree, bool all, float u);
+                 std::span<const double> far_speed, const EdgeTree& tree, bool all, int n_points, float u);
     /// Adds creases in a shaft, a part of them where there are many. Must follow collect() over BoundaryScene::all_edges.
     /// in:      u  uniform: which part
     bool add_creases(const Shaft& shaft, std::span<const double> far_speed, float u);
@@ -45,7 +46,8 @@ class Outline {
     /// out:     false where rounding leaves nothing
     bool sample(Point2f u, OutlinePoint& point);
     ConstVelocities velocity() const { return velocity_; }
-    /// Number of silhouettes and creases found so far, by all calls: a measure of the work.
+    /// Number of silhouettes and creases found so far by all calls, and of a quarter of the nodes visited for them: a
+    /// measure of the work.
     std::uint64_t n_found() const { return n_found_; }
 
   private:
@@ -59,8 +61,7 @@ class Outline {
     bool place_on_edge(std::size_t i, double t, OutlinePoint& point);
     bool place_on_round(std::size_t i, double t, OutlinePoint& point);
     void look(OutlinePoint& point) const;
-    /// in:      share  probability of the segment to be listed
-    void add_segment(const EdgeSegment& segment, double share);
+    void add_segment(const EdgeSegment& segment);
 
     const BoundaryScene& s_;
     const EdgeTree* tree_ = nullptr;
@@ -70,8 +71,6 @@ class Outline {
     std::vector<EdgeSegment> segments_;
     std::vector<Round> rounds_;
     std::size_t first_crease_ = 0;  // among arcs_: silhouettes, rounds, creases
-    double crease_share_ = 1;       // probability of a crease to be listed
-    double segment_share_ = 1;      // of a silhouette
     std::uint64_t n_found_ = 0;
     std::vector<EdgeSegment> creases_;
     std::vector<Arc> arcs_;               // [segment, round, crease]

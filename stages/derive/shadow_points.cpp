@@ -45,7 +45,7 @@ void ShadowPoints::sample(const Sampler& sampler, std::span<const double> far_sp
     const Shaft shaft = point.infinite ? Shaft::along(Vector3f(point.y))
                                        : Shaft::to_infinity({Point3f(point.y), light.n, light.hit_error});
     if (!outline_.collect(shaft, point.y, point.infinite, v_emitter_, far_speed, s_.edges(all), all,
-                          sampler.pair(std::uint32_t(2 + per_light_point)).x))
+                          per_light_point, sampler.pair(std::uint32_t(2 + per_light_point)).x))
         return;
     point.v_edge = outline_.velocity();
     point.v_emitter = v_emitter_;

@@ -24,7 +24,8 @@ Derivative differentiate(const PathGraph& graph, const DerivableScene& scene, st
     report.set_quiet(true);
     derive::DeriveCounts counts;
     const derive::Parts parts = derive::required_parts(*scene.scene, graph, scene.tangents, off);
-    return derive::differentiate(graph, *scene.scene, scene.tangents, parts, {.seed = seed}, report, counts);
+    // More than the best use of time: power to find what boundaries lack.
+    return derive::differentiate(graph, *scene.scene, scene.tangents, parts, {.effort = 1, .seed = seed}, report, counts);
 }
 
 const char* name_of(BoundarySet boundaries) {

@@ -97,7 +97,7 @@ Derivative derivative_of(const PathGraph& g, std::size_t n_parameters, bool move
     d.seen.path = rows, d.seen.dLe = dL, d.seen.dopl = dopl;
 
     const std::uint64_t n_own = 40;
-    d.boundary_samples = std::vector<std::uint64_t>{n_own, g.n_paths(), n_own, g.n_paths()};
+    d.boundary_samples = std::vector<std::uint64_t>{n_own, g.n_paths(), n_own, g.n_paths(), g.n_paths()};
     std::vector<std::uint32_t> pixel;
     std::vector<double> opl, camera_opl;
     std::vector<std::uint8_t> family;
@@ -109,7 +109,7 @@ Derivative derivative_of(const PathGraph& g, std::size_t n_parameters, bool move
             opl.push_back(one_in(6) ? -1 : 3 + double(random() % 10000) * 7e-4);
             camera_opl.push_back(std::max(opl.back(), 1.0) * double(random() % 1000) * 1e-3);
             family.push_back(std::uint8_t(random() % n_boundary_families));
-            const bool of_path = family.back() == 1 || family.back() == 3;
+            const bool of_path = family.back() != 0 && family.back() != 2;
             sample.push_back(of_path ? i + random() % g.tracing.samples_per_pixel * g.n_pixels() : random() % 5);
             for (std::size_t k = 0; k < 3 * n_parameters; ++k) dL.push_back(0.1f * normal(random));
         }
@@ -201,7 +201,7 @@ std::vector<TwinNumber> twin_of(const std::vector<PathGraph>& graphs, const std:
                 });
             const auto& b = d.boundary;
             for (std::size_t row = 0; row < b.pixel.size(); ++row)
-                if (b.family[row] % 2 == 1 && b.sample[row] == path)
+                if (b.family[row] != 0 && b.family[row] != 2 && b.sample[row] == path)
                     add(of_path, opl_of(row), spp * b.dL[(row * N + p) * 3 + std::size_t(c)], 0);
             for (std::size_t k = 0; k < numbers.size(); ++k) numbers[k].of_paths.push_back(of_path[k]);
         }

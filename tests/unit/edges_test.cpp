@@ -561,6 +561,57 @@ TEST(EdgeTree, DegenerateShafts) {
     EXPECT_TRUE(found.empty());
 }
 
+// A random part of the silhouettes: each is listed with the probability that it carries, within the same shaft, and about
+// as many nodes are visited as blocks were asked for, times the depth.
+// Detected mutations: a child's share without that of its parent; one random number for all nodes.
+TEST(EdgeTree, ListsARandomPartWithKnownProbabilities) {
+    EdgeSet set = edges_of(test::icosphere(5, {}, 1));
+    std::vector<float> speeds;
+    for (const Edge& edge : set.edges) speeds.push_back(edge.a.x > 0 ? 3.0f : 0.0f);
+    const EdgeTree tree(std::move(set), speeds);
+    ASSERT_GT(tree.n_edges(), 10000u);
+    Numbers numbers(8);
+    const std::vector<Point3f> lamp = {{-2, -2, 3}, {2, -2, 3}, {2, 2, 3}, {-2, 2, 3}};
+    std::vector<EdgeSegment> all, some;
+    for (int query = 0; query < 24; ++query) {
+        const Point3f far = Point3f{} + numbers.direction() * 2.5f;
+        const Shaft shaft = query % 3 == 0   ? Shaft::to_infinity({far})
+                            : query % 3 == 1 ? Shaft::along(numbers.direction())
+                                             : Shaft::to_polygon({{0.3f, 0.1f * float(query % 5), -2}}, lamp);
+        tree.collect(shaft, all);
+        ASSERT_FALSE(all.empty()) << query;
+        double exact = 0;
+        for (const EdgeSegment& segment : all) exact += segment.length;
+        constexpr int n = 3000;
+        std::vector<double> expected(tree.n_edges()), listed(tree.n_edges());
+        double sum = 0, square = 0, n_visited = 0;
+        for (int i = 0; i < n; ++i) {
+            n_visited += double(tree.collect_some(shaft, 16, query % 2, std::uint64_t(10000 * query + i), some));
+            double total = 0;
+            for (const EdgeSegment& segment : some) {
+                ASSERT_GT(segment.share, 0);
+                ASSERT_LE(segment.share, 1);
+                total += double(segment.length) / double(segment.share);
+                expected[segment.edge_idx] = double(segment.share);
+                listed[segment.edge_idx] += 1;
+            }
+            sum += total, square += total * total;
+        }
+        const double mean = sum / n, se = std::sqrt(std::max(square / n - mean * mean, 0.0) / n);
+        EXPECT_NEAR(mean, exact, 4.5 * se + 1e-4 * exact) << query;
+        EXPECT_LT(n_visited / n, 16 * 12) << query;
+        double chi2 = 0;
+        int n_edges = 0;
+        for (std::size_t i = 0; i < listed.size(); ++i)
+            if (const double p = expected[i]; p * n > 20 && p < 0.99)
+                chi2 += std::pow(listed[i] - p * n, 2) / (p * (1 - p) * n), ++n_edges;
+        // Siblings exclude each other, which makes the sum vary more than that of independent ones.
+        if (n_edges > 20) {
+            EXPECT_LT(chi2 / n_edges, 2) << query << ", " << n_edges << " edges";
+        }
+    }
+}
+
 TEST(EdgeTree, IsTheSameEachTimeAndHoldsEachEdgeOnce) {
     for (int n : {1, 2, 3, 5, 7, 11, 40}) {
         const EdgeSet set = edges_of(soup(n, 0.2f, 9));

@@ -473,6 +473,7 @@ TEST(Reverse, BoundaryRowsAreContractedAsTheyAreMade) {
         if (family == BoundaryFamily::vertex_light) add_vertex_light(s, 1, all, true, rows, samples, report);
         if (family == BoundaryFamily::edge_light) add_edge_light(s, 1000, all, rows, samples, report);
         if (family == BoundaryFamily::indirect) add_indirect(s, 0.5, true, true, rows, samples, report);
+        if (family == BoundaryFamily::joined_light) add_joined_light(s, 1, all, rows, samples, report);
         return rows;
     };
     const std::size_t n = c.tangents->n();

@@ -8,6 +8,7 @@
 #include <numeric>
 
 #include "stages/core/math/box.h"
+#include "stages/core/sampling/streams.h"
 
 namespace loom {
 namespace {
@@ -116,27 +117,32 @@ unsigned EdgeTree::possible_silhouettes(const Block& block, const Query& query) 
     return ~bits(towards | away) & 15u;
 }
 
-void EdgeTree::collect(const Shaft& shaft, std::vector<EdgeSegment>& found) const {
+void EdgeTree::list(std::uint32_t block_idx, const Shaft& shaft, const Query& query, float share,
+                    std::vector<EdgeSegment>& found) const {
+    std::array<EdgeInterval, 2> inside;
+    for (unsigned open = possible_silhouettes(blocks_[block_idx], query); open; open &= open - 1) {
+        const std::uint32_t edge_idx = width * block_idx + std::uint32_t(std::countr_zero(open));
+        if (edge_idx >= set_.edges.size()) break;
+        const Edge& edge = set_.edges[edge_idx];
+        if (!shaft.is_silhouette(edge)) continue;
+        const int n = shaft.clip(edge, inside);
+        for (int i = 0; i < n; ++i) {
+            const auto [s0, s1] = inside[std::size_t(i)];
+            found.push_back({s0, s1, edge_idx, float(edge.length() * (s1 - s0)), share});
+        }
+    }
+}
+
+std::size_t EdgeTree::collect(const Shaft& shaft, std::vector<EdgeSegment>& found, std::size_t most) const {
     found.clear();
-    if (shaft.empty() || blocks_.empty()) return;
+    if (shaft.empty() || blocks_.empty()) return 0;
     const Query query(shaft, !(root_ & is_block));
     std::array<std::uint32_t, stack_size> stack;
-    std::size_t n_waiting = 0;
-    std::array<EdgeInterval, 2> inside;
+    std::size_t n_waiting = 0, n_visited = 0;
     for (std::uint32_t at = root_;; at = stack[--n_waiting]) {
+        if (++n_visited > most) return n_visited;
         if (at & is_block) {
-            const std::uint32_t block_idx = at & ~is_block;
-            for (unsigned open = possible_silhouettes(blocks_[block_idx], query); open; open &= open - 1) {
-                const std::uint32_t edge_idx = width * block_idx + std::uint32_t(std::countr_zero(open));
-                if (edge_idx >= set_.edges.size()) break;
-                const Edge& edge = set_.edges[edge_idx];
-                if (!shaft.is_silhouette(edge)) continue;
-                const int n = shaft.clip(edge, inside);
-                for (int i = 0; i < n; ++i) {
-                    const auto [s0, s1] = inside[std::size_t(i)];
-                    found.push_back({s0, s1, edge_idx, float(edge.length() * (s1 - s0))});
-                }
-            }
+            list(at & ~is_block, shaft, query, 1, found);
         } else {
             // Push the last child first, for ascending edges.
             const Node& node = nodes_[at];
@@ -146,13 +152,73 @@ void EdgeTree::collect(const Shaft& shaft, std::vector<EdgeSegment>& found) cons
                 open &= ~(1u << child);
             }
         }
-        if (n_waiting == 0) return;
+        if (n_waiting == 0) return n_visited;
     }
+}
+
+std::size_t EdgeTree::collect_some(const Shaft& shaft, double n_blocks, double end_speed, std::uint64_t seed,
+                                   std::vector<EdgeSegment>& found) const {
+    found.clear();
+    if (shaft.empty() || blocks_.empty()) return 0;
+    const Query query(shaft, !(root_ & is_block));
+    struct Visit {
+        std::uint32_t at;
+        float n_blocks, share;
+    };
+    std::array<Visit, stack_size> stack;
+    stack[0] = {root_, std::max(float(n_blocks), 1.0f), 1};
+    std::size_t n_visited = 0;
+    for (std::size_t n_waiting = 1; n_waiting > 0;) {
+        const Visit visit = stack[--n_waiting];
+        ++n_visited;
+        if (visit.at & is_block) {
+            list(visit.at & ~is_block, shaft, query, visit.share, found);
+            continue;
+        }
+        const Node& node = nodes_[visit.at];
+        const unsigned open = open_children(node, query);
+        Lanes length{}, motion{};
+        float all_length = 0, all_motion = 0;
+        for (unsigned rest = open; rest; rest &= rest - 1) {
+            const auto i = std::size_t(std::countr_zero(rest));
+            float d2 = 0, half2 = 0;
+            for (std::size_t c = 0; c < 3; ++c) {
+                d2 += sqr(query.eye[c] - query.weight * node.center[c][i]);
+                half2 += sqr(node.half[c][i]);
+            }
+            // Seen along a direction, distance does not count. Edges nearer than their box is large count as at its size.
+            const float near = query.weight > 0 ? 1 / std::max(d2, half2) : 1;
+            length[i] = node.edge_length[i] * near;
+            motion[i] = (node.edge_motion[i] + float(end_speed) * node.edge_length[i]) * near;
+            all_length += length[i];
+            all_motion += motion[i];
+        }
+        if (!(all_length > 0) || !std::isfinite(all_length) || !std::isfinite(all_motion)) continue;
+        const float at_rest = all_motion > 0 ? 0.2f : 1;
+        const auto part_of = [&](std::size_t i) {
+            return at_rest * length[i] / all_length + (at_rest < 1 ? (1 - at_rest) * motion[i] / all_motion : 0);
+        };
+        const float u = float(streams::numbered(seed, std::uint64_t(visit.at) + 1) >> 40) * 0x1p-24f;
+        float before = u;
+        for (unsigned rest = open; rest; rest &= rest - 1) {
+            const auto i = std::size_t(std::countr_zero(rest));
+            const float n = visit.n_blocks * part_of(i);
+            if (n >= 1) {
+                stack[n_waiting++] = {node.child[i], n, visit.share};
+                continue;
+            }
+            const float after = before + n;
+            if (std::floor(after) > std::floor(before)) stack[n_waiting++] = {node.child[i], 1, visit.share * n};
+            before = after;
+        }
+    }
+    return n_visited;
 }
 
 struct EdgeTree::Builder {
     EdgeTree& tree;
     std::vector<Edge> edges;           // of the set, in its order
+    std::vector<float> speeds;         // [edge]
     std::vector<std::uint32_t> order;  // of the tree
     std::vector<Point3f> middles;
 
@@ -162,7 +228,12 @@ struct EdgeTree::Builder {
         std::size_t size() const { return end - begin; }
     };
 
-    explicit Builder(EdgeTree& tree_) : tree(tree_), edges(std::move(tree_.set_.edges)), order(edges.size()) {
+    Builder(EdgeTree& tree_, std::span<const float> speeds_)
+        : tree(tree_),
+          edges(std::move(tree_.set_.edges)),
+          speeds(speeds_.begin(), speeds_.end()),
+          order(edges.size()) {
+        speeds.resize(edges.size());
         std::iota(order.begin(), order.end(), 0u);
         middles.reserve(edges.size());
         for (const Edge& edge : edges) middles.push_back(Point3f(edge.point(0.5)));
@@ -277,6 +348,12 @@ struct EdgeTree::Builder {
             node.center[k][lane] = center[c];
             node.half[k][lane] = rounded_up(std::max(double(box.hi[c]) - center[c], double(center[c]) - box.lo[c]));
         }
+        node.edge_length[lane] = node.edge_motion[lane] = 0;
+        for (std::size_t i = range.begin; i < range.end; ++i) {
+            const auto length = float(edges[order[i]].length());
+            node.edge_length[lane] += length;
+            node.edge_motion[lane] += length * speeds[order[i]];
+        }
         // Without a cone, as with a border: there may be silhouettes from everywhere.
         node.sin2[lane] = 1;
         // The axis is the mean of the normals, each pair on the side of the mean so far.
@@ -328,9 +405,9 @@ struct EdgeTree::Builder {
     }
 };
 
-EdgeTree::EdgeTree(EdgeSet set) : set_(std::move(set)) {
+EdgeTree::EdgeTree(EdgeSet set, std::span<const float> speeds) : set_(std::move(set)) {
     if (set_.edges.empty()) return;
-    Builder builder(*this);
+    Builder builder(*this, speeds);
     root_ = builder.build({0, builder.edges.size()});
     builder.finish();
 }

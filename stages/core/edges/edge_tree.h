@@ -16,6 +16,7 @@ struct EdgeSegment {
     double s0 = 0, s1 = 0;  // by the parameter of the edge, s0 < s1
     std::uint32_t edge_idx = 0;
     float length = 0;  // m
+    float share = 1;   // probability to be listed
 };
 
 /// Four-wide tree of boxes and cones of normals. A node is skipped where its box is outside of the shaft, or where the
@@ -25,8 +26,9 @@ struct EdgeSegment {
 class EdgeTree {
   public:
     EdgeTree() = default;
-    /// Reorders the edges; the result depends on them and their order only.
-    explicit EdgeTree(EdgeSet set);
+    /// Reorders the edges; the result depends on the arguments and their order only.
+    /// in:      speeds  by edge, of any unit, for collect_some(); empty: all at rest
+    explicit EdgeTree(EdgeSet set, std::span<const float> speeds = {});
 
     const EdgeSet& set() const { return set_; }
     const Edge& edge(std::uint32_t edge_idx) const { return set_.edges[edge_idx]; }
@@ -34,8 +36,20 @@ class EdgeTree {
 
     /// Lists the silhouettes, as seen from the apex of a shaft, clipped to it. Thread-safe; reuse `found`, which then
     /// needs no allocation.
-    /// out:     found  replaced; ascending by edge
-    void collect(const Shaft& shaft, std::vector<EdgeSegment>& found) const;
+    /// in:      most  number of nodes and blocks after which to give up
+    /// out:     found  replaced; ascending by edge. Returns the number of nodes and blocks visited: more than `most` where
+    ///                 segments are missing
+    std::size_t collect(const Shaft& shaft, std::vector<EdgeSegment>& found, std::size_t most = SIZE_MAX) const;
+    /// Lists a random part of the silhouettes: about those of `n_blocks` blocks, which it reaches by dividing their number
+    /// between the open children of each node. Four fifths are divided in proportion to length times speed over squared
+    /// distance, the rest to length over squared distance, for what is behind an edge may move, too. A child whose part
+    /// is below 1 is entered with that probability, systematically, so that siblings exclude each other. Takes
+    /// O(n_blocks log n).
+    /// in:      end_speed  of the ends of lines of sight, added to that of each edge
+    ///          seed       of its random numbers
+    /// out:     as collect(); EdgeSegment::share is set, and sums of values / share are unbiased
+    std::size_t collect_some(const Shaft& shaft, double n_blocks, double end_speed, std::uint64_t seed,
+                             std::vector<EdgeSegment>& found) const;
 
     static constexpr int width = 4;
 
@@ -47,6 +61,7 @@ class EdgeTree {
         // Normals n are within an angle of the axis or its reverse: its cosine, and the square of its sine. Over all
         // edge points a, n . (a - center) <= above, -n . (a - center) <= below, m.
         alignas(16) Lanes cos, sin2, above, below;
+        Lanes edge_length, edge_motion;  // sums over the edges of length, and length times speed
         std::array<std::uint32_t, width> child;
         int n_children = 0;
     };
@@ -59,6 +74,8 @@ class EdgeTree {
 
     static unsigned open_children(const Node& node, const Query& query);
     static unsigned possible_silhouettes(const Block& block, const Query& query);
+    void list(std::uint32_t block_idx, const Shaft& shaft, const Query& query, float share,
+              std::vector<EdgeSegment>& found) const;
 
     static constexpr std::uint32_t is_block = 1u << 31;
     static constexpr std::size_t stack_size = 256;

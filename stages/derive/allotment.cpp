@@ -1,0 +1,319 @@
+#include "stages/derive/allotment.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <functional>
+#include <numeric>
+
+#include "stages/core/graph/own_samples.h"
+#include "stages/core/graph/time_of_flight.h"
+#include "stages/core/graph/time_response.h"
+#include "stages/derive/interior.h"
+
+namespace loom::derive {
+namespace {
+
+using Rows = std::vector<BoundaryRows>;
+using Samples = std::span<std::uint64_t>;
+using ByParameter = std::vector<double>;
+
+/// Response of a film to a pulse as long as one of its bins; with one bin for all times where a film has none.
+TimeResponse response_of(const PathGraph& graph) {
+    TimeResponse response;
+    const auto& film = graph.transient;
+    if (film.n_bins.empty()) return response;
+    response.n_bins = film.n_bins[0];
+    response.start = film.start_opl[0];
+    response.width = response.gate = film.bin_width_opl[0];
+    response.pulse = Pulse::box(response.width);
+    return response;
+}
+
+/// Variance of the interior part, summed over pixels, bins and channels, for each parameter: of the paths of some
+/// pixels, whose light edges count as independent.
+ByParameter interior_variance(const BoundaryScene& s) {
+    const PathGraph& g = s.graph;
+    const std::uint64_t n_pixels = g.n_pixels(), spp = g.tracing.samples_per_pixel;
+    const std::uint64_t n_looked_at = std::min(n_pixels, std::clamp<std::uint64_t>(16384 / spp, 16, 1024));
+    const TimeResponse response = response_of(g);
+    const bool in_time = !g.transient.n_bins.empty();
+    const InteriorWalker walker(g, s.scene, s.tangents, s.attached);
+    const OpticalLengths lengths(g, Timing{});
+    struct Sums {
+        Rgb<double> sum, square;
+    };
+    std::vector<Sums> bins(response.n_bins * s.n());
+    std::vector<double> opl;
+    ByParameter variance(s.n());
+    for (std::uint64_t i = 0; i < n_looked_at; ++i) {
+        const std::uint64_t pixel = (2 * i + 1) * n_pixels / (2 * n_looked_at);
+        std::fill(bins.begin(), bins.end(), Sums{});
+        for (std::uint64_t sample = 0; sample < spp; ++sample) {
+            const std::size_t path = sample * n_pixels + pixel;
+            if (!walker.touches(path)) continue;
+            const std::size_t first = first_light_edge(g, g.paths.first_vertex[path]);
+            std::size_t edge = first;
+            opl.clear();
+            double seen_opl = INFINITY;
+            walk_edges_in_time(
+                s.reader, lengths, path, edge, [&](const Spectrum&, double t) { seen_opl = t; },
+                [&](std::size_t, const Spectrum&, double t) { opl.push_back(t); });
+            const auto add = [&](double t, const InteriorWalker::ExactRow& row) {
+                const auto add_bin = [&](std::uint32_t k, double weight, double slope) {
+                    for (std::size_t p = 0; p < s.n(); ++p) {
+                        const Rgb<double> x = row.dL[p] * Rgb<double>(weight) + row.L * Rgb<double>(slope * row.dopl[p]);
+                        Sums& bin = bins[k * s.n() + p];
+                        bin.sum += x;
+                        bin.square += x * x;
+                    }
+                };
+                if (!in_time)
+                    add_bin(0, 1, 0);
+                else if (std::isfinite(t))
+                    response.spread_with_slopes(t, add_bin);
+            };
+            edge = first;
+            walker.walk_exactly(
+                path, edge, [&](const InteriorWalker::ExactRow& row) { add(opl[row.row - first], row); },
+                [&](const InteriorWalker::ExactRow& row) { add(seen_opl, row); });
+        }
+        for (std::size_t k = 0; k < bins.size(); ++k)
+            for (int c = 0; c < 3; ++c)
+                variance[k % s.n()] += std::max(bins[k].square[c] - sqr(bins[k].sum[c]) / double(spp), 0.0);
+    }
+    for (double& v : variance) v *= double(n_pixels) / double(n_looked_at) / sqr(double(spp));
+    return variance;
+}
+
+/// Sum over all rows of the squares of their derivatives: the variance of their pixels, but for the square of the mean.
+/// A light in a pulse of one bin spreads over two, whose squares are 2/3 of the light's in the mean.
+ByParameter second_moments(const BoundaryScene& s, const Rows& rows) {
+    const double share = s.graph.transient.n_bins.empty() ? 1 : 2.0 / 3;
+    ByParameter sum(s.n());
+    for (const BoundaryRows& part : rows)
+        for (std::size_t p = 0; p < part.square.size(); ++p) sum[p] += share * part.square[p];
+    return sum;
+}
+
+std::uint64_t number_of(const Rows& rows) {
+    std::uint64_t n = 0;
+    for (const BoundaryRows& part : rows) n += part.n_rows;
+    return n;
+}
+
+/// Rounds to 12 binary digits: with the number of threads sums of squares differ in their last.
+double few_digits(double x) {
+    int exponent = 0;
+    const double mantissa = std::frexp(x, &exponent);
+    return std::ldexp(std::round(std::ldexp(mantissa, 12)), exponent - 12);
+}
+
+std::uint64_t count(double n) {
+    return std::uint64_t(std::max(1.0, std::ceil(n)));
+}
+
+class Allotment {
+  public:
+    Allotment(BoundaryScene& s, const Parts& parts, app::Report& report)
+        : s_(s), parts_(parts), report_(report), silent_(report.name()), n_paths_(double(s.graph.n_paths())) {
+        silent_.set_quiet(true);
+        // Tracing a path and binning it costs about as much as this many rays.
+        // One that ends on an emitter has neither vertex nor light edge.
+        path_cost_ =
+            1.5 * std::max(1.0, double(s.graph.n_vertices() + s.graph.n_light_edges()) / std::max(n_paths_, 1.0));
+        least_share_ = std::min(1.0, 1024 / std::max(n_paths_, 1.0));
+    }
+
+    std::uint64_t sample(Rows& rows, Samples samples) {
+        const std::uint64_t seed = s_.seed;
+        s_.seed = streams::pilot(seed);
+        list_families();
+        for (Family& family : families_) family.pilot = run_pilot(family);
+        s_.seed = seed;
+        const double scale = scale_of_samples();
+        std::string shares;
+        double total = 0;
+        for (std::size_t f = 0; f < families_.size(); ++f) {
+            const Family& family = families_[f];
+            // A pilot that found nothing may have been too small.
+            const double least = family.pilot.n_rows > 0 ? family.least : family.pilot.n;
+            const double wanted = few_digits(scale * std::sqrt(variance_[f] / family.pilot.cost));
+            const double n = std::min(std::max(wanted, least), family.most);
+            rays_ += family.run(n, rows, samples, report_).rays;
+            const double effort = n * family.pilot.cost / (n_paths_ * path_cost_);
+            total += effort;
+            shares += fmt::format("{}{} {:.2g}", f > 0 ? ", " : "", boundary_family_name(family.name), effort);
+        }
+        if (!families_.empty())
+            report_.info("effort of boundary samples, over that of tracing and binning: {:.2g} ({})", total, shares);
+        return rays_;
+    }
+
+  private:
+    struct Pilot {
+        double n = 0;          // samples, or share of the paths
+        ByParameter variance;  // of one sample, or of all paths
+        double cost = 0;       // of one, or of all
+        std::uint64_t n_rows = 0;
+    };
+    struct Family {
+        BoundaryFamily name;
+        std::function<Effort(double, Rows&, Samples, app::Report&)> run;
+        double least, most;  // number of samples, or share of the paths
+        Pilot pilot;
+    };
+
+    void list_families() {
+        const bool deep = s_.graph.tracing.max_depth < 0 || s_.graph.tracing.max_depth >= 3;
+        bool environment = false;
+        for (const Emitter& e : s_.scene.emitters)
+            environment |= parts_.direct && (e.kind == EmitterKind::constant || e.kind == EmitterKind::envmap);
+        if (parts_.direct) choose_direct();
+        const auto any = [](const std::vector<char>& of) {
+            return std::any_of(of.begin(), of.end(), [](char x) { return x != 0; });
+        };
+        if (parts_.primary)
+            families_.push_back({BoundaryFamily::primary, [this](double n, Rows& rows, Samples samples, app::Report& to) {
+                                     return add_primary(s_, count(n), rows, samples, to);
+                                 },
+                                 1024, INFINITY, {}});
+        if (any_area_)
+            families_.push_back({BoundaryFamily::vertex_light, [this](double share, Rows& rows, Samples samples, app::Report& to) {
+                                     return add_vertex_light(s_, share, by_vertex_, true, rows, samples, to);
+                                 },
+                                 least_share_, 1, {}});
+        if (any(by_light_))
+            families_.push_back({BoundaryFamily::edge_light, [this](double n, Rows& rows, Samples samples, app::Report& to) {
+                                     return add_edge_light(s_, count(n), by_light_, rows, samples, to);
+                                 },
+                                 64, INFINITY, {}});
+        if (any(delta_) && deep)
+            families_.push_back({BoundaryFamily::joined_light, [this](double share, Rows& rows, Samples samples, app::Report& to) {
+                                     return add_joined_light(s_, share, delta_, rows, samples, to);
+                                 },
+                                 least_share_, 1, {}});
+        if (parts_.indirect || environment)
+            families_.push_back({BoundaryFamily::indirect, [this, environment](double share, Rows& rows, Samples samples, app::Report& to) {
+                                     return add_indirect(s_, share, parts_.indirect, environment, rows, samples, to);
+                                 },
+                                 least_share_, 1, {}});
+    }
+
+    /// Samples until some rows are found, or for a fiftieth of the cost of tracing and binning.
+    Pilot run_pilot(const Family& family) {
+        constexpr std::uint64_t enough = 400;
+        const double most_cost = std::max(0.02 * n_paths_ * path_cost_, 4096.0);
+        Pilot pilot;
+        for (double n = family.least;; n *= 4) {
+            n = std::min(n, family.most);
+            Rows tried;
+            std::vector<std::uint64_t> n_tried(n_boundary_families);
+            const Effort effort = family.run(n, tried, n_tried, silent_);
+            rays_ += effort.rays;
+            pilot = {n, second_moments(s_, tried), std::max(effort.cost() / n, 1e-9), number_of(tried)};
+            for (double& v : pilot.variance) v *= n;
+            // Without any work there is nothing to sample.
+            if (effort.cost() == 0 || pilot.n_rows >= enough || effort.cost() >= most_cost || n >= family.most)
+                return pilot;
+        }
+    }
+
+    /// Computes a of n_f = a sqrt(V_f / c_f), and V_f over all parameters.
+    double scale_of_samples() {
+        const double traced = n_paths_ * path_cost_;
+        const bool automatic = !s_.options.effort && !s_.options.adjoint;
+        const double effort = s_.options.effort.value_or(default_effort);
+        ByParameter interior(s_.n());
+        if (automatic && parts_.interior) interior = interior_variance(s_);
+        variance_.assign(families_.size(), 0);
+        double rest = 0;
+        for (std::size_t p = 0; p < s_.n(); ++p) {
+            double root = 0;
+            for (const Family& family : families_) root += std::sqrt(family.pilot.variance[p] * family.pilot.cost);
+            const double sum = interior[p] + sqr(root) / (effort * traced);
+            if (!(sum > 0)) continue;
+            rest += interior[p] / sum;
+            for (std::size_t f = 0; f < families_.size(); ++f) variance_[f] += families_[f].pilot.variance[p] / sum;
+        }
+        double root = 0;
+        for (std::size_t f = 0; f < families_.size(); ++f)
+            root += std::sqrt(variance_[f] * families_[f].pilot.cost);
+        if (!(root > 0)) return 0;
+        if (!automatic) return effort * traced / root;
+        constexpr double with_interior = 1.3;
+        const double fixed = with_interior * traced, most = fixed / root;
+        return rest > 0 ? std::min(std::sqrt(fixed / rest), most) : most;
+    }
+
+    /// Chooses, by emitter, whether light points are the cheaper way for first hits: by variance times cost of a few
+    /// samples of each. Lights without area have no other.
+    void choose_direct() {
+        const std::size_t n_emitters = s_.scene.emitters.size();
+        by_light_.assign(n_emitters, 0);
+        by_vertex_.assign(n_emitters, 0);
+        delta_.assign(n_emitters, 0);
+        constexpr std::size_t most = 16;  // pilots; further emitters follow the majority
+        std::size_t n_pilots = 0, n_chosen = 0;
+        for (std::size_t e = 0; e < n_emitters; ++e) {
+            const Emitter& emitter = s_.scene.emitters[e];
+            if (emitter.kind == EmitterKind::area) {
+                if (s_.options.direct == Direct::automatic)
+                    by_light_[e] = n_pilots++ < most ? prefers_light_points(e) : char(2 * n_chosen > most);
+                else
+                    by_light_[e] = s_.options.direct == Direct::lights;
+                n_chosen += std::size_t(by_light_[e]);
+                by_vertex_[e] = !by_light_[e];
+                any_area_ = true;
+            } else {
+                by_light_[e] = delta_[e] = emitter.is_delta();
+            }
+        }
+    }
+
+    char prefers_light_points(std::size_t e) {
+        std::vector<char> only(s_.scene.emitters.size());
+        only[e] = 1;
+        const Pilot vertices = run_pilot({BoundaryFamily::vertex_light, [&](double share, Rows& rows, Samples samples, app::Report& to) {
+                                              return add_vertex_light(s_, share, only, false, rows, samples, to);
+                                          },
+                                          least_share_, 1, {}}),
+                    lights = run_pilot({BoundaryFamily::edge_light, [&](double n, Rows& rows, Samples samples, app::Report& to) {
+                                            return add_edge_light(s_, count(n), only, rows, samples, to);
+                                        },
+                                        64, INFINITY, {}});
+        double vertex_work = 0, light_work = 0;
+        for (std::size_t p = 0; p < s_.n(); ++p) {
+            const double v = vertices.variance[p] * vertices.cost, l = lights.variance[p] * lights.cost;
+            if (!(v + l > 0)) continue;
+            vertex_work += v / (v + l);
+            light_work += l / (v + l);
+        }
+        // Few vertices that find an edge are no measure of the variance, which rare ones make.
+        constexpr std::uint64_t fewest = 100;
+        return light_work > 0 && (vertices.n_rows < fewest || light_work < vertex_work);
+    }
+
+    static constexpr double default_effort = 0.25;
+
+    BoundaryScene& s_;
+    const Parts& parts_;
+    app::Report& report_;
+    app::Report silent_;
+    double n_paths_, path_cost_ = 1, least_share_ = 1;
+    bool any_area_ = false;
+    std::vector<char> by_light_, by_vertex_;  // by emitter, for first hits
+    std::vector<char> delta_;                 // by emitter
+    std::vector<Family> families_;
+    ByParameter variance_;  // [family], over all parameters
+    std::uint64_t rays_ = 0;
+};
+
+}  // namespace
+
+std::uint64_t sample_families(BoundaryScene& s, const Parts& parts, Rows& rows, Samples samples,
+                              app::Report& report) {
+    return Allotment(s, parts, report).sample(rows, samples);
+}
+
+}  // namespace loom::derive
