@@ -15,7 +15,7 @@
 #   p         of loom-compare: whether the mean of all differences at the smallest h agrees with the reference
 #
 # METHODS are auto (the default of loom-derive), or an option and its value: direct-lights, direct-vertices, attach-surface,
-# attach-ray. Runs are timed one at a time, methods in turn. What is made stays: more METHODS, ROWS or REPLICATES add to it.
+# attach-ray; or widen-N: what moves between bins is averaged over N bins (loom-transient --widen), biased like a difference. Runs are timed one at a time, methods in turn. What is made stays: more METHODS, ROWS or REPLICATES add to it.
 #
 #   make table-derive                              all rows but egg, about four minutes
 #   make table-derive ROWS=occluder_x METHODS="auto direct-lights direct-vertices"
@@ -30,7 +30,7 @@
 include pipelines/variables.mk
 
 # ROWS=  ## parameters to run, by name (all but egg)
-# METHODS=  ## auto, or OPTION-VALUE of loom-derive: direct-lights attach-surface (auto)
+# METHODS=  ## auto, OPTION-VALUE of loom-derive (direct-lights attach-surface), or widen-BINS (auto)
 # SPP=  ## samples per pixel of each run (256)
 # REPLICATES=  ## runs of each method, with their own seeds (6)
 # PASSES=  ## runs of SPP samples in each half of a reference (4)
@@ -48,8 +48,8 @@ OUT := $(OUT)
 egg := ../shared/scenes/egg/scene_v3.xml
 
 include pipelines/words.mk
-ifneq ($(shell printf '%s\n' $(METHODS) | grep -cvxE 'auto|(direct|attach)-[a-z]+'),0)
-$(error METHODS=$(METHODS): each must be auto, direct-VALUE or attach-VALUE, as options of loom-derive)
+ifneq ($(shell printf '%s\n' $(METHODS) | grep -cvxE 'auto|(direct|attach)-[a-z]+|widen-[0-9]+(\.[0-9]+)?'),0)
+$(error METHODS=$(METHODS): each must be auto, direct-VALUE or attach-VALUE, as options of loom-derive, or widen-BINS)
 endif
 
 # scenes|row|scene|parameter|its unit|values of h|length of a bin and of the pulse|further values
@@ -78,7 +78,9 @@ values = $(foreach v,resx=$(SIZE) resy=$(SIZE) bin_width=$(call field,7,$(1)) wi
 	$(if $(shell grep -o '<default name="$(firstword $(subst =, ,$(v)))"' $(call scene,$(1))),-D $(v)))
 trace = $(bin)/loom-trace --quiet --threads 1 $(call scene,$(1)) $(values.$(1)) --sampler independent --spp $(SPP) --seed $(2)
 bins = $(bin)/loom-transient --quiet --threads 1 --pulse box --pulse-length $(call field,7,$(1))
-option = $(if $(filter auto,$(1)),,--$(subst -, ,$(1)))
+option = $(if $(filter auto widen-%,$(1)),,--$(subst -, ,$(1)))
+# $(call widen,ROW,METHOD)
+widen = $(if $(filter widen-%,$(2)),--widen $(shell awk 'BEGIN {print $(call field,7,$(1)) * $(2:widen-%=%)}'))
 
 # Cubes of one replicate. Graphs go once they are binned, their costs stay.
 $(foreach w,$(ROWS),$(eval values.$(w) := $(call values,$(w))))
@@ -91,7 +93,7 @@ $(OUT)/$(1)/$(3)/cube.h5: $(call scene,$(1)) $(OUT)/$(1)/run.parameters $(progra
 	@$(bin)/loom-derive --quiet --threads 1 $(call scene,$(1)) $$(@D)/graph.h5 $(values.$(1)) --wrt $(call wrt,$(1)) \
 		--seed $(call seed,$(1)/$(3) boundary) $(if $(EFFORT),--effort $(EFFORT)) $(call option,$(2)) -o $$(@D)/derivative.h5
 	@$(call bins,$(1)) $$(@D)/graph.h5 -o $$(@D)/plain.h5
-	@$(call bins,$(1)) $$(@D)/graph.h5 --derivative $$(@D)/derivative.h5 -o $$@
+	@$(call bins,$(1)) $$(@D)/graph.h5 --derivative $$(@D)/derivative.h5 $(call widen,$(1),$(2)) -o $$@
 	@rm -f $$(@D)/graph.h5 $$(@D)/derivative.h5
 endef
 # $(call difference,ROW,H,NAME)

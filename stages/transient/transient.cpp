@@ -254,7 +254,7 @@ std::vector<ExactBorders> set_temporal(const Options& options, const std::vector
     const bool is_delta = response.pulse.is_delta() && response.modulation == Modulation::none;
     if (options.temporal == Temporal::exact && (!is_delta || derivatives.empty()))
         throw InputError("--temporal exact: needs --derivative and a delta pulse; any other pulse is exact as it is");
-    if (!is_delta) return {};
+    if (!is_delta && response.widened == 0) return {};
     std::vector<ExactBorders> borders;
     if (options.temporal == Temporal::exact)
         for (std::size_t i = 0; i < derivatives.size(); ++i)
@@ -268,7 +268,7 @@ std::vector<ExactBorders> set_temporal(const Options& options, const std::vector
             moved.widened = moved.widened || by.widened;
         }
         if (!moved.exact && !moved.widened) continue;
-        if (options.temporal == Temporal::refuse)
+        if (is_delta && options.temporal == Temporal::refuse)
             throw InputError(
                 fmt::format("--temporal refuse: {} changes arrival times, and bins jump with a delta pulse; give "
                             "another --pulse, or --temporal widen or exact",
@@ -276,12 +276,25 @@ std::vector<ExactBorders> set_temporal(const Options& options, const std::vector
         header.parameters.temporal[p] = !moved.widened ? "exact" : moved.exact ? "partly" : "widened";
         if (moved.widened) widened += (widened.empty() ? "" : ", ") + header.parameters.name[p];
     }
-    if (!widened.empty())
+    if (!widened.empty() && response.widened > 0)
+        report.info("light that moves between bins is the mean over {:.6g} {} of arrival time, for the derivatives by {}",
+                    *options.widen, options.unit == Unit::ns ? "ns" : "m", widened);
+    else if (!widened.empty())
         report.info(
             "delta pulse: {}light that moves between bins is that of a box pulse one bin long, for the "
             "derivatives by {}",
             borders.empty() ? "" : "a part of the ", widened);
     return borders;
+}
+
+/// Sets the length over which slopes are averaged.
+void set_widened(const Options& options, const Lengths& lengths, TimeResponse& response) {
+    if (!options.widen) return;
+    if (options.derivatives.empty()) throw InputError("--widen: needs --derivative");
+    if (options.temporal != Temporal::widen) throw InputError("--widen: needs --temporal widen");
+    if (response.modulation != Modulation::none)
+        throw InputError("--widen: a modulation is as wide as its period; give another --pulse");
+    response.widened = lengths(*options.widen);
 }
 
 void check_tal(const Options& options, const PathGraph& graph) {
@@ -343,12 +356,13 @@ struct LightSums {
     }
 };
 
-std::string plan_of(const TransientCubeHeader& header, bool shares, bool camera_segment) {
+std::string plan_of(const TransientCubeHeader& header, double widened, bool shares, bool camera_segment) {
     std::string derivatives;
+    const std::string by = widened > 0 ? fmt::format("{:.6g} m", widened) : "a bin";
     const auto& p = header.parameters;
     for (std::size_t i = 0; i < header.n_parameters(); ++i)
         derivatives += fmt::format("{}{}{}", i == 0 ? ", derivatives by " : ", ", p.name[i],
-                                   p.temporal[i] == "widened"  ? " (response widened by a bin)"
+                                   p.temporal[i] == "widened"  ? fmt::format(" (response widened by {})", by)
                                    : p.temporal[i] == "partly" ? " (response widened by a bin for a part)"
                                    : p.temporal[i] == "exact"  ? " (exact at the borders of bins)"
                                                                : "");
@@ -370,6 +384,10 @@ void declare(app::Command& command, Options& options) {
         "delta pulse with derivatives that change arrival times: widen the response by a bin, use the samples "
         "of loom-derive --temporal exact, or refuse",
         {{"widen", Temporal::widen}, {"exact", Temporal::exact}, {"refuse", Temporal::refuse}});
+    command.option("--widen", options.widen,
+                   "any pulse: average what moves between bins over this length of arrival time, centred; less noise, and "
+                   "a bias of the order of its square (default: a delta pulse by a bin, others not)",
+                   app::Range<double>{1e-12, 1e12});
     command.output("-o,--output", options.output, "transient cube (.h5)");
     command.output("--tal", options.tal, "also write an NLOS capture in the format of the TAL tools (.h5)");
     command.choice("--unit", options.unit,
@@ -449,6 +467,7 @@ void run(const Options& options, app::Report& report) {
     else
         set_window(options, lengths, graphs[0], timing, response);
     for (std::size_t i = 0; i < derivatives.size(); ++i) check_lengths(timing, options.derivatives[i], derivatives[i]);
+    set_widened(options, lengths, response);
     const std::vector<ExactBorders> borders = set_temporal(options, derivatives, response, timing, header, report);
 
     // Fill the header of the cube.
@@ -462,7 +481,7 @@ void run(const Options& options, app::Report& report) {
                    options.metres_per_unit,
                    timing.camera_segment};
     header.provenance = report.provenance(graphs[0].provenance.seed, std::move(header.provenance.inputs),
-                                          plan_of(header, !clusters.empty(), timing.camera_segment));
+                                          plan_of(header, response.widened, !clusters.empty(), timing.camera_segment));
     const std::uint64_t cube_bytes =
                             2 * sizeof(float) * (1 + header.n_parameters()) * header.row_size() * header.film.height,
                         max_bytes = options.memory_MiB << 20;

@@ -27,7 +27,8 @@ class SharedArrivals;
 namespace loom::transient {
 
 enum class Unit { opl, ns };
-/// Treatment of derivatives that need the slope of a response which has none, that of a delta pulse.
+/// Treatment of derivatives that need the slope of a response: averaged over an interval, or of a delta pulse, which has
+/// none, by samples at the borders of bins, or not at all.
 enum class Temporal { widen, exact, refuse };
 enum class Shape { film, delta, box, gaussian, expgauss, table, sine, square };
 
@@ -36,6 +37,7 @@ struct Options {
     std::vector<std::string> clusters;     // of these graphs, in their order; empty: paths alone
     std::vector<std::string> derivatives;  // of these graphs, in their order; empty: values alone
     Temporal temporal = Temporal::widen;
+    std::optional<double> widen;  // length over which slopes of the response are averaged
     std::string output;  // transient cube (.h5)
     std::string tal;     // also an NLOS capture for the TAL tools (.h5); empty: none
 

@@ -1,6 +1,7 @@
 // S_e against quadrature, its derivatives against differences, its energy.
 #include "stages/core/graph/time_response.h"
 
+#include <fmt/format.h>
 #include <gtest/gtest.h>
 
 #include <cmath>
@@ -160,7 +161,9 @@ std::vector<std::pair<std::string, TimeResponse>> gated_responses() {
     pulses.push_back({"short box", Pulse::box(0.05)});
     for (const auto& [name, pulse] : pulses)
         for (const double gate : {0.25, 0.01, 0.1, 3.0})
-            all.push_back({std::string(name) + ", gate " + std::to_string(gate), {24, 1.5, 0.25, gate, pulse, {}, 1}});
+            for (const double widened : {0.0, 0.17, 0.25})
+                all.push_back({fmt::format("{}, gate {}, widened {}", name, gate, widened),
+                               {24, 1.5, 0.25, gate, pulse, {}, 1, widened}});
     return all;
 }
 
@@ -238,6 +241,25 @@ TEST(TimeResponse, ADeltaPulseIsWidenedByABin) {
     box.pulse = Pulse::box(0.5);
     for (double tof = 1.1; tof < 7; tof += 0.0371)
         for (int k = 0; k < 8; ++k) EXPECT_EQ(delta.slope(k, tof), box.slope(k, tof - 0.25)) << tof << " " << k;
+}
+
+// Widened by a length, the slope is the mean of exact slopes over it.
+TEST(TimeResponse, WidenedSlopesAreMeans) {
+    TimeResponse r{8, 2, 0.5, 0.5, Pulse::gaussian(0.2), {}, 1, 0.3};
+    TimeResponse exact = r;
+    exact.widened = 0;
+    for (double tof = 1.1; tof < 7; tof += 0.0371)
+        for (int k = 0; k < 8; ++k) {
+            constexpr int n = 200;
+            double mean = 0;
+            for (int i = 0; i < n; ++i) mean += exact.slope(k, tof + 0.3 * ((i + 0.5) / n - 0.5)) / n;
+            EXPECT_NEAR(r.slope(k, tof), mean, 1e-4);
+        }
+    // A delta pulse by a bin: as without.
+    TimeResponse delta{8, 2, 0.5, 0.5, Pulse::delta(), {}, 1}, by_a_bin = delta;
+    by_a_bin.widened = 0.5;
+    for (double tof = 1.1; tof < 7; tof += 0.0371)
+        for (int k = 0; k < 8; ++k) EXPECT_NEAR(by_a_bin.slope(k, tof), delta.slope(k, tof), 1e-12) << tof << " " << k;
 }
 
 // Bins, before and after sum to all of the light.

@@ -125,6 +125,8 @@ double Pulse::power(double s) const {
 }
 
 double TimeResponse::slope(std::int64_t k, double tof) const {
+    if (modulation == Modulation::none && widened > 0)
+        return (weight(k, tof + 0.5 * widened) - weight(k, tof - 0.5 * widened)) / widened;
     if (modulation == Modulation::none) {
         const double open = start + double(k) * width;
         const double close = gate == width ? start + double(k + 1) * width : open + gate;

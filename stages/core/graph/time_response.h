@@ -73,6 +73,7 @@ struct TimeResponse {
     Pulse pulse;
     Modulation modulation = Modulation::none;
     double period = 1;  // with modulation; width is then period / n_bins
+    double widened = 0;  // m over which slopes are averaged; 0: exact slopes, of a delta pulse over a bin
 
     double end() const { return start + n_bins * width; }
 
@@ -81,7 +82,8 @@ struct TimeResponse {
     template <class T>
     T weight(std::int64_t k, const T& tof) const;
     /// Returns dS_e[k] / dtof (1/m), where it jumps the mean of both sides. For a delta pulse, where S_e itself jumps,
-    /// that of a box pulse as long as the distance between bins and centred at emission.
+    /// that of a box pulse as long as the distance between bins and centred at emission. With `widened`, the mean over
+    /// an interval of this length around tof: (S_e[k](tof + widened/2) - S_e[k](tof - widened/2)) / widened.
     double slope(std::int64_t k, double tof) const;
 
     /// Shares that arrive before start and after end(), for light of a given time of flight.
@@ -95,8 +97,9 @@ struct TimeResponse {
     struct SlopedOutside : Outside {
         double before_slope = 0, after_slope = 0;
     };
-    /// Calls visit(k, S_e[k], dS_e[k] / dtof) for every bin where one of them is not 0. Shares are those of spread(), to
-    /// the bit. With gates that tile the time, all slopes sum to 0 up to rounding.
+    /// Calls visit(k, S_e[k], dS_e[k] / dtof) for every bin where one of them is not 0, with `widened` several times for
+    /// some bins: sums count. Shares are those of spread(), to the bit. With gates that tile the time, all slopes sum to 0
+    /// up to rounding.
     template <class Visit>
     SlopedOutside spread_with_slopes(double tof, Visit&& visit) const;
 
@@ -171,6 +174,13 @@ TimeResponse::SlopedOutside TimeResponse::spread_with_slopes(double tof, Visit&&
     if (modulation != Modulation::none) {
         for (std::uint32_t k = 0; k < n_bins; ++k) visit(k, weight(k, tof), slope(k, tof));
         return {};
+    }
+    if (widened > 0) {
+        const Outside at = spread(tof, [&](std::uint32_t k, double w) { visit(k, w, 0.0); });
+        const Outside later = spread(tof + 0.5 * widened, [&](std::uint32_t k, double w) { visit(k, 0.0, w / widened); });
+        const Outside earlier =
+            spread(tof - 0.5 * widened, [&](std::uint32_t k, double w) { visit(k, 0.0, -w / widened); });
+        return {at, (later.before - earlier.before) / widened, (later.after - earlier.after) / widened};
     }
     const double x = (tof - start) / width, g = gate / width, last_bin = double(n_bins) - 1;
     // Bins with a weight, as in spread().
