@@ -178,8 +178,8 @@ void TransientCubeOf<ColumnOf>::fields(Self& c, Visitor& v) {
     v.optional_names(
         "parameters/temporal", p.temporal, "parameter",
         "light that moves between bins as its arrival time changes: none (complete: the response is "
-        "smooth, or no arrival time changes), widened (delta pulse: as for a box pulse one bin long, "
-        "centred), exact (delta pulse: sampled at the borders of bins), partly (exact for a part of the light, "
+        "smooth, or no arrival time changes), widened (its mean over the length that the plan names; of a delta pulse as for a "
+        "box pulse one bin long, centred), exact (delta pulse: sampled at the borders of bins), partly (exact for a part of the light, "
         "widened for the rest)");
 
     auto& d = c.derivative;

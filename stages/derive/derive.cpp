@@ -332,8 +332,9 @@ void run(const Options& options, app::Report& report) {
                         "differentiates a loss by any number",
                         tangents.n(), max_parameters));
     const double load_s = report.cost().cpu_s - before_s;
-    if (const std::string missing = missing_columns(graph, *scene, tangents, attached_of(*scene, options.attachment));
-        !missing.empty())
+    // The reverse sweep attaches to surfaces.
+    const Attached attached = attached_of(*scene, backward ? Attachment::surface : options.attachment);
+    if (const std::string missing = missing_columns(graph, *scene, tangents, attached); !missing.empty())
         throw InputError(
             fmt::format("{}: lacks columns for these parameters; trace it with loom-trace {}", options.graph, missing));
     Parts parts = required_parts(*scene, graph, tangents, options.off);
@@ -362,8 +363,7 @@ void run(const Options& options, app::Report& report) {
         graph, *scene, tangents, parts,
         {options.effort, options.seed, options.threads, options.direct, options.attachment}, report, counts);
     if (options.exact_times) {
-        differentiate_temporal(graph, *scene, tangents, attached_of(*scene, options.attachment), bins, options.threads,
-                               report, derivative);
+        differentiate_temporal(graph, *scene, tangents, attached, bins, options.threads, report, derivative);
         report.info("exact between bins, of the light whose arrival time changes: {}", shares_in_words(derivative));
     }
     derivative.graph = graph_id.hash;
