@@ -122,8 +122,8 @@ void Shaft::clip_by_cone(const Vector3d& start, const Vector3d& along, EdgeInter
     }
 }
 
-int Shaft::clip(const Edge& edge, std::array<EdgeInterval, 2>& inside) const {
-    const Vector3d end_a = Vector3d(edge.a) - eye_ * weight_, end_b = Vector3d(edge.b) - eye_ * weight_;
+int Shaft::clip(const Point3f& a, const Point3f& b, std::array<EdgeInterval, 2>& inside) const {
+    const Vector3d end_a = Vector3d(a) - eye_ * weight_, end_b = Vector3d(b) - eye_ * weight_;
     const Vector3d along = end_b - end_a;
     EdgeInterval part{0, 1};
     for (int i = 0; i < n_planes_; ++i) {

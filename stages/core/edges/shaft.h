@@ -39,7 +39,8 @@ class Shaft {
     /// Computes the parts of an edge inside, in ascending order, none of length 0. Two only where the edge runs through
     /// a sphere. An edge in line with the apex subtends no angle and has none.
     /// out:     returns how many of `inside` are set
-    int clip(const Edge& edge, std::array<EdgeInterval, 2>& inside) const;
+    int clip(const Edge& edge, std::array<EdgeInterval, 2>& inside) const { return clip(edge.a, edge.b, inside); }
+    int clip(const Point3f& a, const Point3f& b, std::array<EdgeInterval, 2>& inside) const;
 
     /// Half-space n . (p - apex) + offset >= 0.
     struct Plane {
