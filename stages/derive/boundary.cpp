@@ -1,6 +1,7 @@
 #include "stages/derive/boundary.h"
 
 #include <algorithm>
+#include <map>
 #include <numeric>
 
 #include "stages/core/app/report.h"
@@ -70,6 +71,7 @@ BoundaryScene::BoundaryScene(const PathGraph& g, const Scene& s, const SceneTang
       moving_edges(tree_of(s, t, moving_shapes(s, t))),
       attached(attached_of(s, o.attachment)) {
     find_speeds();
+    find_all_seams();
     if (attached.reach == 0) return;
     for (std::uint32_t i = 0; i < all_edges.n_edges(); ++i)
         if (all_edges.edge(i).kind == EdgeKind::shared && is_crease(all_edges.set(), all_edges.edge(i)))
@@ -105,6 +107,39 @@ void BoundaryScene::find_speeds() {
     }
 }
 
+void BoundaryScene::find_all_seams() {
+    if (scene.nlos || !(tangents.any_shape_moves() || tangents.camera_moves())) return;
+    SeamQuery query;
+    std::map<std::vector<double>, std::uint32_t> groups;  // by motion
+    for (std::uint32_t k = 0; k < scene.shapes.size(); ++k) {
+        if (!tangents.vertices[k].empty()) {
+            query.group.push_back(SeamQuery::deforms);
+            continue;
+        }
+        std::vector<double> motion;
+        for (const auto& [parameter, v] : tangents.shapes[k]) {
+            motion.push_back(parameter);
+            motion.insert(motion.end(), v.linear.begin(), v.linear.end());
+            for (int c = 0; c < 3; ++c) motion.push_back(v.offset[c]);
+        }
+        query.group.push_back(groups.emplace(std::move(motion), std::uint32_t(groups.size())).first->second);
+    }
+    const bool deeper = graph.tracing.max_depth < 0 || graph.tracing.max_depth >= 3;
+    query.resting = tangents.camera_moves() || (deeper && attached.reach > 0);
+    SeamSet found = find_seams(scene.shapes, query);
+    seams = std::move(found.seams);
+    all_seams = found.complete;
+    const auto moves = [&](const Seam& seam) {
+        const std::uint32_t a = query.group[seam.faces[0].shape_idx], b = query.group[seam.faces[1].shape_idx];
+        return a != b || a == SeamQuery::deforms;
+    };
+    n_moving_seams = std::size_t(std::stable_partition(seams.begin(), seams.end(), moves) - seams.begin());
+    emitter_seams = std::any_of(seams.begin(), seams.begin() + std::ptrdiff_t(n_moving_seams), [&](const Seam& seam) {
+        return std::any_of(seam.faces.begin(), seam.faces.end(),
+                           [&](const Seam::Face& face) { return scene.shapes[face.shape_idx].emitter_idx >= 0; });
+    });
+}
+
 void BoundaryScene::shape_velocity(std::uint32_t shape, std::uint32_t primitive, const Pt& p, Velocities out) const {
     std::fill(out.begin(), out.end(), Vec{});
     for (const auto& [k, v] : tangents.shapes[shape]) out[k] = out[k] + v.at(p);
@@ -131,6 +166,13 @@ void BoundaryScene::edge_velocity(const EdgeSet& set, const Edge& edge, double s
         if (weight == 0) continue;
         for (const auto& [k, v] : vertices[i[corner]]) out[k] = out[k] + v * weight;
     }
+}
+
+void BoundaryScene::seam_velocity(const Seam& seam, const Pt& p, Velocities out) const {
+    std::vector<Vec> other(out.size());
+    shape_velocity(seam.faces[0].shape_idx, seam.faces[0].triangle_idx, p, out);
+    shape_velocity(seam.faces[1].shape_idx, seam.faces[1].triangle_idx, p, other);
+    for (std::size_t k = 0; k < out.size(); ++k) out[k] = seam.velocity(out[k], other[k]);
 }
 
 void BoundaryScene::film_velocity(const SurfacePoint& at, const Pt& from, const Vec& d, Velocities out) const {
@@ -250,6 +292,23 @@ BoundaryScene::Sides BoundaryScene::sides_of(const EdgeSet& set, const Edge& edg
             hit.primitive_idx = face;
             hit.u = float(b.x), hit.v = float(b.y);
         }
+    }
+    return sides;
+}
+
+BoundaryScene::Sides BoundaryScene::sides_of(const Seam& seam, const Pt& p, const Vec& view, const Vec& out) const {
+    Sides sides;
+    for (int i = 0; i < 2; ++i) {
+        const Seam::Face& face = seam.faces[std::size_t(i)];
+        const Vec w = seam.along_face(i, view);
+        const TriangleRecord& triangle = scene.shapes[face.shape_idx].triangles[face.triangle_idx];
+        // A little off the line: at it the point may be below the other surface.
+        const double inside = 2 * clearance(p, std::max(length(Vec(triangle.e1)), length(Vec(triangle.e2))));
+        const Point2<double> b = motions.barycentric_of(face.shape_idx, face.triangle_idx, p + w * inside);
+        Hit& hit = dot(out, w) > 0 ? sides.back : sides.front;
+        hit.shape_idx = face.shape_idx;
+        hit.primitive_idx = face.triangle_idx;
+        hit.u = float(b.x), hit.v = float(b.y);
     }
     return sides;
 }

@@ -14,6 +14,7 @@
 #include "stages/core/app/report.h"
 #include "stages/core/compute/parallel.h"
 #include "stages/core/edges/edge_tree.h"
+#include "stages/core/edges/seams.h"
 #include "stages/core/graph/graph_reader.h"
 #include "stages/core/sampling/streams.h"
 #include "stages/derive/adjoint.h"
@@ -98,6 +99,12 @@ class BoundaryScene {
     EdgeTree all_edges, moving_edges;  // of all shapes, and of those that move
     Attached attached;
     std::vector<std::uint32_t> creases;  // of all_edges; empty where all vertices stay on their surfaces
+    /// Lines where surfaces cut each other: first those of surfaces that move relative to each other, then, where points
+    /// slide over surfaces or the camera moves, the others.
+    std::vector<Seam> seams;
+    std::size_t n_moving_seams = 0;
+    bool emitter_seams = false;  // an area light is cut by a surface that moves relative to it
+    bool all_seams = true;       // false: the search took too long and ended
 
     std::size_t n() const { return tangents.n(); }
     /// Numbers of sample i of a stream, of the kind of the graph's.
@@ -114,6 +121,8 @@ class BoundaryScene {
     void shape_velocity(std::uint32_t shape, std::uint32_t primitive, const Point3<double>& p, Velocities out) const;
     /// Velocity of the point s of an edge.
     void edge_velocity(const EdgeSet& set, const Edge& edge, double s, Velocities out) const;
+    /// Velocity of the line of a seam, across itself.
+    void seam_velocity(const Seam& seam, const Point3<double>& p, Velocities out) const;
     /// Velocity of a camera ray's end on a surface: it slides with the ray.
     /// in:      from, d  origin and unit direction of the ray
     void film_velocity(const SurfacePoint& at, const Point3<double>& from, const Vector3<double>& d,
@@ -144,6 +153,9 @@ class BoundaryScene {
     };
     Sides sides_of(const EdgeSet& set, const Edge& edge, const Point3<double>& p, const Vector3<double>& view,
                    const Vector3<double>& out) const;
+    /// The same of a seam, which has a face on each side.
+    Sides sides_of(const Seam& seam, const Point3<double>& p, const Vector3<double>& view,
+                   const Vector3<double>& out) const;
     /// Whether light differs on the two faces of a shared edge that both show: their shading normals do.
     bool is_crease(const EdgeSet& set, const Edge& edge) const;
 
@@ -152,6 +164,7 @@ class BoundaryScene {
 
   private:
     void find_speeds();
+    void find_all_seams();
 };
 
 /// Calls f(pixel, h) for the pixels whose reconstruction filter reaches a film position, h its density there.

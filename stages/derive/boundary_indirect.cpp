@@ -2,7 +2,8 @@
 // paths of their own.
 //   sum over visible silhouettes of beta f_cos(omega) dL swept / r_B^2 dl_B
 // Both sides count, each with the velocity of its own far point (Attached): the light beside the edge, and that of the
-// surface in front, whose points slide over the edge unless they keep their places. So do points over creases.
+// surface in front, whose points slide over the edge unless they keep their places. So do points over creases. Over lines
+// where surfaces cut each other (seams) they do so even then, and over the border of an emitter that is cut so.
 
 #include <tbb/enumerable_thread_specific.h>
 
@@ -35,8 +36,8 @@ struct Pending {
 /// A ray of a sample.
 struct Side {
     std::uint32_t pending_idx;
-    double sign;   // -1: the surface in front
-    bool at_edge;  // the surface ends at the edge
+    double sign;  // -1: the surface in front
+    Hit at_edge;  // the surface that ends at the edge; none: any that the ray hits
 };
 
 class Sampling {
@@ -93,14 +94,17 @@ class Sampling {
                     for (std::size_t k = 0; k < s_.n(); ++k)
                         rates_[k] = swept(p.b.out, p.v_b[k] - p.v_s[k] - v_light_[k] * p.b.r);
                 }
-                light_.walk(i, edge, [&](const Spectrum& L, double) {
-                    if (environment_) add(p, Rgb<double>(L), -1, rows);
+                light_.walk(i, edge, [&](const Spectrum& L, double opl) {
+                    if (std::isfinite(opl))
+                        add_emission(p, sides_[i], L, opl, rows);
+                    else if (environment_)
+                        add(p, Rgb<double>(L), -1, rows);
                 });
                 return;
             }
             const Pt x_l = position<double>(g, begin);
             const double r = length(x_l - p.x_s);
-            const bool at_edge = sides_[i].at_edge;
+            const bool at_edge = bool(sides_[i].at_edge);
             const bool counts = surfaces_ && (at_edge || r > p.b.r * (1 - 1e-6));
             if (counts) {
                 s_.far_velocity(g.vertices.shape[begin], g.vertices.primitive[begin], g.vertices.material[begin],
@@ -109,10 +113,14 @@ class Sampling {
                     rates_[k] =
                         swept(p.b.out, relative_velocity(at_edge ? 1 : p.b.r / r, p.v_b[k], p.v_s[k], v_light_[k]));
             }
-            // Emission at the first hit belongs to the family of emitters.
             bool emitted_first = !is_black(rgb(g.paths.Le, i));
             light_.walk(i, edge, [&](const Spectrum& L, double opl) {
-                if (std::exchange(emitted_first, false)) return;
+                if (std::exchange(emitted_first, false)) {
+                    const std::vector<double> rates = rates_;
+                    add_emission(p, sides_[i], L, opl, rows);
+                    rates_ = rates;
+                    return;
+                }
                 if (counts) add(p, Rgb<double>(L) * Rgb<double>(sign), opl, rows);
             });
         });
@@ -127,7 +135,9 @@ class Sampling {
         const ShadingPoint& at = *x.at;
         const int max_depth = s_.graph.tracing.max_depth;
         const int edge_number = depth + 2;
-        if (max_depth >= 0 && (edge_number > max_depth || (edge_number == max_depth && !environment_))) return;
+        if (max_depth >= 0 &&
+            (edge_number > max_depth || (edge_number == max_depth && !environment_ && !s_.emitter_seams)))
+            return;
         const bool interface = is_interface(*at.bsdf.model);
         const float hit_error = s_.scene.shapes[s_.graph.vertices.shape[x.vertex]].hit_error;
         const RayEnd from{at.p, interface ? Normal3f{} : facing(at.ng, at.wo), hit_error};
@@ -137,10 +147,13 @@ class Sampling {
         const auto moving = [](std::span<const Vec> v) {
             return std::any_of(v.begin(), v.end(), [](const Vec& x) { return !(x == Vec{}); });
         };
-        // Attached to surfaces, what lies behind an edge may move although neither the edge nor the vertex does.
-        const bool all = !std::isinf(s_.attached.reach) || moving(x.velocity) || moving(x.turn);
+        // Rays cross the creases of what moves, and attached to surfaces, what lies behind an edge may move although
+        // neither the edge nor the vertex does.
+        const bool ends_move = moving(x.velocity) || moving(x.turn), slide = s_.attached.reach > 0;
+        const bool all = !std::isinf(s_.attached.reach) || !s_.creases.empty() || ends_move;
         bool any = outline_.collect(shaft, p.x_s, false, x.velocity, far_speed_, s_.edges(all), all, 1, sampler.pair(2).y);
         if (all && !s_.creases.empty()) any = outline_.add_creases(shaft, far_speed_, sampler.pair(2).x);
+        if (surfaces_ && !s_.seams.empty()) any = outline_.add_seams(shaft, far_speed_, slide, sampler.pair(3).x);
         if (!any || !outline_.sample(sampler.pair(1), p.b)) return;
         const Vector3f wi(p.b.omega);
         const Spectrum f_cos = f_cos_pdf(at, wi).f_cos;
@@ -161,23 +174,27 @@ class Sampling {
         const double clearance = s_.clearance(p.b.p, p.b.r);
         const auto pending_idx = std::uint32_t(pending_.size());
         // Nothing may lie between: to the open space beside a silhouette or above a crease.
-        const Vec lift = p.b.is_crease ? lifted(*p.b.edge, p.b.omega) : p.b.out / length(p.b.out);
+        const Vec lift = p.b.seam        ? p.b.seam->lifted(p.b.omega)
+                         : p.b.is_crease ? lifted(*p.b.edge, p.b.omega)
+                                         : p.b.out / length(p.b.out);
         ++n_checks_;
         if (s_.scene.occluded(spawn_segment(end, {Point3f(p.b.p + lift * clearance)}))) return;
         BoundaryScene::Sides sides;
-        if (p.b.edge) {
+        if (p.b.seam) {
+            sides = s_.sides_of(*p.b.seam, p.b.p, p.b.omega, p.b.out);
+        } else if (p.b.edge) {
             sides = s_.sides_of(s_.edges(all).set(), *p.b.edge, p.b.p, p.b.omega, p.b.out);
         } else {
             sides.front.shape_idx = p.b.shape_idx;
             sides.front.u = float(std::cos(p.b.phi)), sides.front.v = float(std::sin(p.b.phi));
         }
-        if (s_.attached.reach > 0) push(end, p, sides.front, media, edge_number, pending_idx, -1);
+        if (slide || p.b.seam) push(end, p, sides.front, media, edge_number, pending_idx, -1);
         if (p.b.is_crease) {
             push(end, p, sides.back, media, edge_number, pending_idx, 1);
         } else {
             const Vec beside = p.b.omega + p.b.out * (clearance / (length(p.b.out) * p.b.r));
             rays_.push_back({spawn_ray(end, Vector3f(normalize(beside))), {x.vertex, 0}, media, edge_number, {}});
-            sides_.push_back({pending_idx, 1, false});
+            sides_.push_back({pending_idx, 1, {}});
         }
         pending_.push_back(std::move(p));
     }
@@ -193,7 +210,7 @@ class Sampling {
         if (!hit) return;
         hit.t = float(p.b.r);
         rays_.push_back({Ray{from.p, Vector3f(p.b.omega), 0, INFINITY}, {p.vertex, 0}, media, edge_number, hit});
-        sides_.push_back({pending_idx, sign, true});
+        sides_.push_back({pending_idx, sign, hit});
     }
 
     SurfaceIdx surface(std::size_t vertex) const {
@@ -205,6 +222,15 @@ class Sampling {
         if (lobe != Lobe::delta_transmission && lobe != Lobe::glossy_transmission) return;
         const Vector3f wi = x.at->frame.to_local(continuation_direction(s_.graph, x.vertex));
         media.pass(surface(x.vertex), wi.z < 0, *x.at->bsdf.model);
+    }
+
+    /// Emission at the first hit belongs to the families of emitters, but for seams, which these do not look for. Points of
+    /// emitters keep their places.
+    void add_emission(const Pending& p, const Side& side, const Spectrum& L, double opl, BoundaryRows& rows) {
+        if (!p.b.seam) return;
+        s_.shape_velocity(side.at_edge.shape_idx, side.at_edge.primitive_idx, p.b.p, v_light_);
+        for (std::size_t k = 0; k < s_.n(); ++k) rates_[k] = swept(p.b.out, p.v_b[k] - v_light_[k]);
+        add(p, Rgb<double>(L) * Rgb<double>(side.sign), opl, rows);
     }
 
     void add(const Pending& p, const Rgb<double>& L, double opl, BoundaryRows& rows) {

@@ -1,6 +1,6 @@
 // Family 0: edges as the camera sees them. Light jumps across a curve that moves on the film: silhouettes, borders,
-// creases of moving or sliding surfaces, and the terminators of smooth shading, where an interpolated normal turns away
-// from the camera before the surface does, so that a one-sided surface is black.
+// creases of moving or sliding surfaces, lines where surfaces cut each other, and the terminators of smooth shading, where
+// an interpolated normal turns away from the camera before the surface does, so that a one-sided surface is black.
 //   integral over curves of h(film) v_film . n (L_front - L_back) along the film; both sides by paths of equal numbers
 
 #include <tbb/enumerable_thread_specific.h>
@@ -21,19 +21,19 @@ using Pt = Point3<double>;
 
 /// A visible curve: a part of an edge, straight on the film, a round, or the terminator within a triangle.
 struct FilmCurve {
-    enum class Kind : std::uint8_t { edge, round, terminator } kind = Kind::edge;
-    std::uint32_t index = 0;      // of the edge, the round, or the triangle of a shape
+    enum class Kind : std::uint8_t { edge, seam, round, terminator } kind = Kind::edge;
+    std::uint32_t index = 0;      // of the edge, the seam, the round, or the triangle of a shape
     std::uint32_t shape_idx = 0;  // of a terminator
-    // Of an edge:
+    // Of an edge or a seam:
     Vec a, b;  // ends of its part, camera coordinates
     Point2<double> film_a, film_b;
-    double s_a = 0, s_b = 1;  // on the edge
+    double s_a = 0, s_b = 1;  // on the line
 };
 
 /// Clips a segment in camera coordinates to the space in front of the near plane, and on the film to its borders.
-std::optional<FilmCurve> clipped(const FilmMap& map, const Sensor& sensor, const Edge& edge) {
+std::optional<FilmCurve> clipped(const FilmMap& map, const Sensor& sensor, const Pt& from, const Pt& to) {
     FilmCurve curve;
-    const Vec a = map.in_camera(Pt(edge.a)), b = map.in_camera(Pt(edge.b));
+    const Vec a = map.in_camera(from), b = map.in_camera(to);
     double lo = 0, hi = 1;
     const double near = sensor.near_clip;
     if (a.z < near && b.z < near) return std::nullopt;
@@ -82,11 +82,25 @@ class Primary {
             const bool silhouette =
                 map_.perspective() ? is_silhouette(edge, Pt(sensor.origin)) : is_silhouette_along(edge, -axis);
             if (!silhouette && !s.is_crease(tree_.set(), edge)) continue;
-            std::optional<FilmCurve> curve = clipped(map_, sensor, edge);
+            std::optional<FilmCurve> curve = clipped(map_, sensor, Pt(edge.a), Pt(edge.b));
             if (!curve) continue;
             curve->index = i;
             s.edge_velocity(tree_.set(), edge, 0.5 * (curve->s_a + curve->s_b), v);
             const double weight = importance(*curve, edge.point(0.5 * (curve->s_a + curve->s_b)), v);
+            if (!(weight > 0)) continue;
+            curves_.push_back(*curve);
+            weights.push_back(weight);
+        }
+        // Without a motion of the camera, those whose surfaces do not move relative to each other may move together.
+        for (std::uint32_t i = 0; i < s.seams.size(); ++i) {
+            const Seam& seam = s.seams[i];
+            std::optional<FilmCurve> curve = clipped(map_, sensor, Pt(seam.a), Pt(seam.b));
+            if (!curve) continue;
+            curve->kind = FilmCurve::Kind::seam;
+            curve->index = i;
+            const Pt middle = seam.point(0.5 * (curve->s_a + curve->s_b));
+            s.seam_velocity(seam, middle, v);
+            const double weight = importance(*curve, middle, v);
             if (!(weight > 0)) continue;
             curves_.push_back(*curve);
             weights.push_back(weight);
@@ -125,8 +139,7 @@ class Primary {
         Vec camera;
         Point2<double> normal;  // unit, on the film, away from the occluder
         Vec beside;             // unit, in space, off the surfaces that meet at the point
-        std::uint32_t shape_idx = 0;
-        double density = 0;  // per pixel of length
+        double density = 0;     // per pixel of length
         std::vector<double> rates;
         Hit front, back;  // surfaces that end at the curve, on its two sides; none: whatever a ray beside it hits
     };
@@ -153,7 +166,6 @@ class Primary {
             along = {along.x / speed, along.y / speed};
             out.density = double(choice_.pmf(k)) / (2 * pi_double * speed);
             outward_dir = outward(normalize(round.tangent(phi)), direction(out.p), round.middle - out.p);
-            out.shape_idx = round.shape_idx;
             out.front.shape_idx = round.shape_idx;
             if (s_.scene.shapes[round.shape_idx].kind == ShapeKind::disk)
                 out.front.u = float(std::cos(phi)), out.front.v = float(std::sin(phi));
@@ -162,8 +174,8 @@ class Primary {
             const double t = double(u_place);
             const double s_on = map_.perspective() ? t * curve.a.z / ((1 - t) * curve.b.z + t * curve.a.z) : t;
             const double s = curve.s_a + (curve.s_b - curve.s_a) * s_on;
-            const Edge& edge = tree_.edge(curve.index);
-            out.p = edge.point(s);
+            const bool is_seam = curve.kind == FilmCurve::Kind::seam;
+            out.p = is_seam ? s_.seams[curve.index].point(s) : tree_.edge(curve.index).point(s);
             out.camera = map_.in_camera(out.p);
             out.film = map_.film(out.camera);
             along = {curve.film_b.x - curve.film_a.x, curve.film_b.y - curve.film_a.y};
@@ -171,11 +183,19 @@ class Primary {
             if (!(len > 0)) return false;
             along = {along.x / len, along.y / len};
             out.density = double(choice_.pmf(k)) / len;
-            outward_dir = outward(edge, direction(out.p));
-            out.shape_idx = edge.shape_idx;
-            const auto sides = s_.sides_of(tree_.set(), edge, out.p, direction(out.p), outward_dir);
+            BoundaryScene::Sides sides;
+            if (is_seam) {
+                const Seam& seam = s_.seams[curve.index];
+                outward_dir = cross(normalize(Pt(seam.b) - Pt(seam.a)), direction(out.p));
+                sides = s_.sides_of(seam, out.p, direction(out.p), outward_dir);
+                s_.seam_velocity(seam, out.p, v);
+            } else {
+                const Edge& edge = tree_.edge(curve.index);
+                outward_dir = outward(edge, direction(out.p));
+                sides = s_.sides_of(tree_.set(), edge, out.p, direction(out.p), outward_dir);
+                s_.edge_velocity(tree_.set(), edge, s, v);
+            }
             out.front = sides.front, out.back = sides.back;
-            s_.edge_velocity(tree_.set(), edge, s, v);
         }
         out.beside = lifted(curve, outward_dir, direction(out.p));
         out.normal = {-along.y, along.x};
@@ -222,6 +242,7 @@ class Primary {
     /// Direction from a curve's point to the open space in front of it: beside a silhouette, above a crease.
     Vec lifted(const FilmCurve& curve, const Vec& outward_dir, const Vec& view) const {
         const Vec beside = normalize(outward_dir);
+        if (curve.kind == FilmCurve::Kind::seam) return s_.seams[curve.index].lifted(view);
         if (curve.kind != FilmCurve::Kind::edge) return beside;
         const Edge& edge = tree_.edge(curve.index);
         if (is_silhouette_along(edge, -view)) return beside;
@@ -309,7 +330,6 @@ class Primary {
         out.camera = map_.in_camera(out.p);
         if (!(out.camera.z > s_.scene.sensor.near_clip)) return false;
         out.film = map_.film(out.camera);
-        out.shape_idx = curve.shape_idx;
         const Point2<double> j1 = map_.velocity(out.camera, g.e1), j2 = map_.velocity(out.camera, g.e2);
         const double det = j1.x * j2.y - j1.y * j2.x;
         if (det == 0) return false;

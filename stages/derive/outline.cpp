@@ -8,6 +8,22 @@ namespace loom::derive {
 using Vec = Vector3<double>;
 using Pt = Point3<double>;
 
+Outline::Outline(const BoundaryScene& s) : s_(s), velocity_(s.n()), v_face_(s.n()) {
+    // Many seams are listed in proportion to their lengths, those of each kind by themselves.
+    constexpr double most = 128;
+    const auto add = [&](std::size_t begin, std::size_t end) {
+        double total = 0, sum = 0;
+        for (std::size_t i = begin; i < end; ++i) total += s.seams[i].length();
+        for (std::size_t i = begin; i < end; ++i) {
+            const double share = double(end - begin) <= most ? 1 : std::min(1.0, most * s.seams[i].length() / total);
+            seam_share_.push_back(share);
+            seam_sum_.push_back(sum += share);
+        }
+    };
+    add(0, s.n_moving_seams);
+    add(s.n_moving_seams, s.seams.size());
+}
+
 void Outline::look(OutlinePoint& point) const {
     if (at_infinity_) {
         point.omega = -Vec(eye_);
@@ -72,6 +88,7 @@ bool Outline::collect(const Shaft& shaft, const Pt& eye, bool at_infinity, Const
             tree.collect_some(shaft, double(n_blocks), end_speed, std::bit_cast<std::uint32_t>(u), segments_);
     }
     creases_.clear();
+    seams_.clear();
     OutlinePoint point;
     n_found_ += segments_.size() + n_visited / 4;
     for (const EdgeSegment& segment : segments_) add_segment(segment);
@@ -93,7 +110,7 @@ bool Outline::collect(const Shaft& shaft, const Pt& eye, bool at_infinity, Const
         known_.push_back(sum * 2 * pi_double / looked_at);
         extent_.push_back(extent * 2 * pi_double / looked_at);
     }
-    first_crease_ = arcs_.size();
+    first_crease_ = first_seam_ = arcs_.size();
     combine_weights(far_speed);
     return !cumulative_.empty() && cumulative_.back() > 0;
 }
@@ -115,25 +132,81 @@ bool Outline::add_creases(const Shaft& shaft, std::span<const double> far_speed,
         add_segment(segment);
         creases_.push_back(segment);
     }
+    first_seam_ = arcs_.size();
     combine_weights(far_speed);
     return !cumulative_.empty() && cumulative_.back() > 0;
+}
+
+bool Outline::add_seams(const Shaft& shaft, std::span<const double> far_speed, bool all, float u) {
+    const auto add = [&](std::size_t i) {
+        std::array<EdgeInterval, 2> inside;
+        ++n_found_;
+        if (shaft.clip(s_.seams[i].a, s_.seams[i].b, inside) > 0) add_seam(i, inside[0], seam_share_[i]);
+    };
+    const auto list = [&](std::size_t begin, std::size_t end) {
+        if (begin == end) return;
+        const auto first = seam_sum_.begin() + std::ptrdiff_t(begin), last = seam_sum_.begin() + std::ptrdiff_t(end);
+        if (last[-1] >= double(end - begin)) {
+            for (std::size_t i = begin; i < end; ++i) add(i);
+            return;
+        }
+        // Evenly spaced in the sum of the shares, from a random start.
+        for (double target = double(u); target < last[-1]; ++target)
+            add(std::size_t(std::upper_bound(first, last, target) - seam_sum_.begin()));
+    };
+    list(0, s_.n_moving_seams);
+    if (all) list(s_.n_moving_seams, s_.seams.size());
+    combine_weights(far_speed);
+    return !cumulative_.empty() && cumulative_.back() > 0;
+}
+
+Outline::Arc Outline::arc_between(const Pt& a, const Pt& b, double begin, double end) const {
+    Arc arc{begin, end, 1, 0};
+    if (at_infinity_) return arc;
+    const Vec t = normalize(b - a), to_eye = eye_ - a;
+    arc.foot = dot(to_eye, t);
+    arc.height = length(to_eye - t * arc.foot);
+    if (arc.height > 0) {
+        arc.begin = std::atan2(begin - arc.foot, arc.height);
+        arc.end = std::atan2(end - arc.foot, arc.height);
+    }
+    return arc;
+}
+
+double Outline::along_arc(const Arc& arc, double t) const {
+    const double angle = arc.begin + (arc.end - arc.begin) * t;
+    return at_infinity_ ? angle : arc.foot + arc.height * std::tan(angle);
+}
+
+void Outline::add_seam(std::size_t seam_idx, const EdgeInterval& inside, double share) {
+    const Seam& seam = s_.seams[seam_idx];
+    const double len = seam.length();
+    const Arc arc = arc_between(Pt(seam.a), Pt(seam.b), inside.s0 * len, inside.s1 * len);
+    OutlinePoint point;
+    point.p = seam.point(0.5 * (inside.s0 + inside.s1));
+    look(point);
+    point.out = cross((Pt(seam.b) - Pt(seam.a)) / len, point.omega);
+    s_.seam_velocity(seam, point.p, velocity_);
+    // Points that stay on the two surfaces pass the line; others may do so by the motion of the eye, too.
+    double speed = s_.attached.reach > 0 ? importance(point.p, point.out) : 0;
+    for (const Seam::Face& face : seam.faces) {
+        s_.shape_velocity(face.shape_idx, face.triangle_idx, point.p, v_face_);
+        for (std::size_t p = 0; p < velocity_.size(); ++p)
+            speed += std::abs(dot(point.out, velocity_[p] - v_face_[p])) / point.r;
+    }
+    const double extent = arc.height > 0 ? arc.end - arc.begin : 0;
+    const double sine = std::max(length(point.out), 1e-6);
+    seams_.push_back({inside, seam_idx, share});
+    arcs_.push_back(arc);
+    known_.push_back(extent * speed / (sine * share));
+    extent_.push_back((at_infinity_ ? extent : extent / point.r) / share);
 }
 
 void Outline::add_segment(const EdgeSegment& segment) {
     OutlinePoint point;
     const Edge& edge = tree_->edge(segment.edge_idx);
     const double len = edge.length();
-    const double begin = segment.s0 * len, end = segment.s1 * len;
-    Arc arc{begin, end, 1, 0};
-    if (!at_infinity_) {
-        const Vec t = (Pt(edge.b) - Pt(edge.a)) / len, to_eye = eye_ - Pt(edge.a);
-        arc.foot = dot(to_eye, t);
-        arc.height = length(to_eye - t * arc.foot);
-        if (arc.height > 0) {
-            arc.begin = std::atan2(begin - arc.foot, arc.height);
-            arc.end = std::atan2(end - arc.foot, arc.height);
-        }
-    }
+    const Arc arc = arc_between(Pt(edge.a), Pt(edge.b), segment.s0 * len, segment.s1 * len);
     const double middle = 0.5 * (segment.s0 + segment.s1);
     point.p = edge.point(middle);
     look(point);
@@ -153,10 +226,9 @@ bool Outline::place_on_edge(std::size_t i, double t, OutlinePoint& point) {
     const Edge& edge = tree_->edge(segment.edge_idx);
     const Arc& arc = arcs_[i];
     point.edge = &edge;
+    point.seam = nullptr;
     point.is_crease = is_crease;
-    const double len = edge.length(), angle = arc.begin + (arc.end - arc.begin) * t;
-    const double along = at_infinity_ ? angle : arc.foot + arc.height * std::tan(angle);
-    const double s = std::clamp(along / len, segment.s0, segment.s1);
+    const double s = std::clamp(along_arc(arc, t) / edge.length(), segment.s0, segment.s1);
     point.p = edge.point(s);
     look(point);
     point.out = outward(edge, point.omega);
@@ -168,6 +240,23 @@ bool Outline::place_on_edge(std::size_t i, double t, OutlinePoint& point) {
     return true;
 }
 
+bool Outline::place_on_seam(std::size_t i, double t, OutlinePoint& point) {
+    const SeamPart& part = seams_[i - first_seam_];
+    const Seam& seam = s_.seams[part.seam_idx];
+    const Arc& arc = arcs_[i];
+    point.edge = nullptr;
+    point.seam = &seam;
+    point.is_crease = true;
+    const double len = seam.length();
+    point.p = seam.point(std::clamp(along_arc(arc, t) / len, part.inside.s0, part.inside.s1));
+    look(point);
+    point.out = cross((Pt(seam.b) - Pt(seam.a)) / len, point.omega);
+    point.shape_idx = seam.faces[0].shape_idx;
+    point.density = part.share * (at_infinity_ ? 1 : arc.height / sqr(point.r)) / (arc.end - arc.begin);
+    s_.seam_velocity(seam, point.p, velocity_);
+    return true;
+}
+
 bool Outline::place_on_round(std::size_t i, double t, OutlinePoint& point) {
     const Round& round = rounds_[i - segments_.size()];
     const double phi = 2 * pi_double * t;
@@ -175,6 +264,7 @@ bool Outline::place_on_round(std::size_t i, double t, OutlinePoint& point) {
     const double speed = length(tangent);
     point.p = round.point(phi);
     point.edge = nullptr;
+    point.seam = nullptr;
     point.is_crease = false;
     point.phi = phi;
     look(point);
@@ -194,7 +284,11 @@ bool Outline::sample(Point2f u, OutlinePoint& point) {
     const double weight = cumulative_[i] - (i > 0 ? cumulative_[i - 1] : 0);
     if (!(weight > 0)) return false;
     const bool is_round = i >= segments_.size() && i < first_crease_;
-    if (!(is_round ? place_on_round(i, double(u.y), point) : place_on_edge(i, double(u.y), point))) return false;
+    const double t = double(u.y);
+    if (!(is_round           ? place_on_round(i, t, point)
+          : i >= first_seam_ ? place_on_seam(i, t, point)
+                             : place_on_edge(i, t, point)))
+        return false;
     point.density *= weight / total;
     return length2(point.out) > 0;
 }

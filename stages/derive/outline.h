@@ -17,15 +17,16 @@ struct OutlinePoint {
     Vector3<double> out;    // t x omega, turned away from the occluder
     double density = 0;     // per m of the silhouette
     std::uint32_t shape_idx = 0;
-    const Edge* edge = nullptr;  // null: of a round
-    double phi = 0;              // of a round
-    bool is_crease = false;      // both faces show
+    const Edge* edge = nullptr;  // null: of a round or a seam
+    const Seam* seam = nullptr;
+    double phi = 0;          // of a round
+    bool is_crease = false;  // both faces show
 };
 
 /// Lists silhouettes, weights them by angle and speed, and samples points of them. State of one thread.
 class Outline {
   public:
-    explicit Outline(const BoundaryScene& s) : s_(s), velocity_(s.n()) {}
+    explicit Outline(const BoundaryScene& s);
 
     /// Lists what a shaft contains, seen from its apex.
     /// in:      eye       the apex; at infinity: the direction towards it
@@ -40,6 +41,11 @@ class Outline {
     /// Adds creases in a shaft, a part of them where there are many. Must follow collect() over BoundaryScene::all_edges.
     /// in:      u  uniform: which part
     bool add_creases(const Shaft& shaft, std::span<const double> far_speed, float u);
+
+    /// Adds seams in a shaft, a part of them where there are many. Must follow collect().
+    /// in:      all  seams of surfaces that do not move relative to each other, too
+    ///          u    uniform: which part
+    bool add_seams(const Shaft& shaft, std::span<const double> far_speed, bool all, float u);
 
     /// Draws a point. Its velocity is in velocity().
     /// in:      u  uniform: the choice, and the place along it
@@ -58,10 +64,15 @@ class Outline {
     };
     double importance(const Point3<double>& x, const Vector3<double>& out) const;
     void combine_weights(std::span<const double> far_speed);
+    Arc arc_between(const Point3<double>& a, const Point3<double>& b, double begin, double end) const;
+    /// Position along a line, m, at the share t of an arc.
+    double along_arc(const Arc& arc, double t) const;
     bool place_on_edge(std::size_t i, double t, OutlinePoint& point);
+    bool place_on_seam(std::size_t i, double t, OutlinePoint& point);
     bool place_on_round(std::size_t i, double t, OutlinePoint& point);
     void look(OutlinePoint& point) const;
     void add_segment(const EdgeSegment& segment);
+    void add_seam(std::size_t seam_idx, const EdgeInterval& inside, double share);
 
     const BoundaryScene& s_;
     const EdgeTree* tree_ = nullptr;
@@ -70,10 +81,19 @@ class Outline {
     std::vector<Vector3<double>> velocity_, v_eye_;
     std::vector<EdgeSegment> segments_;
     std::vector<Round> rounds_;
-    std::size_t first_crease_ = 0;  // among arcs_: silhouettes, rounds, creases
+    std::size_t first_crease_ = 0;  // among arcs_: silhouettes, rounds, creases, seams
+    std::size_t first_seam_ = 0;
     std::uint64_t n_found_ = 0;
     std::vector<EdgeSegment> creases_;
-    std::vector<Arc> arcs_;               // [segment, round, crease]
+    struct SeamPart {
+        EdgeInterval inside;
+        std::size_t seam_idx;
+        double share;  // probability to be listed
+    };
+    std::vector<SeamPart> seams_;
+    std::vector<double> seam_share_, seam_sum_;  // [seam] probability to be listed, and its sum over the kind
+    std::vector<Vector3<double>> v_face_;
+    std::vector<Arc> arcs_;               // [segment, round, crease, seam]
     std::vector<double> known_, extent_;  // weights by the velocities of edge and eye, and by angle alone
     std::vector<double> cumulative_;      // of the weights
 };

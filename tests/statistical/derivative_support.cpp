@@ -19,13 +19,14 @@ PathGraph trace_derivable(const Scene& scene, std::uint64_t spp, std::uint64_t s
 }
 
 Derivative differentiate(const PathGraph& graph, const DerivableScene& scene, std::uint64_t seed,
-                         const std::vector<std::string>& off) {
+                         const std::vector<std::string>& off, derive::Attachment attachment) {
     app::Report report;
     report.set_quiet(true);
     derive::DeriveCounts counts;
     const derive::Parts parts = derive::required_parts(*scene.scene, graph, scene.tangents, off);
     // More than the best use of time: power to find what boundaries lack.
-    return derive::differentiate(graph, *scene.scene, scene.tangents, parts, {.effort = 1, .seed = seed}, report, counts);
+    return derive::differentiate(graph, *scene.scene, scene.tangents, parts,
+                                 {.effort = 1, .seed = seed, .attachment = attachment}, report, counts);
 }
 
 const char* name_of(BoundarySet boundaries) {

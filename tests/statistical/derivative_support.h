@@ -35,7 +35,8 @@ PathGraph trace_derivable(const Scene& scene, std::uint64_t spp, std::uint64_t s
 /// Differentiates a graph as loom-derive does.
 /// in:      off  parts to leave out
 Derivative differentiate(const PathGraph& graph, const DerivableScene& scene, std::uint64_t seed,
-                         const std::vector<std::string>& off = {});
+                         const std::vector<std::string>& off = {},
+                         derive::Attachment attachment = derive::Attachment::automatic);
 
 /// A set of boundary families, one bit for each.
 using BoundarySet = unsigned;
