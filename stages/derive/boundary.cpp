@@ -107,8 +107,7 @@ void BoundaryScene::find_speeds() {
     }
 }
 
-void BoundaryScene::find_all_seams() {
-    if (scene.nlos || !(tangents.any_shape_moves() || tangents.camera_moves())) return;
+SeamQuery moving_pairs(const Scene& scene, const SceneTangents& tangents) {
     SeamQuery query;
     std::map<std::vector<double>, std::uint32_t> groups;  // by motion
     for (std::uint32_t k = 0; k < scene.shapes.size(); ++k) {
@@ -124,6 +123,12 @@ void BoundaryScene::find_all_seams() {
         }
         query.group.push_back(groups.emplace(std::move(motion), std::uint32_t(groups.size())).first->second);
     }
+    return query;
+}
+
+void BoundaryScene::find_all_seams() {
+    if (scene.nlos || !(tangents.any_shape_moves() || tangents.camera_moves())) return;
+    SeamQuery query = moving_pairs(scene, tangents);
     const bool deeper = graph.tracing.max_depth < 0 || graph.tracing.max_depth >= 3;
     query.resting = tangents.camera_moves() || (deeper && attached.reach > 0);
     SeamSet found = find_seams(scene.shapes, query);
@@ -382,6 +387,9 @@ std::vector<BoundaryRows> sample_boundary(const PathGraph& graph, const Scene& s
                                           const Parts& parts, const BoundaryOptions& options, app::Report& report,
                                           std::vector<std::uint64_t>& samples, DeriveCounts& counts) {
     BoundaryScene s(graph, scene, tangents, options);
+    if (!s.all_seams)
+        report.warn("biased: the search for lines where meshes cut each other ended early; {} were found",
+                    s.seams.size());
     samples.assign(n_boundary_families, 0);
     std::vector<BoundaryRows> rows;
     counts.rays += sample_families(s, parts, rows, samples, report);

@@ -83,6 +83,9 @@ struct Round {
     Vector3<double> tangent(double phi) const { return v_axis * std::cos(phi) - u_axis * std::sin(phi); }
 };
 
+/// Returns the pairs of shapes that move relative to each other.
+SeamQuery moving_pairs(const Scene& scene, const SceneTangents& tangents);
+
 /// What all families share. Borrows all arguments of the constructor.
 class BoundaryScene {
   public:

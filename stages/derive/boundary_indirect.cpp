@@ -135,9 +135,9 @@ class Sampling {
         const ShadingPoint& at = *x.at;
         const int max_depth = s_.graph.tracing.max_depth;
         const int edge_number = depth + 2;
-        if (max_depth >= 0 &&
-            (edge_number > max_depth || (edge_number == max_depth && !environment_ && !s_.emitter_seams)))
-            return;
+        // The last edge reaches emitters alone: an environment, or an area light beside a seam.
+        const bool is_last = edge_number == max_depth, seams_alone = is_last && !environment_;
+        if (max_depth >= 0 && (edge_number > max_depth || (seams_alone && !s_.emitter_seams))) return;
         const bool interface = is_interface(*at.bsdf.model);
         const float hit_error = s_.scene.shapes[s_.graph.vertices.shape[x.vertex]].hit_error;
         const RayEnd from{at.p, interface ? Normal3f{} : facing(at.ng, at.wo), hit_error};
@@ -151,8 +151,11 @@ class Sampling {
         // neither the edge nor the vertex does.
         const bool ends_move = moving(x.velocity) || moving(x.turn), slide = s_.attached.reach > 0;
         const bool all = !std::isinf(s_.attached.reach) || !s_.creases.empty() || ends_move;
-        bool any = outline_.collect(shaft, p.x_s, false, x.velocity, far_speed_, s_.edges(all), all, 1, sampler.pair(2).y);
-        if (all && !s_.creases.empty()) any = outline_.add_creases(shaft, far_speed_, sampler.pair(2).x);
+        static const EdgeTree no_edges;
+        bool any = outline_.collect(shaft, p.x_s, false, x.velocity, far_speed_, seams_alone ? no_edges : s_.edges(all),
+                                    all, 1, sampler.pair(2).y);
+        if (all && !seams_alone && !s_.creases.empty())
+            any = outline_.add_creases(shaft, far_speed_, sampler.pair(2).x);
         if (surfaces_ && !s_.seams.empty()) any = outline_.add_seams(shaft, far_speed_, slide, sampler.pair(3).x);
         if (!any || !outline_.sample(sampler.pair(1), p.b)) return;
         const Vector3f wi(p.b.omega);

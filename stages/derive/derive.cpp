@@ -114,8 +114,46 @@ std::string shares_in_words(const Derivative& d) {
     return text.empty() ? "no arrival time changes" : text;
 }
 
+/// Whether a texture jumps within a surface.
+bool jumps(const Scene& scene, int texture_idx) {
+    if (texture_idx < 0) return false;
+    const Texture& t = scene.textures[std::size_t(texture_idx)];
+    return t.kind == TextureKind::checkerboard || (t.kind == TextureKind::bitmap && t.nearest);
+}
+
+/// Whether the look of a shape jumps where its texture does. A mask counts, as the interior has no rate of it beyond the
+/// first hit.
+bool has_jumping_texture(const Scene& scene, const Shape& shape) {
+    for (int m = int(shape.material_idx); m >= 0;) {
+        const Material& material = scene.materials[std::size_t(m)];
+        if (material.opacity_idx >= 0 &&
+            scene.textures[std::size_t(material.opacity_idx)].kind != TextureKind::constant)
+            return true;
+        for (const int t : {material.diffuse_idx, material.specular_idx, material.transmittance_idx,
+                            material.alpha_u_idx, material.alpha_v_idx, material.exponent_idx, material.eta_c_idx,
+                            material.k_c_idx, material.normal_map_idx, material.bump_map_idx})
+            if (jumps(scene, t)) return true;
+        m = m == int(shape.material_idx) ? material.back_idx : -1;
+    }
+    return false;
+}
+
+/// Returns pairs of shapes whose common line is not sampled, as text.
+std::string round_seams(const Scene& scene, const SeamQuery& query) {
+    constexpr std::size_t most = 3;
+    const auto pairs = find_round_seams(scene.shapes, query, most + 1);
+    std::string text;
+    const auto name = [&](std::uint32_t shape) {
+        return scene.shapes[shape].id.empty() ? fmt::format("shape {}", shape) : scene.shapes[shape].id;
+    };
+    for (std::size_t i = 0; i < std::min(pairs.size(), most); ++i)
+        text += fmt::format("{}{} and {}", i > 0 ? "; " : "", name(pairs[i][0]), name(pairs[i][1]));
+    return text + (pairs.size() > most ? "; others" : "");
+}
+
 /// Returns the borders that may move and that no part of those on looks for, in words.
-std::string borders_not_sampled(const Scene& scene, const Parts& parts, int depth) {
+std::string borders_not_sampled(const Scene& scene, const SceneTangents& tangents, const Parts& parts, int depth,
+                                const Attached& attached) {
     if (!parts.primary && !parts.direct && !parts.indirect) return "";
     std::string text;
     const auto add = [&](bool may_be, const char* what) {
@@ -130,7 +168,36 @@ std::string borders_not_sampled(const Scene& scene, const Parts& parts, int dept
         "sharp borders of beams");
     add(scene.features.delta_lobes, "silhouettes in mirrors and clear glass");
     add(beyond_first_hit && scene.features.smooth_normals, "terminators of smooth normals beyond the first hit");
+    if (!parts.primary && !parts.indirect) return text;
+    // First hits slide over what moves, and over all where the camera does; beyond, points slide unless they keep their
+    // places.
+    const bool all_slide = tangents.camera_moves() || (beyond_first_hit && attached.reach > 0);
+    bool textures = false;
+    for (std::uint32_t k = 0; k < scene.shapes.size(); ++k) {
+        const Shape& shape = scene.shapes[k];
+        if (!all_slide && !tangents.moves(k)) continue;
+        textures |= has_jumping_texture(scene, shape) ||
+                    (shape.emitter_idx >= 0 && (tangents.camera_moves() || tangents.moves(k)) &&
+                     jumps(scene, scene.emitters[std::size_t(shape.emitter_idx)].texture_idx));
+    }
+    add(textures, "borders within textures (nearest, checkerboard, masks)");
+    SeamQuery query = moving_pairs(scene, tangents);
+    query.resting = all_slide;
+    const std::string pairs = round_seams(scene, query);
+    if (!pairs.empty()) text += fmt::format("{}lines where {} cut each other", text.empty() ? "" : ", ", pairs);
     return text;
+}
+
+/// Whether a mesh cuts an area light that moves relative to it.
+bool emitter_is_cut(const Scene& scene, const SceneTangents& tangents) {
+    if (std::none_of(scene.emitters.begin(), scene.emitters.end(),
+                     [](const Emitter& e) { return e.kind == EmitterKind::area; }))
+        return false;
+    const SeamSet found = find_seams(scene.shapes, moving_pairs(scene, tangents));
+    return std::any_of(found.seams.begin(), found.seams.end(), [&](const Seam& seam) {
+        return scene.shapes[seam.faces[0].shape_idx].emitter_idx >= 0 ||
+               scene.shapes[seam.faces[1].shape_idx].emitter_idx >= 0;
+    });
 }
 
 }  // namespace
@@ -143,7 +210,7 @@ Attached attached_of(const Scene& scene, Attachment attachment) {
 }
 
 Parts required_parts(const Scene& scene, const PathGraph& graph, const SceneTangents& tangents,
-                     const std::vector<std::string>& off) {
+                     const std::vector<std::string>& off, Attachment attachment) {
     Parts parts;
     std::string on, out;
     const auto left_out = [&](const char* part) { return std::find(off.begin(), off.end(), part) != off.end(); };
@@ -167,17 +234,19 @@ Parts required_parts(const Scene& scene, const PathGraph& graph, const SceneTang
                                  : scene.emitters.empty()  ? "no emitter"
                                  : depth >= 0 && depth < 2 ? "no reflected light"
                                                            : "");
-    parts.indirect = add("indirect", *still                    ? still
-                                     : !surfaces               ? "only lights move"
-                                     : scene.nlos              ? "an NLOS capture"
-                                     : depth >= 0 && depth < 3 ? "light is reflected once"
-                                                               : "");
+    // An emitter that is cut by a surface belongs to this part, too.
+    const bool deep_enough = depth < 0 || depth >= 3 || (depth == 2 && surfaces && emitter_is_cut(scene, tangents));
+    parts.indirect = add("indirect", *still         ? still
+                                     : !surfaces    ? "only lights move"
+                                     : scene.nlos   ? "an NLOS capture"
+                                     : !deep_enough ? "light is reflected once"
+                                                    : "");
     bool index = false;
     for (const auto& effects : tangents.materials)
         for (const auto& [p, t] : effects) index |= t.int_ior != 0;
     parts.media = add("media", index ? "" : "no index of refraction changes");
     parts.plan = fmt::format("on: {}; off: {}", on.empty() ? "nothing" : on, out.empty() ? "nothing" : out);
-    parts.not_sampled = borders_not_sampled(scene, parts, depth);
+    parts.not_sampled = borders_not_sampled(scene, tangents, parts, depth, attached_of(scene, attachment));
     if (!parts.not_sampled.empty()) parts.plan += "; not sampled: " + parts.not_sampled;
     return parts;
 }
@@ -337,7 +406,8 @@ void run(const Options& options, app::Report& report) {
     if (const std::string missing = missing_columns(graph, *scene, tangents, attached); !missing.empty())
         throw InputError(
             fmt::format("{}: lacks columns for these parameters; trace it with loom-trace {}", options.graph, missing));
-    Parts parts = required_parts(*scene, graph, tangents, options.off);
+    Parts parts =
+        required_parts(*scene, graph, tangents, options.off, backward ? Attachment::surface : options.attachment);
     TemporalBins bins;
     if (options.exact_times) {
         bins = bins_of(options, graph);

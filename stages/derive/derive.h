@@ -64,7 +64,7 @@ struct Parts {
     std::string not_sampled;  // borders that may move and that no part looks for: a bias
 };
 Parts required_parts(const Scene& scene, const PathGraph& graph, const SceneTangents& tangents,
-                     const std::vector<std::string>& off);
+                     const std::vector<std::string>& off, Attachment attachment = Attachment::automatic);
 
 /// Sampling of boundary terms.
 struct BoundaryOptions {

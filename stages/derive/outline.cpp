@@ -186,14 +186,16 @@ void Outline::add_seam(std::size_t seam_idx, const EdgeInterval& inside, double 
     point.p = seam.point(0.5 * (inside.s0 + inside.s1));
     look(point);
     point.out = cross((Pt(seam.b) - Pt(seam.a)) / len, point.omega);
-    s_.seam_velocity(seam, point.p, velocity_);
+    for (std::size_t i = 0; i < 2; ++i)
+        s_.shape_velocity(seam.faces[i].shape_idx, seam.faces[i].triangle_idx, point.p, i == 0 ? velocity_ : v_face_);
     // Points that stay on the two surfaces pass the line; others may do so by the motion of the eye, too.
-    double speed = s_.attached.reach > 0 ? importance(point.p, point.out) : 0;
-    for (const Seam::Face& face : seam.faces) {
-        s_.shape_velocity(face.shape_idx, face.triangle_idx, point.p, v_face_);
-        for (std::size_t p = 0; p < velocity_.size(); ++p)
-            speed += std::abs(dot(point.out, velocity_[p] - v_face_[p])) / point.r;
+    double speed = 0;
+    for (std::size_t p = 0; p < velocity_.size(); ++p) {
+        const Vec v = seam.velocity(velocity_[p], v_face_[p]);
+        for (const Vec& of_face : {velocity_[p], v_face_[p]}) speed += std::abs(dot(point.out, v - of_face)) / point.r;
+        velocity_[p] = v;
     }
+    if (s_.attached.reach > 0) speed += importance(point.p, point.out);
     const double extent = arc.height > 0 ? arc.end - arc.begin : 0;
     const double sine = std::max(length(point.out), 1e-6);
     seams_.push_back({inside, seam_idx, share});

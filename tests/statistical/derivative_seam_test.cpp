@@ -83,6 +83,8 @@ const Defines at_screen{{"origin", "0, 0.5, 1.7"}, {"target", "0, -1.9, 2.3"}, {
 /// The box is the emitter.
 const Defines glowing{
     {"origin", "0, 0.5, 1.7"}, {"target", "0, -1.9, 2.3"}, {"screen_y", "-1.9"}, {"glow", "3"}, {"light", "0"}};
+/// The box is the emitter, and the floor beside it is seen.
+const Defines glowing_floor{{"glow", "3"}, {"light", "0"}, {"origin", "-1.5, -1.8, 1.3"}, {"target", "-1.1, -0.4, 0"}};
 // Detected mutation: seams left out; p is below 1e-20 where the camera sees them, and by the screen below 1e-12 in each
 // case but that of `ray`.
 const Case cases[] = {
@@ -101,6 +103,7 @@ const Case cases[] = {
     {"screen_floor", "floor_z", 3, automatic, true, at_screen},
     {"screen_glow_box_z", "box_z", 3, surface, false, glowing},
     {"screen_glow_floor", "floor_z", 3, automatic, true, glowing},
+    {"floor_of_glow", "box_z", 2, automatic, true, glowing_floor},
 };
 
 class DerivativeOfSeams : public ::testing::TestWithParam<Case> {};

@@ -246,5 +246,43 @@ TEST(Seams, MoveAsTheirSurfacesDo) {
     }
 }
 
+TEST(Seams, OfSpheresAndDisksAreFoundByPairs) {
+    const Shape floor = rectangle({0, 0, 0}, {2, 0, 0}, {0, 2, 0});
+    const auto sphere = [](const Point3f& center, float radius) {
+        Shape shape;
+        shape.kind = ShapeKind::sphere;
+        shape.round.center = center;
+        shape.round.radius = radius;
+        return shape;
+    };
+    const auto disk = [](const Point3f& center, const Vector3f& u, const Vector3f& v) {
+        Shape shape;
+        shape.kind = ShapeKind::disk;
+        shape.round.center = center;
+        shape.round.u_axis = u, shape.round.v_axis = v;
+        return shape;
+    };
+    const auto cut = [](const Shape& a, const Shape& b) {
+        const std::vector<Shape> shapes{a, b};
+        return find_round_seams(shapes, {{0, 1}}, 4).size();
+    };
+    EXPECT_EQ(cut(floor, sphere({0.5f, 0.2f, 0.3f}, 0.4f)), 1u);
+    EXPECT_EQ(cut(floor, sphere({0.5f, 0.2f, 0.3f}, 0.3f)), 0u);  // it touches
+    EXPECT_EQ(cut(floor, sphere({0.5f, 0.2f, 0.5f}, 0.4f)), 0u);
+    EXPECT_EQ(cut(floor, sphere({2.2f, 0.2f, 0}, 0.3f)), 1u);  // at the border
+    EXPECT_EQ(cut(floor, sphere({0, 0, 0}, 5)), 0u);           // inside of the sphere
+    EXPECT_EQ(cut(sphere({0, 0, 0}, 1), sphere({1.5f, 0, 0}, 1)), 1u);
+    EXPECT_EQ(cut(sphere({0, 0, 0}, 1), sphere({0.2f, 0, 0}, 0.5f)), 0u);
+    EXPECT_EQ(cut(floor, disk({0, 0, 0.2f}, {0.5f, 0, 0}, {0, 0, 0.5f})), 1u);
+    EXPECT_EQ(cut(floor, disk({0, 0, 0.6f}, {0.5f, 0, 0}, {0, 0, 0.5f})), 0u);
+    EXPECT_EQ(cut(floor, disk({0, 0, 0}, {0.5f, 0, 0}, {0, 0.5f, 0})), 0u);
+    EXPECT_EQ(cut(sphere({0, 0, 0.1f}, 0.3f), disk({0, 0, 0}, {0.5f, 0, 0}, {0, 0.5f, 0})), 1u);
+    EXPECT_EQ(cut(disk({0, 0, 0}, {0, 0.3f, 0}, {0, 0, 0.3f}), disk({0, 0, 0}, {0.5f, 0, 0}, {0, 0.5f, 0})), 1u);
+    // Two that rest.
+    const std::vector<Shape> shapes{floor, sphere({0.5f, 0.2f, 0.3f}, 0.4f)};
+    EXPECT_EQ(find_round_seams(shapes, {{0, 0}}, 4).size(), 0u);
+    EXPECT_EQ(find_round_seams(shapes, {{0, 0}, true}, 4).size(), 1u);
+}
+
 }  // namespace
 }  // namespace loom

@@ -27,12 +27,14 @@ struct Triangle {
     Vec n;             // unit; 0: no area
     double error = 0;  // m
 
+    explicit Triangle(const std::array<Pt, 3>& corners) : p(corners) { finish(); }
     Triangle(const Mesh& mesh, std::uint32_t triangle_idx) {
         const std::uint32_t* i = &mesh.indices[3 * std::size_t(triangle_idx)];
-        for (std::size_t k = 0; k < 3; ++k) {
-            p[k] = Pt(mesh.positions[i[k]]);
-            error = std::max(error, rounding * largest_coordinate(p[k]));
-        }
+        for (std::size_t k = 0; k < 3; ++k) p[k] = Pt(mesh.positions[i[k]]);
+        finish();
+    }
+    void finish() {
+        for (const Pt& corner : p) error = std::max(error, rounding * largest_coordinate(corner));
         n = cross(p[1] - p[0], p[2] - p[0]);
         const double size = length(n);
         if (size > 0) n = n / size;
@@ -95,6 +97,16 @@ struct Node {
     std::uint32_t shape = none, group = none;  // of all triangles below; mixed
 };
 
+bool boxes_overlap(const Box3f& a, const Box3f& b) {
+    return a.lo.x <= b.hi.x && b.lo.x <= a.hi.x && a.lo.y <= b.hi.y && b.lo.y <= a.hi.y && a.lo.z <= b.hi.z &&
+           b.lo.z <= a.hi.z;
+}
+
+/// Whether shapes matter as a pair.
+bool is_wanted(const SeamQuery& query, std::uint32_t a, std::uint32_t b) {
+    return query.resting || query.group[a] != query.group[b] || query.group[a] == SeamQuery::deforms;
+}
+
 class Finder {
   public:
     Finder(std::span<const Shape> shapes, const SeamQuery& query) : shapes_(shapes), query_(query) {}
@@ -124,13 +136,8 @@ class Finder {
     };
 
     bool within(std::uint32_t shape) const { return query_.resting || query_.group[shape] == SeamQuery::deforms; }
-    bool wanted(std::uint32_t a, std::uint32_t b) const {
-        return query_.resting || query_.group[a] != query_.group[b] || query_.group[a] == SeamQuery::deforms;
-    }
-    static bool overlap(const Box3f& a, const Box3f& b) {
-        return a.lo.x <= b.hi.x && b.lo.x <= a.hi.x && a.lo.y <= b.hi.y && b.lo.y <= a.hi.y && a.lo.z <= b.hi.z &&
-               b.lo.z <= a.hi.z;
-    }
+    bool wanted(std::uint32_t a, std::uint32_t b) const { return is_wanted(query_, a, b); }
+    static bool overlap(const Box3f& a, const Box3f& b) { return boxes_overlap(a, b); }
     static Box3f grown(Box3f box) {
         float size = 0;
         for (int c = 0; c < 3; ++c) size = std::max({size, std::abs(box.lo[c]), std::abs(box.hi[c])});
@@ -330,7 +337,94 @@ class Finder {
     SeamSet out_;
 };
 
+/// Distance of a point from a triangle.
+double distance(const Pt& from, const Triangle& t) {
+    bool above = true;
+    double nearest = INFINITY;
+    for (std::size_t k = 0; k < 3; ++k) {
+        const Pt& a = t.p[k];
+        const Vec e = t.p[(k + 1) % 3] - a, w = from - a;
+        above = above && dot(t.n, cross(e, w)) >= 0;
+        const double len2 = length2(e), s = len2 > 0 ? std::clamp(dot(e, w) / len2, 0.0, 1.0) : 0;
+        nearest = std::min(nearest, length(w - e * s));
+    }
+    return above ? std::abs(dot(t.n, from - t.p[0])) : nearest;
+}
+
+/// Whether a sphere cuts a triangle.
+bool cuts(const Shape& sphere, const Triangle& t) {
+    const Pt center(sphere.round.center);
+    const double radius = sphere.round.radius, error = std::max(t.error, rounding * largest_coordinate(center));
+    double farthest = 0;
+    for (const Pt& corner : t.p) farthest = std::max(farthest, length(corner - center));
+    return farthest > radius + error && distance(center, t) < radius - error;
+}
+
+/// Triangles of a mesh, or of a polygon within a disk.
+std::size_t n_triangles(const Shape& shape) {
+    constexpr std::size_t fan = 32;
+    return shape.kind == ShapeKind::disk ? fan : shape.mesh.n_triangles();
+}
+Triangle triangle_of(const Shape& shape, std::size_t i) {
+    if (shape.kind == ShapeKind::mesh) return Triangle(shape.mesh, std::uint32_t(i));
+    const RimEdge rim{shape.round.center, shape.round.u_axis, shape.round.v_axis, 0};
+    const double step = 2 * pi_double / double(n_triangles(shape));
+    // Turned off the axes, along which disks like to cut.
+    const double first = step * (double(i) + 0.37);
+    return Triangle({Pt(rim.center), rim.point(first), rim.point(first + step)});
+}
+
+bool cut_each_other(const Shape& a, const Shape& b, std::uint64_t& n_tests, std::uint64_t most_tests) {
+    if (a.kind == ShapeKind::sphere && b.kind == ShapeKind::sphere) {
+        const double d = length(Pt(a.round.center) - Pt(b.round.center)), ra = a.round.radius, rb = b.round.radius;
+        return d < (ra + rb) * (1 - rounding) && d > std::abs(ra - rb) + (ra + rb) * rounding;
+    }
+    if (b.kind == ShapeKind::sphere) return cut_each_other(b, a, n_tests, most_tests);
+    for (std::size_t i = 0; i < n_triangles(b) && n_tests < most_tests; ++i) {
+        const Triangle t = triangle_of(b, i);
+        if (a.kind == ShapeKind::sphere) {
+            ++n_tests;
+            if (cuts(a, t)) return true;
+            continue;
+        }
+        for (std::size_t j = 0; j < n_triangles(a) && n_tests < most_tests; ++j) {
+            ++n_tests;
+            const Triangle u = triangle_of(a, j);
+            const double error = std::max(t.error, u.error), sine = length(cross(t.n, u.n));
+            if (!(sine > least_sine)) continue;
+            const Cut of_t = cut(t, u, error), of_u = cut(u, t, error);
+            if (of_t.kind != Cut::Kind::proper || of_u.kind != Cut::Kind::proper) continue;
+            const Vec along = cross(t.n, u.n) / sine;
+            const auto part = [&](const Cut& c) {
+                return std::minmax({dot(along, c.chord[0] - t.p[0]), dot(along, c.chord[1] - t.p[0])});
+            };
+            const auto [t0, t1] = part(of_t);
+            const auto [u0, u1] = part(of_u);
+            if (std::min(t1, u1) - std::max(t0, u0) > 4 * error) return true;
+        }
+    }
+    return false;
+}
+
 }  // namespace
+
+std::vector<std::array<std::uint32_t, 2>> find_round_seams(std::span<const Shape> shapes, const SeamQuery& query,
+                                                           std::size_t most) {
+    std::vector<std::array<std::uint32_t, 2>> pairs;
+    std::vector<Box3f> boxes;
+    for (const Shape& shape : shapes) boxes.push_back(shape.bounds());
+    std::uint64_t n_tests = 0;
+    for (std::uint32_t i = 0; i < shapes.size(); ++i) {
+        if (shapes[i].kind == ShapeKind::mesh) continue;
+        for (std::uint32_t j = 0; j < shapes.size() && pairs.size() < most; ++j) {
+            if (i == j || (shapes[j].kind != ShapeKind::mesh && j < i)) continue;
+            if (is_wanted(query, i, j) && boxes_overlap(boxes[i], boxes[j]) &&
+                cut_each_other(shapes[i], shapes[j], n_tests, query.most_tests))
+                pairs.push_back({i, j});
+        }
+    }
+    return pairs;
+}
 
 SeamSet find_seams(std::span<const Shape> shapes, const SeamQuery& query) {
     return Finder(shapes, query).find();

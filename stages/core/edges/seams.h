@@ -65,4 +65,9 @@ struct SeamSet {
 /// The order depends on the shapes and groups only.
 SeamSet find_seams(std::span<const Shape> shapes, const SeamQuery& query);
 
+/// Finds pairs of shapes, of which one at least is a sphere or a disk, whose surfaces cut each other: their lines are no
+/// seams here. Ends after `most` pairs, or after SeamQuery::most_tests triangles.
+std::vector<std::array<std::uint32_t, 2>> find_round_seams(std::span<const Shape> shapes, const SeamQuery& query,
+                                                           std::size_t most);
+
 }  // namespace loom
