@@ -1,4 +1,7 @@
 // Lines along which surfaces cut each other, and how these move.
+//
+// Detected mutations: no tolerance for rounding; edges in the plane of a face not joined; pairs of triangles of one shape
+// left out; the wrong sign of the cosine between the faces in the velocity.
 
 #include "stages/core/edges/seams.h"
 
