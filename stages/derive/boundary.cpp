@@ -338,6 +338,14 @@ bool BoundaryScene::is_crease(const EdgeSet& set, const Edge& edge) const {
     return false;
 }
 
+Pt BoundaryScene::front_of_round(std::uint32_t shape_idx, const Pt& p, const Vec& view) const {
+    const Shape& shape = scene.shapes[shape_idx];
+    if (shape.kind != ShapeKind::sphere) return p;
+    constexpr double cosine = 1e-3;  // between normal and view: more than rounding
+    const Pt center(shape.round.center);
+    return center + normalize(normalize(p - center) - view * cosine) * double(shape.round.radius);
+}
+
 double BoundaryScene::clearance(const Pt& x, double distance) const {
     constexpr double angle = 2e-5, rounding = 4e-6;
     return std::max(angle * distance, rounding * std::max({std::abs(x.x), std::abs(x.y), std::abs(x.z)}));

@@ -162,6 +162,11 @@ class BoundaryScene {
     /// Whether light differs on the two faces of a shared edge that both show: their shading normals do.
     bool is_crease(const EdgeSet& set, const Edge& edge) const;
 
+    /// Returns the point at which the surface of a round is seen in front of its curve: on it, or of a sphere a little
+    /// inside of its outline, where a surface of one side certainly faces the eye.
+    /// in:      p     of the curve;  view  unit direction from the eye
+    Point3<double> front_of_round(std::uint32_t shape_idx, const Point3<double>& p, const Vector3<double>& view) const;
+
     /// Distance beside an edge point by which a ray passes it, so that the edge's own faces do not block it.
     double clearance(const Point3<double>& x, double distance) const;
 

@@ -211,8 +211,10 @@ class Sampling {
     void push(const RayEnd& from, const Pending& p, Hit hit, const MediumStack& media, int edge_number,
               std::uint32_t pending_idx, double sign) {
         if (!hit) return;
-        hit.t = float(p.b.r);
-        rays_.push_back({Ray{from.p, Vector3f(p.b.omega), 0, INFINITY}, {p.vertex, 0}, media, edge_number, hit});
+        const bool round = !p.b.edge && !p.b.seam;
+        const Vec d = (round ? s_.front_of_round(p.b.shape_idx, p.b.p, p.b.omega) : p.b.p) - p.x_s;
+        hit.t = float(length(d));
+        rays_.push_back({Ray{from.p, Vector3f(normalize(d)), 0, INFINITY}, {p.vertex, 0}, media, edge_number, hit});
         sides_.push_back({pending_idx, sign, hit});
     }
 

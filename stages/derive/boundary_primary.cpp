@@ -142,6 +142,7 @@ class Primary {
         double density = 0;     // per pixel of length
         std::vector<double> rates;
         Hit front, back;  // surfaces that end at the curve, on its two sides; none: whatever a ray beside it hits
+        Pt front_p;       // where the ray to `front` ends
     };
     bool sample(Point2f u, float u_place, std::vector<Vec>& v, Sample& out) const {
         out = {};
@@ -167,6 +168,7 @@ class Primary {
             out.density = double(choice_.pmf(k)) / (2 * pi_double * speed);
             outward_dir = outward(normalize(round.tangent(phi)), direction(out.p), round.middle - out.p);
             out.front.shape_idx = round.shape_idx;
+            out.front_p = s_.front_of_round(round.shape_idx, out.p, direction(out.p));
             if (s_.scene.shapes[round.shape_idx].kind == ShapeKind::disk)
                 out.front.u = float(std::cos(phi)), out.front.v = float(std::sin(phi));
             s_.shape_velocity(round.shape_idx, 0, out.p, v);
@@ -196,6 +198,7 @@ class Primary {
                 s_.edge_velocity(tree_.set(), edge, s, v);
             }
             out.front = sides.front, out.back = sides.back;
+            out.front_p = out.p;
         }
         out.beside = lifted(curve, outward_dir, direction(out.p));
         out.normal = {-along.y, along.x};
@@ -343,6 +346,7 @@ class Primary {
         // The lit side: off the root by more than stored normals are rounded.
         constexpr double cosine = 2e-4;
         const double step = cosine * length(g.normal(uv.x, uv.y)) * length(g.to_eye(uv.x, uv.y)) / std::sqrt(g2);
+        out.front_p = out.p;
         out.front.shape_idx = curve.shape_idx;
         out.front.primitive_idx = curve.index;
         out.front.u = float(uv.x + step * gradient.x / std::sqrt(g2));
@@ -498,10 +502,12 @@ Effort add_primary(const BoundaryScene& s, std::uint64_t n_samples, std::vector<
             if (!primary.sample(sampler.pair(0), sampler.pair(1).x, w.v, sample)) continue;
             const auto ray = [&](double side, const Hit& hit) {
                 const double off = hit ? 0 : side * beside;
-                const Ray camera = primary.map().ray(
-                    scene.sensor, {sample.film.x + off * sample.normal.x, sample.film.y + off * sample.normal.y});
+                const Pt& end = side < 0 ? sample.front_p : sample.p;
+                Point2<double> film{sample.film.x + off * sample.normal.x, sample.film.y + off * sample.normal.y};
+                if (hit) film = primary.map().film(primary.map().in_camera(end));
+                const Ray camera = primary.map().ray(scene.sensor, film);
                 GivenRay given{camera, {k, 0}, scene.sensor_media.at(scene, camera.o), 1, hit};
-                if (hit) given.hit.t = float(length(sample.p - Pt(camera.o)));
+                if (hit) given.hit.t = float(length(end - Pt(camera.o)));
                 return given;
             };
             ++w.n_checks;
