@@ -94,7 +94,7 @@ struct DerivativeOf : DerivativeHeader {
 };
 
 struct Derivative : DerivativeOf<Column> {
-    std::shared_ptr<const MappedFile> storage;
+    std::shared_ptr<const void> storage;  // memory that columns borrow
 
     /// Returns the first violated invariant beyond types, lengths and finite floats; empty: none.
     std::string problem() const;
@@ -158,7 +158,8 @@ void DerivativeOf<ColumnOf>::fields(Self& d, Visitor& v) {
            "derivative",
            Finite::counted);
     v.field("boundary/family", b.family, 1, "boundary", "1",
-            "estimator: 0 primary, 1 stored vertex and emitter, 2 light point, 3 indirect, 4 light point and stored vertex");
+            "estimator: 0 primary, 1 stored vertex and emitter, 2 light point, 3 indirect, 4 light point and stored "
+            "vertex");
     v.field("boundary/sample", b.sample, 1, "boundary", "1",
             "sample of the family to which the row belongs; for families 1, 3 and 4 the path of the graph");
 

@@ -8,6 +8,7 @@
 #include "formats/io/cost.h"
 #include "formats/io/error.h"
 #include "stages/core/app/command.h"
+#include "stages/core/compute/huge_array.h"
 #include "stages/core/compute/parallel.h"
 #include "stages/core/graph/graph_reader.h"
 #include "stages/core/graph/own_samples.h"
@@ -20,71 +21,90 @@
 namespace loom::derive {
 namespace {
 
-/// Interior rows of consecutive paths.
-struct Rows {
-    std::vector<std::uint32_t> edge, path;
-    std::vector<float> dL, dopl, dLe, dopl_seen;
-    std::uint64_t n_touched = 0;
+/// Rows of the interior. Memory that no row reaches is never touched.
+struct InteriorRows {
+    HugeArray<std::uint32_t> row;  // light edge, or path
+    HugeArray<float> dL, dopl;
+    std::size_t n_parameters;
 
-    void add_edge(const InteriorRow& row) {
-        edge.push_back(row.row);
-        dL.insert(dL.end(), row.dL.begin(), row.dL.end());
-        dopl.insert(dopl.end(), row.dopl.begin(), row.dopl.end());
+    InteriorRows(std::size_t most, std::size_t n) : row(most), dL(3 * n * most), dopl(n * most), n_parameters(n) {}
+    InteriorWalker::RowWriter writer(std::size_t at) {
+        return {row.data() + at, dL.data() + 3 * n_parameters * at, dopl.data() + n_parameters * at};
     }
-    void add_seen(const InteriorRow& row) {
-        path.push_back(row.row);
-        dLe.insert(dLe.end(), row.dL.begin(), row.dL.end());
-        dopl_seen.insert(dopl_seen.end(), row.dopl.begin(), row.dopl.end());
+    /// Moves n rows to lower ones.
+    void move(std::size_t from, std::size_t to, std::size_t n) {
+        if (from == to) return;
+        const auto shift = [&](auto& column, std::size_t width) {
+            std::copy_n(column.data() + width * from, width * n, column.data() + width * to);
+        };
+        shift(row, 1), shift(dL, 3 * n_parameters), shift(dopl, n_parameters);
+    }
+    template <class T>
+    static Column<T> first(const HugeArray<T>& column, std::size_t n) {
+        return Column<T>::borrow(std::span<const T>(column).first(n));
     }
 };
-
-/// Joins one array of every chunk, in their order.
-template <class T>
-Column<T> joined(std::vector<Rows>& chunks, std::vector<T> Rows::*member) {
-    std::size_t size = 0;
-    for (const Rows& rows : chunks) size += (rows.*member).size();
-    std::vector<T> all;
-    all.reserve(size);
-    for (Rows& rows : chunks) {
-        all.insert(all.end(), (rows.*member).begin(), (rows.*member).end());
-        std::vector<T>().swap(rows.*member);
-    }
-    return all;
-}
 
 void differentiate_interior(const PathGraph& graph, const Scene& scene, const SceneTangents& tangents,
                             const Attached& attached, int threads, app::Report& report, Derivative& out,
                             std::uint64_t& n_touched) {
     constexpr std::uint64_t chunk = 4096;
+    struct Rows {
+        std::size_t edges = 0, paths = 0;  // touched: at most as many rows
+        std::size_t first_edge = 0, first_path = 0;
+        std::size_t n_edges = 0, n_seen = 0;  // written
+    };
     std::vector<Rows> chunks((graph.n_paths() + chunk - 1) / chunk);
+    std::vector<std::uint8_t> touched(graph.n_paths());
     app::Progress progress(report, "interior", graph.n_paths());
     tbb::enumerable_thread_specific<InteriorWalker> walkers(
         [&] { return InteriorWalker(graph, scene, tangents, attached); });
+
+    // Find the paths with a derivative, and where the rows of each chunk may begin.
     parallel_chunks(graph.n_paths(), chunk, threads, [&](std::uint64_t i, std::uint64_t begin, std::uint64_t end) {
         const InteriorWalker& walker = walkers.local();
-        Rows& rows = chunks[i];
         std::size_t edge = first_light_edge(graph, graph.paths.first_vertex[begin]);
         for (std::size_t path = begin; path < end; ++path) {
-            if (!walker.touches(path)) {
-                while (edge < graph.n_light_edges() &&
-                       graph.light_edges.vertex[edge] < graph.paths.first_vertex[path + 1])
-                    ++edge;
-                continue;
-            }
-            ++rows.n_touched;
-            walker.walk(
-                path, edge, [&](const InteriorRow& row) { rows.add_edge(row); },
-                [&](const InteriorRow& row) { rows.add_seen(row); });
+            const std::size_t next = next_path_edge(graph, path, edge);
+            touched[path] = walker.touches(path);
+            if (touched[path]) chunks[i].edges += next - edge, ++chunks[i].paths;
+            edge = next;
         }
+    });
+    std::size_t n_edges = 0, n_paths = 0;
+    for (Rows& rows : chunks) {
+        rows.first_edge = n_edges, rows.first_path = n_paths;
+        n_edges += rows.edges, n_paths += rows.paths;
+    }
+    n_touched += n_paths;
+
+    // Write the rows of each chunk, then close the gaps.
+    struct Storage {
+        InteriorRows edges, seen;
+    };
+    const auto storage =
+        std::make_shared<Storage>(Storage{InteriorRows(n_edges, tangents.n()), InteriorRows(n_paths, tangents.n())});
+    parallel_chunks(graph.n_paths(), chunk, threads, [&](std::uint64_t i, std::uint64_t begin, std::uint64_t end) {
+        Rows& rows = chunks[i];
+        InteriorWalker::RowWriter edges = storage->edges.writer(rows.first_edge);
+        InteriorWalker::RowWriter seen = storage->seen.writer(rows.first_path);
+        walkers.local().walk_all(begin, end, touched, edges, seen);
+        rows.n_edges = edges.n, rows.n_seen = seen.n;
         progress.add(end - begin);
     });
-    for (const Rows& rows : chunks) n_touched += rows.n_touched;
-    out.interior.edge = joined(chunks, &Rows::edge);
-    out.interior.dL = joined(chunks, &Rows::dL);
-    out.interior.dopl = joined(chunks, &Rows::dopl);
-    out.seen.path = joined(chunks, &Rows::path);
-    out.seen.dLe = joined(chunks, &Rows::dLe);
-    out.seen.dopl = joined(chunks, &Rows::dopl_seen);
+    n_edges = n_paths = 0;
+    for (const Rows& rows : chunks) {
+        storage->edges.move(rows.first_edge, n_edges, rows.n_edges);
+        storage->seen.move(rows.first_path, n_paths, rows.n_seen);
+        n_edges += rows.n_edges, n_paths += rows.n_seen;
+    }
+    out.interior.edge = InteriorRows::first(storage->edges.row, n_edges);
+    out.interior.dL = InteriorRows::first(storage->edges.dL, 3 * tangents.n() * n_edges);
+    out.interior.dopl = InteriorRows::first(storage->edges.dopl, tangents.n() * n_edges);
+    out.seen.path = InteriorRows::first(storage->seen.row, n_paths);
+    out.seen.dLe = InteriorRows::first(storage->seen.dL, 3 * tangents.n() * n_paths);
+    out.seen.dopl = InteriorRows::first(storage->seen.dopl, tangents.n() * n_paths);
+    out.storage = storage;
 }
 
 /// Returns the bins of a delta pulse: by the options, else those of the graph's film.

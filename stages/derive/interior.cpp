@@ -2,8 +2,10 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <array>
 #include <cmath>
+#include <variant>
 
 #include "stages/core/graph/own_samples.h"
 #include "stages/core/scattering/gradient.h"
@@ -12,6 +14,13 @@
 #include "stages/derive/path_source.h"
 
 namespace loom::derive {
+
+std::size_t next_path_edge(const PathGraph& graph, std::size_t path, std::size_t edge) {
+    const auto& of = graph.light_edges.vertex;
+    while (edge < of.size() && of[edge] < graph.paths.first_vertex[path + 1]) ++edge;
+    return edge;
+}
+
 namespace {
 
 using Vec = Vector3<double>;
@@ -46,14 +55,20 @@ struct ColourTangent {
 template <int n>
 class Walk {
   public:
-    explicit Walk(const PathSource& source) : s_(source), g_(source.graph) {}
+    explicit Walk(const PathSource& source) : s_(source), g_(source.graph) {
+        camera_.still = !s_.tangents.camera_moves();
+        camera_.rests = camera_.still;
+        camera_.beta = Rgb<double>(1);
+    }
+    Walk(const Walk&) = delete;
 
     using Numbers = Tangent<n>;
     using Vectors = VectorTangent<n>;
     using Colours = ColourTangent<n>;
 
     /// on_edge(k, L, dL, dopl), on_seen(path, Le, dLe, dopl), on_vertex(j, at, beta, opl, motion)
-    template <class OnEdge, class OnSeen, class OnVertex>
+    /// in:      to_end  whether to go on after the last light edge
+    template <bool to_end, class OnEdge, class OnSeen, class OnVertex>
     void path(std::size_t path, std::size_t& edge, OnEdge&& on_edge, OnSeen&& on_seen, OnVertex&& on_vertex) {
         const auto [begin, end] = vertices_of(g_, path);
         path_ = path;
@@ -64,119 +79,145 @@ class Walk {
         }
         const auto& edges = g_.light_edges.vertex;
         for (std::size_t j = begin; j < end; ++j) {
-            const ShadingPoint at = s_.reader.vertex(j);
-            Arrival here = arrive(j, at);
+            Vertex& here = start_.from == &vertices_[0] ? vertices_[1] : vertices_[0];
+            const ShadingPoint& at = here.at;
+            arrive(j, here);
             if (j == begin) see(path, at, here, on_seen);
             on_vertex(j, at, here.beta, here.opl, here.motion);
             for (; edge < edges.size() && edges[edge] == j; ++edge) light(j, edge, at, here, on_edge);
+            if constexpr (!to_end)
+                if (edge == edges.size() || edges[edge] >= end) return;
             if (j + 1 < end) leave(j, at, here);
         }
     }
 
   private:
-    /// Where a segment starts, and the factor of the scattering there, whose direction may still change with the end.
-    struct Start {
-        Pt p;
-        Vectors v;
-        bool by_ray = true;  // the ray's direction determines the end of the segment
-        Vec w;               // unit direction of the ray
-        Vectors dw;
-        bool scattered = false;
-        Rgb<double> factor{1};               // f cos / pdf
-        Colours dfactor;                     // without the change of the outgoing segment's direction
-        std::array<Rgb<double>, 3> by_wi{};  // gradient of the factor by the local direction
-        Frame<double> frame;
-        Vec wi_local;
-        Vectors ns;
-        Numbers twist;
-        Vectors turn;         // angular velocity of the frame
-        Rgb<double> beta{1};  // before the factor
-        Colours dbeta;
-        double opl = 0;
-        Numbers dopl;
-    };
-    /// State at the end of a segment.
-    struct Arrival {
+    /// A vertex, or the camera. Reused from path to path.
+    struct Vertex {
+        ShadingPoint at;
         SurfacePlace place;
         PointMotion<n> motion;
-        Vec u;               // unit, along the segment
-        Vectors du;          // change of u
-        Vectors wo;          // change of wo in the frame
+        Vectors turn;        // angular velocity of the frame
+        Vectors wo;          // change of wo in the frame; 0 where the BSDF does not depend on wo
+        bool still = false;  // place, frame and wo stay with all parameters; their changes are 0
+        bool turns = false;  // normals or frame may change; else their changes are 0
         bool rests = false;  // nothing up to here depends on a parameter
-        Rgb<double> beta;
+        Rgb<double> beta;    // throughput from the camera
         Colours dbeta;
-        double opl = 0;
+        double opl = 0;  // from the camera
         Numbers dopl;
         std::uint32_t material_idx = 0;
         // The material's tangents at this point, textures under a sliding point included; by parameter.
-        Effects<MaterialTangent> material;
+        std::span<const Of<MaterialTangent>> material;
+        Effects<MaterialTangent> textured;  // storage of `material` where a texture changes
+
+        void stay() {
+            if (!still) motion = {}, turn = {}, wo = {};
+            still = true;
+            turns = false;
+        }
+    };
+    /// Where a segment starts, and the factor of the scattering there, whose direction may still change with the end.
+    struct Start {
+        const Vertex* from = nullptr;
+        bool by_ray = true;                  // the ray's direction determines the end of the segment
+        bool still = false;                  // the vertex and the ray stay with all parameters
+        bool rests = false;                  // nothing up to here depends on a parameter, the factor included
+        bool constant = true;                // dfactor is 0
+        bool along_normal = true;            // by_wi has a component along the normal alone
+        Vectors dw;                          // by_ray: change of the ray's unit direction
+        Rgb<double> factor{1};               // f cos / pdf
+        Colours dfactor;                     // without the change of the outgoing segment's direction
+        std::array<Rgb<double>, 3> by_wi{};  // gradient of the factor by the local direction
     };
 
     void start_at_camera(std::size_t path, std::size_t begin, std::size_t end) {
-        Start& a = a_;
-        a = Start{};
-        a.p = camera_origin<double>(g_, path);
-        if (s_.scene.nlos) a.by_ray = s_.scene.nlos->relay_wall == NlosCapture::no_wall;
-        if (begin < end)
-            a.w = normalize(position<double>(g_, begin) - a.p);
-        else
-            a.w = {0, 0, 1};
+        Start& a = start_;
+        a.from = &camera_;
+        camera_.place.p = camera_origin<double>(g_, path);
+        a.by_ray = !s_.scene.nlos || s_.scene.nlos->relay_wall == NlosCapture::no_wall;
+        a.still = a.rests = camera_.still;
+        a.constant = a.along_normal = true;
+        a.factor = Rgb<double>(1);
+        a.dfactor = {};
+        a.by_wi = {};
+        a.dw = {};
+        if (camera_.still) return;
+        const Vec w = begin < end ? normalize(position<double>(g_, begin) - camera_.place.p) : Vec{0, 0, 1};
+        camera_.motion.p = {};
         for (const auto& [p, v] : s_.tangents.camera) {
             const int k = int(p);
-            a.v.add(k, v.at(a.p));
-            const Vec turned = v.turned(a.w);
-            a.dw.add(k, turned - a.w * loom::dot(a.w, turned));
+            camera_.motion.p.add(k, v.at(camera_.place.p));
+            const Vec turned = v.turned(w);
+            a.dw.add(k, turned - w * loom::dot(w, turned));
         }
         if (!s_.tangents.lens.empty()) {
             const auto& m = s_.scene.sensor.world_from_camera;
             const Vec axis = normalize(Vec{m[2], m[6], m[10]});
             // A wider field of view scales what is perpendicular to the axis.
-            const double along = loom::dot(a.w, axis);
-            const Vec across = a.w - axis * along;
+            const double along = loom::dot(w, axis);
+            const Vec across = w - axis * along;
             for (const auto& [p, relative] : s_.tangents.lens) {
                 const Vec change = across * relative;
-                a.dw.add(int(p), change - a.w * loom::dot(a.w, change));
+                a.dw.add(int(p), change - w * loom::dot(w, change));
             }
         }
     }
 
+    /// A segment between two vertices, or a vertex and a light.
+    struct Segment {
+        Vec d, u;  // u: unit
+        double r, inv_r;
+
+        Segment(const Pt& from, const Pt& to) : d(to - from), r(length(d)), inv_r(1 / r) { u = d * inv_r; }
+    };
+
     /// Moves a point along its surface towards the one that the ray reaches.
     /// in:      motion  of the material point
     /// out:     motion  of the sliding point: normals and the growth of its area included
-    void slide(const Start& a, const Vec& d, double r, const SurfacePlace& place, PointMotion<n>& motion,
-               Arrival* arrival) const {
-        const double share = a.by_ray ? 1 : s_.attached.share(r);
+    void slide(const Start& a, const Segment& to, const SurfacePlace& place, PointMotion<n>& motion,
+               Vertex* arrival) const {
+        const double share = a.by_ray ? 1 : s_.attached.share(to.r);
         if (share == 0) return;
-        const bool varies = s_.motions.varies(place.shape_idx);
-        const Vec u = d / r;
-        const double cosine = loom::dot(place.ng, u);
+        const Vertex& from = *a.from;
+        const bool varies = s_.shape_varies[place.shape_idx];
+        const double inv_cosine = 1 / loom::dot(place.ng, to.u), slope = a.by_ray ? 0 : s_.attached.slope(to.r);
+        Numbers tilt;
+        if (!a.by_ray) s_.motions.add_tilt(place, to.d, tilt);
         for (int p = 0; p < n; ++p) {
-            const Vec ray = a.by_ray ? a.v(p) + a.dw(p) * r : a.v(p) + cross(a.turn(p), d), material = motion.p(p);
-            if (ray == material) continue;
-            const Vec slip = ray + u * (loom::dot(place.ng, material - ray) / cosine) - material;
+            Vec ray = from.motion.p(p);
+            if (a.by_ray)
+                ray = ray + a.dw(p) * to.r;
+            else if (from.turns)
+                ray = ray + cross(from.turn(p), to.d);
+            const Vec change = motion.p(p) - ray;
+            if (change == Vec{}) continue;
+            const Vec slip = to.u * (loom::dot(place.ng, change) * inv_cosine) - change;
             const Vec along = slip * share;
             motion.p.add(p, along);
             if (!a.by_ray)
                 motion.area.d[p] +=
-                    share * s_.motions.slip_growth(place, std::uint32_t(p), d, material - ray, a.turn(p)) +
-                    s_.attached.slope(r) * loom::dot(u, slip);
+                    share * s_.motions.slip_growth(place, motion.area.d[p], tilt.d[p], to.d, change, from.turn(p)) +
+                    slope * loom::dot(to.u, slip);
             if (!varies || along == Vec{}) continue;
             const auto normals = s_.motions.normals_along(place, along);
             motion.ng.add(p, normals.ng);
             motion.ns.add(p, normals.ns);
             if (arrival) {
                 const MaterialTangent t = s_.motions.texture_along(place, arrival->material_idx, along);
-                if (!t.is_zero()) add_material(arrival->material, std::uint32_t(p), t);
+                if (!t.is_zero()) add_material(*arrival, std::uint32_t(p), t);
             }
         }
     }
-    static void add_material(Effects<MaterialTangent>& effects, std::uint32_t p, const MaterialTangent& t) {
-        for (auto& [q, known] : effects)
-            if (q == p) {
-                known += t;
-                return;
-            }
-        effects.push_back({p, t});
+    static void add_material(Vertex& at, std::uint32_t p, const MaterialTangent& t) {
+        if (at.textured.empty()) at.textured.assign(at.material.begin(), at.material.end());
+        const auto known = std::find_if(at.textured.begin(), at.textured.end(),
+                                        [p](const auto& effect) { return effect.parameter_idx == p; });
+        if (known == at.textured.end())
+            at.textured.push_back({p, t});
+        else
+            known->effect += t;
+        at.material = at.textured;
     }
 
     /// Change of a local direction at a vertex from that of the world direction and of the frame.
@@ -193,83 +234,124 @@ class Walk {
     }
 
     /// d log(cos / r^2) of a segment's end, the growth of its area included.
-    static Numbers geometry_change(const Vec& u, double r, const Vectors& ddot, const Vec& normal,
-                                   const Vectors& dnormal, const Numbers& area) {
+    /// in:      ddot   how the ends move apart
+    ///          along  its share along the segment
+    ///          end    null: it keeps its normal and its area
+    static Numbers geometry_change(const Segment& to, const Vectors& ddot, const Numbers& along, const Vec& normal,
+                                   const PointMotion<n>* end) {
         Numbers sum;
-        const double cosine = loom::dot(normal, u);
-        for (int p = 0; p < n; ++p) {
-            const Vec d = ddot(p);
-            sum.d[p] =
-                (loom::dot(dnormal(p), u) + loom::dot(normal, d) / r) / cosine - 3 * loom::dot(u, d) / r + area.d[p];
-        }
+        const double inv_cosine = 1 / loom::dot(normal, to.u);
+        for (int p = 0; p < n; ++p)
+            sum.d[p] = loom::dot(normal, ddot(p)) * to.inv_r * inv_cosine - 3 * along.d[p] * to.inv_r;
+        if (end)
+            for (int p = 0; p < n; ++p) sum.d[p] += loom::dot(end->ng(p), to.u) * inv_cosine + end->area.d[p];
         return sum;
     }
 
-    /// Change of the unit direction u of a segment of length r whose ends move apart by ddot.
-    static Vectors direction_change(const Vec& u, double r, const Vectors& ddot) {
+    /// Change of the unit direction of a segment whose ends move apart by ddot.
+    static Vectors direction_change(const Segment& to, const Vectors& ddot, const Numbers& along) {
         Vectors du;
-        for (int p = 0; p < n; ++p) {
-            const Vec d = ddot(p);
-            du.add(p, (d - u * loom::dot(u, d)) / r);
-        }
+        for (int p = 0; p < n; ++p) du.add(p, (ddot(p) - to.u * along.d[p]) * to.inv_r);
         return du;
     }
 
     /// The factor of a start towards a changing direction, as value and change.
-    void apply_factor(const Start& a, const Vectors& du, const Vec& u, Rgb<double>& beta, Colours& dbeta) const {
-        beta = a.beta;
-        dbeta = a.dbeta;
-        if (!a.scattered) return;
+    /// in:      du  null: the direction and the frame stay
+    void apply_factor(const Start& a, const Vectors* du, const Vec& u, Rgb<double>& beta, Colours& dbeta) const {
+        const Vertex& from = *a.from;
+        beta = from.beta * a.factor;
+        if (a.rests && !du) {
+            dbeta = {};
+            return;
+        }
+        dbeta = from.dbeta;
+        dbeta.scale(a.factor);
+        if (!du || a.by_ray || a.from == &camera_) {
+            if (!a.constant) dbeta.add(from.beta, a.dfactor);
+            return;
+        }
         Colours dfactor = a.dfactor;
-        if (!a.by_ray) {
-            const Vectors local = local_change(a.frame, a.frame.to_local(u), du, a.ns, a.twist);
+        if (a.along_normal) {
+            const Vec normal(from.at.frame.n);
+            Numbers local;
+            for (int p = 0; p < n; ++p) local.d[p] = loom::dot(normal, (*du)(p));
+            if (from.turns) {
+                // Not u - n (n . u): the stored normal has the length 1 in single precision alone.
+                const Vec s(from.at.frame.s), t(from.at.frame.t), across = s * loom::dot(s, u) + t * loom::dot(t, u);
+                for (int p = 0; p < n; ++p) local.d[p] += loom::dot(across, from.motion.ns(p));
+            }
+            dfactor.add(a.by_wi[2], local);
+        } else {
+            const Frame<double> frame = in_double(from.at.frame);
+            const Vectors local = local_change(frame, frame.to_local(u), *du, from.motion.ns, from.motion.twist);
             for (int k = 0; k < 3; ++k) dfactor.add(a.by_wi[std::size_t(k)], local[k]);
         }
-        dbeta.scale(a.factor);
-        dbeta.add(a.beta, dfactor);
-        beta = a.beta * a.factor;
+        dbeta.add(from.beta, dfactor);
     }
 
-    Arrival arrive(std::size_t j, const ShadingPoint& at) const {
-        const Start& a = a_;
-        Arrival b;
+    void arrive(std::size_t j, Vertex& b) const {
+        const Start& a = start_;
+        const Vertex& from = *a.from;
+        const ShadingPoint& at = b.at;
+        s_.reader.read_vertex(j, b.at);
         b.place = s_.place(j, at);
         b.material_idx = g_.vertices.material[j];
-        const Vec d = b.place.p - a.p;
-        const double r = length(d);
-        b.u = d / r;
-        s_.motions.add_material(b.place, b.motion);
-        for (const auto& [p, t] : s_.tangents.materials[b.material_idx]) b.material.push_back({p, t});
-        if (a.by_ray || a.scattered) slide(a, d, r, b.place, b.motion, &b);
-        Vectors ddot = b.motion.p;
-        ddot.add(-1, a.v);
-        b.du = direction_change(b.u, r, ddot);
-        apply_factor(a, b.du, b.u, b.beta, b.dbeta);
-        if (!a.by_ray && a.scattered)
-            b.dbeta.add(b.beta, geometry_change(b.u, r, ddot, b.place.ng, b.motion.ng, b.motion.area));
-        add_length(a, g_.vertices.eta, g_.vertices.medium, j, r, b.u, ddot, b.opl, b.dopl);
-        Vectors back;
-        back.add(-1, b.du);
-        b.wo = local_change(in_double(at.frame), Vec(at.wo_local), back, b.motion.ns, b.motion.twist);
-        b.rests = b.material.empty() && b.dbeta.is_zero() && b.dopl.is_zero() && b.motion.p.is_zero() &&
-                  b.motion.ns.is_zero() && b.motion.twist.is_zero() && b.wo.is_zero();
-        return b;
+        b.textured.clear();
+        b.material = s_.tangents.materials[b.material_idx];
+        const Segment to(from.place.p, b.place.p);
+        b.opl = from.opl + (g_.vertices.eta.empty() ? 1.0 : double(g_.vertices.eta[j])) * to.r;
+        b.dopl = from.dopl;
+        if (a.still && !s_.shape_matters[b.place.shape_idx]) {
+            b.stay();
+            apply_factor(a, nullptr, to.u, b.beta, b.dbeta);
+            b.rests = a.rests && b.material.empty();
+        } else {
+            b.still = b.rests = false;
+            b.motion = {};
+            s_.motions.add_material(b.place, b.motion);
+            if (a.by_ray || from_surface(a)) slide(a, to, b.place, b.motion, &b);
+            Vectors ddot = b.motion.p;
+            ddot.add(-1, from.motion.p);
+            const Numbers along = loom::derive::dot(to.u, ddot);
+            const Vectors du = direction_change(to, ddot, along);
+            apply_factor(a, &du, to.u, b.beta, b.dbeta);
+            if (!a.by_ray && from_surface(a))
+                b.dbeta.add(b.beta, geometry_change(to, ddot, along, b.place.ng, &b.motion));
+            b.dopl.add(g_.vertices.eta.empty() ? 1.0 : double(g_.vertices.eta[j]), along);
+            if (s_.depends_on_wo[b.material_idx]) {
+                Vectors back;
+                back.add(-1, du);
+                b.wo = local_change(in_double(at.frame), Vec(at.wo_local), back, b.motion.ns, b.motion.twist);
+            } else {
+                b.wo = {};
+            }
+            const std::uint32_t shape = b.place.shape_idx;
+            const bool turned = b.turns;
+            b.turns = !s_.motions.only_translates(shape) || s_.shape_varies[shape];
+            if (turned && !b.turns) b.turn = {};
+            const Vec normal(at.frame.n);
+            for (int p = 0; b.turns && p < n; ++p) {
+                const Vec turn = cross(normal, b.motion.ns(p)) + normal * b.motion.twist.d[p];
+                b.turn.x.d[p] = turn.x, b.turn.y.d[p] = turn.y, b.turn.z.d[p] = turn.z;
+            }
+        }
+        if (s_.media_matter && add_medium(g_.vertices.medium[j], to.r, b.dopl)) b.rests = false;
     }
+    /// Whether a segment starts at a vertex, not at the camera.
+    bool from_surface(const Start& a) const { return a.from != &camera_; }
 
-    /// Length of a segment in its medium, after that up to its start.
-    void add_length(const Start& a, const Column<float>& etas, const Column<std::uint16_t>& media, std::size_t row,
-                    double r, const Vec& u, const Vectors& ddot, double& opl, Numbers& dopl) const {
-        const double eta = etas.empty() ? 1.0 : double(etas[row]);
-        opl = a.opl + eta * r;
-        dopl = a.dopl;
-        dopl.add(eta, loom::derive::dot(u, ddot));
-        if (media.empty() || media[row] == no_medium) return;
-        for (const auto& [p, t] : s_.tangents.materials[media[row]]) dopl.d[p] += t.int_ior * r;
+    /// Adds the change of a segment's length with the index of its medium.
+    /// out:     whether there is one
+    bool add_medium(std::uint16_t medium, double r, Numbers& dopl) const {
+        if (medium == no_medium) return false;
+        for (const auto& [p, t] : s_.tangents.materials[medium]) dopl.d[p] += t.int_ior * r;
+        return !s_.tangents.materials[medium].empty();
     }
 
     /// The directly visible emitter at the first hit.
     template <class OnSeen>
-    void see(std::size_t path, const ShadingPoint& at, const Arrival& here, OnSeen&& on_seen) const {
+    void see(std::size_t path, const ShadingPoint& at, const Vertex& here, OnSeen&& on_seen) const {
+        if (here.rests && s_.scene.shapes[here.place.shape_idx].emitter_idx < 0) return;
         Colours dLe;
         const Shape& shape = s_.scene.shapes[here.place.shape_idx];
         const Spectrum Le = rgb(g_.paths.Le, path);
@@ -311,37 +393,54 @@ class Walk {
             }
     }
 
-    /// f cos of a vertex towards a world direction, or its delta lobe, with its changes; times `scale`.
-    struct Scattering {
-        Rgb<double> value;
-        Colours change;                      // by wo, frame for wo, and material
-        std::array<Rgb<double>, 3> by_wi{};  // by the local direction
-    };
-    Scattering scatter(const ShadingPoint& at, const Arrival& here, const Vec& wi, double scale) const {
-        Scattering s;
+    /// Starts a segment at a vertex with f cos towards a world direction, times `scale`.
+    /// in:      direction_stays  the direction stays if the vertex does
+    void scatter(const ShadingPoint& at, const Vertex& here, const Vec& wi, double scale, bool direction_stays,
+                 Start& s) const {
+        start_at(here, s);
+        s.along_normal = !s_.depends_on_wo[here.material_idx];
+        s.constant = (here.still || s.along_normal) && here.material.empty();
+        s.rests = here.rests && s.constant;
+        s.dfactor = {};
+        if (s.along_normal && !at.perturbed && here.material.empty()) {
+            const DiffuseGradient g = diffuse_gradient(at.bsdf, at.wo_local.z, dot(Vector3f(wi), at.frame.n));
+            s.factor = Rgb<double>(g.f_cos) * Rgb<double>(scale);
+            s.by_wi[2] = Rgb<double>(g.by_wi_z) * Rgb<double>(scale);
+            return;
+        }
         const Vector3f wi_local = at.frame.to_local(Vector3f(wi));
+        const Rgb<double> by(at.perturbed ? scale * double(bump_shadowing(at, Vector3f(wi), wi_local.z)) : scale);
+        if (s.constant && here.still && direction_stays) {
+            s.factor = Rgb<double>(f_cos_pdf(at.bsdf, at.wo_local, wi_local).f_cos) * by;
+            return;
+        }
         const DirectionGradient g = f_cos_gradient(at.bsdf, at.wo_local, wi_local);
-        const Rgb<double> shadow(at.perturbed ? double(bump_shadowing(at, Vector3f(wi), wi_local.z)) : 1.0);
-        const Rgb<double> by(scale);
-        s.value = Rgb<double>(g.f_cos) * by * shadow;
-        for (int k = 0; k < 3; ++k) {
-            const auto i = std::size_t(k);
-            s.change.add(Rgb<double>(g.by_wo[i]) * by * shadow, here.wo[k]);
-            s.by_wi[i] = Rgb<double>(g.by_wi[i]) * by * shadow;
+        s.factor = Rgb<double>(g.f_cos) * by;
+        s.by_wi[2] = Rgb<double>(g.by_wi[2]) * by;
+        if (!s.along_normal) {
+            for (std::size_t k = 0; k < 2; ++k) s.by_wi[k] = Rgb<double>(g.by_wi[k]) * by;
+            for (int k = 0; k < 3; ++k) s.dfactor.add(Rgb<double>(g.by_wo[std::size_t(k)]) * by, here.wo[k]);
         }
         for (const auto& [p, t] : here.material) {
             if (!t.scatters()) continue;
             using D = Dual<1, double>;
             const Bsdf<D> bsdf = with_tangent<1, double>(at.bsdf, t, 0);
             const Rgb<D> f = f_cos_pdf(bsdf, Vector3<D>(at.wo_local), Vector3<D>(wi_local)).f_cos;
-            for (int c = 0; c < 3; ++c) s.change.c[std::size_t(c)].d[p] += f[c].d[0] * scale * shadow[c];
+            for (int c = 0; c < 3; ++c) s.dfactor.c[std::size_t(c)].d[p] += f[c].d[0] * by[c];
         }
-        return s;
     }
-    Scattering scatter_delta(const ShadingPoint& at, const Arrival& here, Lobe lobe, double scale) const {
-        Scattering s;
+    /// A delta lobe of a vertex with its changes, times `scale`.
+    struct DeltaScattering {
+        Rgb<double> value;
+        Colours change;  // by wo, frame for wo, and material
+        bool constant;
+    };
+    DeltaScattering scatter_delta(const ShadingPoint& at, const Vertex& here, Lobe lobe, double scale) const {
+        DeltaScattering s;
         const DeltaGradient g = delta_value_gradient(at.bsdf, at.wo_local, lobe);
         s.value = Rgb<double>(g.value) * Rgb<double>(scale);
+        s.constant = here.still && here.material.empty();
+        if (s.constant) return s;
         for (int k = 0; k < 3; ++k) s.change.add(Rgb<double>(g.by_wo[std::size_t(k)]) * Rgb<double>(scale), here.wo[k]);
         for (const auto& [p, t] : here.material) {
             if (!t.scatters()) continue;
@@ -351,8 +450,22 @@ class Walk {
         }
         return s;
     }
-    /// Direction of a delta lobe and its change.
-    void delta_ray(const ShadingPoint& at, const Arrival& here, Lobe lobe, Start& next) const {
+    /// Starts a segment at a vertex along a delta lobe.
+    void start_delta(const ShadingPoint& at, const Vertex& here, Lobe lobe, double scale, Start& s) const {
+        start_at(here, s);
+        const DeltaScattering delta = scatter_delta(at, here, lobe, scale);
+        s.factor = delta.value;
+        s.dfactor = delta.change;
+        s.constant = delta.constant;
+        s.rests = here.rests && s.constant;
+        delta_ray(at, here, lobe, s);
+    }
+    /// Sets the change of the direction of a delta lobe.
+    void delta_ray(const ShadingPoint& at, const Vertex& here, Lobe lobe, Start& next) const {
+        next.by_ray = true;
+        next.dw = {};
+        next.still = here.still && here.material.empty();
+        if (next.still) return;
         using D = Dual<4, double>;
         Vector3<D> wo;
         for (int k = 0; k < 3; ++k) wo[k] = D::variable(double(at.wo_local[k]), k);
@@ -360,21 +473,22 @@ class Walk {
         index.eta = 1;
         const Vector3<D> wi = delta_direction(with_tangent<4, double>(at.bsdf, index, 3), wo, lobe);
         const Vec wi_local{wi.x.value, wi.y.value, wi.z.value};
-        const Vectors& dwo = here.wo;
         Numbers deta;
         for (const auto& [p, t] : here.material) deta.d[p] += t.eta;
         Vectors local;
         for (int k = 0; k < 3; ++k) {
-            for (int m = 0; m < 3; ++m) local[k].add(wi[k].d[std::size_t(m)], dwo[m]);
+            for (int m = 0; m < 3; ++m) local[k].add(wi[k].d[std::size_t(m)], here.wo[m]);
             local[k].add(wi[k].d[3], deta);
         }
         set_ray(in_double(at.frame), wi_local, local, here, next);
     }
-    /// A ray along a local direction that changes in the frame and with it.
-    static void set_ray(const Frame<double>& frame, const Vec& local, const Vectors& dlocal, const Arrival& here,
+    /// Sets a ray along a local direction that changes in the frame and with it.
+    static void set_ray(const Frame<double>& frame, const Vec& local, const Vectors& dlocal, const Vertex& here,
                         Start& next) {
         next.by_ray = true;
-        next.w = normalize(frame.to_world(local));
+        next.dw = {};
+        if (next.still) return;
+        const Vec ray = normalize(frame.to_world(local));
         for (int p = 0; p < n; ++p) {
             const Vec m = here.motion.ns(p), d = dlocal(p);
             const double s = loom::dot(m, frame.s), t = loom::dot(m, frame.t), twist = here.motion.twist.d[p];
@@ -382,59 +496,52 @@ class Walk {
             const Vec turned{d.x - twist * local.y + local.z * s, d.y + twist * local.x + local.z * t,
                              d.z - s * local.x - t * local.y};
             const Vec world = frame.to_world(turned);
-            next.dw.add(p, world - next.w * loom::dot(next.w, world));
+            next.dw.add(p, world - ray * loom::dot(ray, world));
         }
     }
 
-    void leave(std::size_t j, const ShadingPoint& at, const Arrival& here) {
-        const Lobe lobe = Lobe(g_.vertices.lobe[j]);
-        const double inv_pdf = 1 / double(g_.vertices.pdf_w[j]);
+    void leave(std::size_t j, const ShadingPoint& at, const Vertex& here) {
+        const auto& v = g_.vertices;
+        const Lobe lobe = Lobe(v.lobe[j]);
+        const double inv_pdf = 1 / double(v.pdf_w[j]);
         if (lobe == Lobe::null) {
-            pass_straight(scatter_delta(at, here, lobe, inv_pdf), a_);
+            pass_straight(scatter_delta(at, here, lobe, inv_pdf), start_);
             return;
         }
         if (is_delta(lobe)) {
-            a_ = start_at(at, here, scatter_delta(at, here, lobe, inv_pdf));
-            delta_ray(at, here, lobe, a_);
+            start_delta(at, here, lobe, inv_pdf, start_);
             return;
         }
         const Vec wi(continuation_direction(g_, j));
-        a_ = start_at(at, here, scatter(at, here, wi, inv_pdf));
-        a_.by_ray = s_.reaches_delta(j);
-        if (a_.by_ray) set_ray(a_.frame, a_.frame.to_local(wi), {}, here, a_);
+        // Behind a null vertex the segment goes on, to an end that may move.
+        const bool end_stays = !s_.shape_matters[v.shape[j + 1]] && Lobe(v.lobe[j + 1]) != Lobe::null;
+        scatter(at, here, wi, inv_pdf, end_stays, start_);
+        if (!s_.reaches_delta(j)) return;
+        const Frame<double> frame = in_double(at.frame);
+        set_ray(frame, frame.to_local(wi), {}, here, start_);
     }
 
     /// A null lobe: the segment runs through, only its weight counts.
-    static void pass_straight(const Scattering& s, Start& a) {
-        a.dbeta.scale(s.value);
-        a.dbeta.add(a.beta, s.change);
-        a.beta = a.beta * s.value;
+    static void pass_straight(const DeltaScattering& s, Start& a) {
+        a.dfactor.scale(s.value);
+        a.dfactor.add(a.factor, s.change);
+        for (Rgb<double>& by : a.by_wi) by = by * s.value;
+        a.factor = a.factor * s.value;
+        a.constant = a.constant && s.constant;
+        a.rests = a.rests && s.constant;
     }
 
-    /// A segment that starts at a vertex, towards a material point.
-    static Start start_at(const ShadingPoint& at, const Arrival& here, const Scattering& s) {
-        Start next;
-        next.p = here.place.p;
-        next.v = here.motion.p;
+    /// A segment that starts at a vertex, towards a material point; its factor is not set.
+    static void start_at(const Vertex& here, Start& next) {
+        next.from = &here;
         next.by_ray = false;
-        next.scattered = true;
-        next.factor = s.value;
-        next.dfactor = s.change;
-        next.by_wi = s.by_wi;
-        next.beta = here.beta;
-        next.dbeta = here.dbeta;
-        next.opl = here.opl;
-        next.dopl = here.dopl;
-        next.frame = in_double(at.frame);
-        next.ns = here.motion.ns;
-        next.twist = here.motion.twist;
-        for (int p = 0; p < n; ++p)
-            next.turn.add(p, cross(Vec(at.frame.n), here.motion.ns(p)) + Vec(at.frame.n) * here.motion.twist.d[p]);
-        return next;
+        next.still = here.still;
+        next.along_normal = true;
+        next.by_wi = {};
     }
 
     template <class OnEdge>
-    void light(std::size_t j, std::size_t k, const ShadingPoint& at, const Arrival& here, OnEdge&& on_edge) const {
+    void light(std::size_t j, std::size_t k, const ShadingPoint& at, const Vertex& here, OnEdge&& on_edge) {
         const auto& e = g_.light_edges;
         const std::size_t emitter = e.emitter[k];
         if (here.rests && !s_.light_changes(emitter)) return;
@@ -444,63 +551,85 @@ class Walk {
         const double weight = double(mis_weight(next_event, e.pdf_nee_w[k], e.pdf_bsdf_w[k], Heuristic::power)) /
                               double(next_event ? e.pdf_nee_w[k] : g_.vertices.pdf_w[j]);
         const Rgb<double> Li(rgb(e.Li, k));
-        Colours dLi;
         const float* y = e.y.data() + 4 * k;
         const bool at_infinity = y[3] == 0;
+        const bool light_stays = !s_.emitter_matters[emitter];
 
         // Set up the segment to the light and its changes.
-        const Vec wi = at_infinity ? Vec{y[0], y[1], y[2]} : normalize(Pt{y[0], y[1], y[2]} - here.place.p);
-        const Scattering s = by_delta ? scatter_delta(at, here, lobe, weight) : scatter(at, here, wi, weight);
-        Start a;
-        if (by_delta && lobe == Lobe::null) {
-            a = a_;
-            pass_straight(s, a);
+        const Pt light = at_infinity ? here.place.p + Vec{y[0], y[1], y[2]} : Pt{y[0], y[1], y[2]};
+        Segment to(here.place.p, light);
+        const Vec wi = at_infinity ? Vec{y[0], y[1], y[2]} : to.u;
+        Start& a = to_light_;
+        if (!by_delta) {
+            scatter(at, here, wi, weight, light_stays, a);
+        } else if (lobe == Lobe::null) {
+            a = start_;
+            pass_straight(scatter_delta(at, here, lobe, weight), a);
+            to = Segment(a.from->place.p, light);
         } else {
-            a = start_at(at, here, s);
-            a.by_ray = by_delta;
-            if (by_delta) delta_ray(at, here, lobe, a);
+            start_delta(at, here, lobe, weight, a);
         }
 
-        Vectors du;
-        Numbers geometry, dopl = a.dopl;
-        if (at_infinity) {
-            // The direction turns with its emitter.
-            const Vectors turn = emitter_turn(emitter, wi);
-            if (a.by_ray)
-                add_environment_change(wi, a.dw, turn, dLi);
-            else
-                du = turn;
-            dopl = {};
-        } else {
-            const Pt light{y[0], y[1], y[2]};
-            const Vec d = light - a.p;
-            const double r = length(d);
-            const Vec u = d / r;
-            PointMotion<n> motion;
-            const SurfacePlace place = s_.place_of_light(k, emitter, light);
-            const bool of_area = s_.scene.emitters[emitter].kind == EmitterKind::area;
-            if (of_area)
-                s_.motions.add_material(place, motion);
-            else
-                for (const auto& [p, v] : s_.tangents.emitters[emitter]) motion.p.add(int(p), v.at(light));
-            if (a.by_ray && of_area) slide(a, d, r, place, motion, nullptr);
-            Vectors ddot = motion.p;
-            ddot.add(-1, a.v);
-            du = direction_change(u, r, ddot);
-            if (of_area && !a.by_ray) geometry = geometry_change(u, r, ddot, place.ng, motion.ng, motion.area);
-            double opl;
-            add_length(a, e.eta, e.medium, k, r, u, ddot, opl, dopl);
-            if (!of_area) change_delta_light(k, emitter, here, dLi);
-        }
-        add_emission(emitter, Li, s_.unit_emission(emitter, here.place.p), dLi);
-
+        const bool stays = a.still && light_stays;
+        const bool of_area = s_.scene.emitters[emitter].kind == EmitterKind::area;
         Rgb<double> beta;
         Colours dbeta;
-        apply_factor(a, du, wi, beta, dbeta);
-        dbeta.add(beta, geometry);
+        Numbers dopl;
+        if (at_infinity) {
+            // The direction turns with its emitter.
+            const Vectors du = emitter_turn(emitter, wi);
+            apply_factor(a, stays ? nullptr : &du, wi, beta, dbeta);
+        } else {
+            dopl = a.from->dopl;
+            if (stays)
+                apply_factor(a, nullptr, wi, beta, dbeta);
+            else
+                move_light(a, to, light, wi, k, emitter, beta, dbeta, dopl);
+            if (s_.media_matter) add_medium(e.medium[k], to.r, dopl);
+        }
         dbeta.scale(Li);
-        dbeta.add(beta, dLi);
+        if ((at_infinity && a.by_ray) || !of_area || !s_.tangents.radiance[emitter].empty()) {
+            Colours dLi;
+            if (at_infinity && a.by_ray) add_environment_change(wi, a.dw, emitter_turn(emitter, wi), dLi);
+            if (!at_infinity && !of_area && (!stays || s_.scene.nlos)) change_delta_light(k, emitter, here, dLi);
+            if (!s_.tangents.radiance[emitter].empty())
+                add_emission(emitter, Li, s_.unit_emission(emitter, here.place.p), dLi);
+            dbeta.add(beta, dLi);
+        }
         if (!dbeta.is_zero() || !dopl.is_zero()) on_edge(k, beta * Li, dbeta, dopl);
+    }
+
+    /// Throughput up to a light at a finite distance, with changes of both ends of the segment to it.
+    /// in:      dopl  derivative of the length up to the segment; out: with the segment's
+    void move_light(const Start& a, const Segment& to, const Pt& light, const Vec& wi, std::size_t k,
+                    std::size_t emitter, Rgb<double>& beta, Colours& dbeta, Numbers& dopl) const {
+        const auto& e = g_.light_edges;
+        const Emitter& source = s_.scene.emitters[emitter];
+        const bool of_area = source.kind == EmitterKind::area;
+        const bool translates = of_area && !a.by_ray && s_.motions.only_translates(source.shape_idx);
+        Vectors ddot;
+        ddot.add(-1, a.from->motion.p);
+        const auto apply = [&](const PointMotion<n>* end, const Vec& normal) {
+            const Numbers along = loom::derive::dot(to.u, ddot);
+            const Vectors du = direction_change(to, ddot, along);
+            apply_factor(a, &du, wi, beta, dbeta);
+            if (of_area && !a.by_ray) dbeta.add(beta, geometry_change(to, ddot, along, normal, end));
+            dopl.add(e.eta.empty() ? 1.0 : double(e.eta[k]), along);
+        };
+        if (translates) {
+            for (const auto& [p, v] : s_.tangents.shapes[source.shape_idx]) ddot.add(int(p), v.offset);
+            apply(nullptr, s_.normal_of_light(k));
+        } else if (of_area) {
+            PointMotion<n> motion;
+            const SurfacePlace place = s_.place_of_light(k, emitter, light);
+            s_.motions.add_material(place, motion);
+            if (a.by_ray) slide(a, to, place, motion, nullptr);
+            ddot.add(1, motion.p);
+            apply(&motion, place.ng);
+        } else {
+            for (const auto& [p, v] : s_.tangents.emitters[emitter]) ddot.add(int(p), v.at(light));
+            apply(nullptr, {});
+        }
     }
 
     /// Turn of a direction with an emitter at infinity.
@@ -533,7 +662,7 @@ class Walk {
 
     /// Adds the change of the light of a point, spot or projector with the distance to it and the place in its beam, or
     /// of a laser spot with the direction in which it reflects.
-    void change_delta_light(std::size_t k, std::size_t emitter, const Arrival& here, Colours& dLi) const {
+    void change_delta_light(std::size_t k, std::size_t emitter, const Vertex& here, Colours& dLi) const {
         const Emitter& e = s_.scene.emitters[emitter];
         if (s_.scene.nlos && s_.scene.nlos->laser_sampling) {
             change_laser_spot(k, here, dLi);
@@ -552,7 +681,7 @@ class Walk {
     }
 
     ///   Li = f_l cos_l E / r^2 A: the lit surface scatters the laser's light towards the vertex
-    void change_laser_spot(std::size_t k, const Arrival& here, Colours& dLi) const {
+    void change_laser_spot(std::size_t k, const Vertex& here, Colours& dLi) const {
         const auto& e = g_.light_edges;
         const Pt spot{e.y[4 * k], e.y[4 * k + 1], e.y[4 * k + 2]};
         const Normal3f normal = unit_vector<Normal3f>(e.n, k);
@@ -595,7 +724,8 @@ class Walk {
 
     const PathSource& s_;
     const PathGraph& g_;
-    Start a_;
+    Vertex camera_, vertices_[2];
+    Start start_, to_light_;
     std::size_t path_ = 0;
 };
 
@@ -603,6 +733,9 @@ class Walk {
 
 struct InteriorWalker::Impl {
     PathSource source;
+    template <int... n>
+    using OneOf = std::variant<std::unique_ptr<Walk<n>>...>;
+    OneOf<1, 2, 3, 4, 8, 16, max_parameters> walk;
     mutable std::vector<float> dL, dopl;
     mutable std::vector<Vec> velocity, turn;
 
@@ -611,20 +744,28 @@ struct InteriorWalker::Impl {
           dL(3 * tangents.n()),
           dopl(tangents.n()),
           velocity(tangents.n()),
-          turn(tangents.n()) {}
+          turn(tangents.n()) {
+        const std::size_t n = tangents.n();
+        if (n <= 1)
+            walk = std::make_unique<Walk<1>>(source);
+        else if (n <= 2)
+            walk = std::make_unique<Walk<2>>(source);
+        else if (n <= 3)
+            walk = std::make_unique<Walk<3>>(source);
+        else if (n <= 4)
+            walk = std::make_unique<Walk<4>>(source);
+        else if (n <= 8)
+            walk = std::make_unique<Walk<8>>(source);
+        else if (n <= 16)
+            walk = std::make_unique<Walk<16>>(source);
+        else
+            walk = std::make_unique<Walk<max_parameters>>(source);
+    }
 
     /// Calls f(Walk<n>) with the smallest n that holds all parameters.
     template <class F>
     void with_walk(F&& f) const {
-        const std::size_t n = source.tangents.n();
-        if (n <= 1)
-            f(Walk<1>(source));
-        else if (n <= 4)
-            f(Walk<4>(source));
-        else if (n <= 16)
-            f(Walk<16>(source));
-        else
-            f(Walk<max_parameters>(source));
+        std::visit([&](const auto& chosen) { f(*chosen); }, walk);
     }
 
     template <int n>
@@ -649,7 +790,7 @@ bool InteriorWalker::touches(std::size_t path) const {
 
 void InteriorWalker::walk(std::size_t path, std::size_t& edge, const OnRow& on_edge, const OnRow& on_seen) const {
     impl_->with_walk([&](auto&& walk) {
-        walk.path(
+        walk.template path<false>(
             path, edge,
             [&](std::size_t k, const Rgb<double>&, const auto& change, const auto& length) {
                 on_edge(impl_->row(k, change, length));
@@ -658,6 +799,30 @@ void InteriorWalker::walk(std::size_t path, std::size_t& edge, const OnRow& on_e
                 on_seen(impl_->row(p, change, length));
             },
             [](std::size_t, const ShadingPoint&, const Rgb<double>&, double, const auto&) {});
+    });
+}
+
+void InteriorWalker::walk_all(std::size_t begin, std::size_t end, std::span<const std::uint8_t> touched,
+                              RowWriter& edges, RowWriter& seen) const {
+    const PathGraph& g = impl_->source.graph;
+    const std::size_t n = impl_->source.tangents.n();
+    std::size_t edge = first_light_edge(g, g.paths.first_vertex[begin]);
+    const auto to = [n](RowWriter& rows) {
+        return [n, &rows](std::size_t of, const Rgb<double>&, const auto& change, const auto& length) {
+            *rows.row++ = std::uint32_t(of);
+            for (std::size_t p = 0; p < n; ++p) {
+                for (std::size_t c = 0; c < 3; ++c) *rows.dL++ = float(change.c[c].d[p]);
+                *rows.dopl++ = float(length.d[p]);
+            }
+            ++rows.n;
+        };
+    };
+    impl_->with_walk([&](auto& walk) {
+        for (std::size_t path = begin; path < end; ++path)
+            if (touched[path])
+                walk.template path<false>(path, edge, to(edges), to(seen), [](const auto&...) {});
+            else
+                edge = next_path_edge(g, path, edge);
     });
 }
 
@@ -673,8 +838,8 @@ void InteriorWalker::walk_exactly(std::size_t path, std::size_t& edge, const OnE
         };
     };
     impl_->with_walk([&](auto&& walk) {
-        walk.path(path, edge, pass(on_edge), pass(on_seen),
-                  [](std::size_t, const ShadingPoint&, const Rgb<double>&, double, const auto&) {});
+        walk.template path<false>(path, edge, pass(on_edge), pass(on_seen),
+                                  [](std::size_t, const ShadingPoint&, const Rgb<double>&, double, const auto&) {});
     });
 }
 
@@ -704,16 +869,17 @@ void InteriorWalker::walk_vertices(std::size_t path, const OnVertex& on_vertex) 
     double camera_opl = 0;
     const auto no_row = [](std::size_t, const Rgb<double>&, const auto&, const auto&) {};
     impl_->with_walk([&](auto&& walk) {
-        walk.path(path, edge, no_row, no_row,
-                  [&](std::size_t j, const ShadingPoint& at, const Rgb<double>& beta, double opl, const auto& motion) {
-                      const Vec n(at.frame.n);
-                      for (std::size_t p = 0; p < impl_->velocity.size(); ++p) {
-                          impl_->velocity[p] = motion.p(int(p));
-                          impl_->turn[p] = cross(n, motion.ns(int(p))) + n * motion.twist.d[p];
-                      }
-                      if (j == g.paths.first_vertex[path]) camera_opl = opl;
-                      on_vertex({j, &at, beta, opl, camera_opl, impl_->velocity, impl_->turn});
-                  });
+        walk.template path<true>(
+            path, edge, no_row, no_row,
+            [&](std::size_t j, const ShadingPoint& at, const Rgb<double>& beta, double opl, const auto& motion) {
+                const Vec n(at.frame.n);
+                for (std::size_t p = 0; p < impl_->velocity.size(); ++p) {
+                    impl_->velocity[p] = motion.p(int(p));
+                    impl_->turn[p] = cross(n, motion.ns(int(p))) + n * motion.twist.d[p];
+                }
+                if (j == g.paths.first_vertex[path]) camera_opl = opl;
+                on_vertex({j, &at, beta, opl, camera_opl, impl_->velocity, impl_->turn});
+            });
     });
 }
 

@@ -18,6 +18,10 @@ namespace loom::derive {
 /// Largest number of parameters of one run.
 inline constexpr int max_parameters = 64;
 
+/// Returns the first light edge after a path.
+/// in:      edge  first light edge of the path
+std::size_t next_path_edge(const PathGraph& graph, std::size_t path, std::size_t edge);
+
 /// Rows of one light edge or path; arrays by parameter.
 struct InteriorRow {
     std::uint32_t row;          // light edge, or path
@@ -50,6 +54,17 @@ class InteriorWalker {
     bool touches(std::size_t path) const;
     /// in:      edge  first light edge of the path; out: that of the next path
     void walk(std::size_t path, std::size_t& edge, const OnRow& on_edge, const OnRow& on_seen) const;
+    /// Writes InteriorRows one after the other.
+    struct RowWriter {
+        std::uint32_t* row;
+        float *dL, *dopl;
+        std::size_t n = 0;  // rows written
+    };
+    /// walk() of the touched paths of [begin, end).
+    /// in:      touched  [path] result of touches()
+    /// needs:   memory for a row of each light edge and of each path that is touched
+    void walk_all(std::size_t begin, std::size_t end, std::span<const std::uint8_t> touched, RowWriter& edges,
+                  RowWriter& seen) const;
     /// An InteriorRow without rounding, with the light itself.
     struct ExactRow {
         std::size_t row;

@@ -40,6 +40,11 @@ struct PathSource {
     GraphReader reader;
     SurfaceMotions motions;
     std::vector<char> shape_matters, material_matters, emitter_matters;
+    std::vector<char> shape_varies;   // [shape] SurfaceMotions::varies()
+    std::vector<char> depends_on_wo;  // [material] whether f cos or a delta lobe depends on wo
+    std::vector<char> has_delta;      // [material] has_delta_lobe()
+    bool any_emitter_matters = false;
+    bool media_matter = false;  // the index of a stored medium depends on a parameter
 
     Attached attached;
 
@@ -61,9 +66,12 @@ struct PathSource {
         SurfacePlace place;
         place.shape_idx = scene.emitters[emitter].shape_idx;
         place.p = y;
-        if (!graph.light_edges.n.empty())
-            place.ng = place.ns = Vector3<double>(unit_vector<Normal3f>(graph.light_edges.n, k));
+        place.ng = place.ns = normal_of_light(k);
         return place;
+    }
+    Vector3<double> normal_of_light(std::size_t k) const {
+        if (graph.light_edges.n.empty()) return {};
+        return Vector3<double>(unit_vector<Normal3f>(graph.light_edges.n, k));
     }
 
     /// Whether the vertex after j, nulls left out, is on a surface with a delta lobe, so that the ray to it stays.
@@ -71,7 +79,7 @@ struct PathSource {
         const auto& v = graph.vertices;
         std::size_t k = j + 1;
         while (Lobe(v.lobe[k]) == Lobe::null && (v.flags[k] & vertex_flag::continued)) ++k;
-        return has_delta_lobe(reader.model(v.material[k]).kind);
+        return has_delta[v.material[k]];
     }
 
     /// Li of a radiance of 1 at a point: of a light whose radiance is 0 in a channel.
@@ -82,9 +90,7 @@ struct PathSource {
     }
 
     /// Whether light of an emitter may change although nothing before it does.
-    bool light_changes(std::size_t emitter) const {
-        return emitter_matters[emitter] || scene.nlos || !graph.vertices.medium.empty();
-    }
+    bool light_changes(std::size_t emitter) const { return emitter_matters[emitter] || scene.nlos || media_matter; }
 
     /// Laser spot of the capture that a path belongs to, and the material of its surface.
     const NlosCapture::LaserPoint& laser_point(std::size_t path) const {

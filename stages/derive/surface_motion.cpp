@@ -1,5 +1,7 @@
 #include "stages/derive/surface_motion.h"
 
+#include <algorithm>
+
 namespace loom::derive {
 
 namespace {
@@ -11,6 +13,14 @@ Vec orthogonal_part(const Vec& v, const Vec& unit) {
 }
 
 }  // namespace
+
+SurfaceMotions::SurfaceMotions(const Scene& scene, const SceneTangents& tangents) : scene_(scene), tangents_(tangents) {
+    for (std::size_t s = 0; s < scene.shapes.size(); ++s)
+        only_translates_.push_back(tangents.vertices[s].empty() && tangents.shading_normals[s].empty() &&
+                                   std::all_of(tangents.shapes[s].begin(), tangents.shapes[s].end(), [](const auto& e) {
+                                       return e.effect.linear == std::array<double, 9>{};
+                                   }));
+}
 
 bool SurfaceMotions::varies(std::uint32_t shape_idx) const {
     const Shape& shape = scene_.shapes[shape_idx];
@@ -50,45 +60,13 @@ SurfaceMotions::Slide SurfaceMotions::normals_along(const SurfacePlace& at, cons
     return {{}, orthogonal_part(change, unit) * ((dot(unit, at.ns) < 0 ? -1.0 : 1.0) / len)};
 }
 
-double SurfaceMotions::slip_growth(const SurfacePlace& at, std::uint32_t parameter, const Vec& d, const Vec& c,
-                                   const Vec& turn) const {
-    const Shape& shape = scene_.shapes[at.shape_idx];
-    const Vec& n = at.ng;
-    const double h = dot(n, d), n_c = dot(n, c);
-    // The gradient of c: that of the velocity of the surface, less the turn.
-    const Vec along = d - n * h;
-    double trace = 0, n_gradient = 0;  // over the surface; n . (gradient along)
-    for (const auto& [p, v] : tangents_.shapes[at.shape_idx])
-        if (p == parameter) trace += v.area_growth(n), n_gradient += dot(n, v.turned(along));
-    if (!tangents_.vertices[at.shape_idx].empty()) {
-        const auto [growth, tilt] = vertex_gradient(at, parameter, along);
-        trace += growth;
-        n_gradient += tilt;
-    }
-    n_gradient -= dot(n, cross(turn, along));
-    // The turn has no divergence over a plane.
-    double sum = -trace + 2 * n_c / h + n_gradient / h;
-    if (shape.kind == ShapeKind::sphere) {
-        // The normal turns along the sphere.
-        const double curvature =
-            (dot(n, at.p - Point3<double>(shape.round.center)) < 0 ? -1.0 : 1.0) / double(shape.round.radius);
-        sum += curvature * (dot(along, c) / h - n_c * length2(along) / (h * h));
-    }
-    return sum;
-}
-
-std::pair<double, double> SurfaceMotions::vertex_gradient(const SurfacePlace& at, std::uint32_t parameter,
-                                                          const Vec& along) const {
+void SurfaceMotions::add_tilt_of_vertices(const SurfacePlace& at, const Vec& along, std::span<double> tilt) const {
     const Mesh& mesh = scene_.shapes[at.shape_idx].mesh;
-    const TriangleRecord& triangle = scene_.shapes[at.shape_idx].triangles[at.primitive_idx];
     const std::uint32_t* i = &mesh.indices[3 * std::size_t(at.primitive_idx)];
-    Vec v[3]{};
-    for (int corner = 0; corner < 3; ++corner)
-        for (const auto& [p, velocity] : tangents_.vertices[at.shape_idx][i[corner]])
-            if (p == parameter) v[corner] = v[corner] + velocity;
-    const Vec d1 = v[1] - v[0], d2 = v[2] - v[0], e1(triangle.e1), e2(triangle.e2), normal = cross(e1, e2);
     const Point2<double> b = barycentric(at, along);
-    return {dot(normal, cross(d1, e2) + cross(e1, d2)) / length2(normal), dot(at.ng, d1 * b.x + d2 * b.y)};
+    const double rate[3] = {-b.x - b.y, b.x, b.y};
+    for (int corner = 0; corner < 3; ++corner)
+        for (const auto& [p, v] : tangents_.vertices[at.shape_idx][i[corner]]) tilt[p] += rate[corner] * dot(at.ng, v);
 }
 
 SurfaceMotions::UvSlide SurfaceMotions::uv_along(const SurfacePlace& at, const Vec& slide) const {

@@ -2,6 +2,7 @@
 // Motion of a stored vertex with each parameter: as a material point of its shape, and as a point that slides over it.
 
 #include <array>
+#include <span>
 #include <vector>
 
 #include "stages/core/graph/graph_reader.h"
@@ -12,8 +13,12 @@ namespace loom::derive {
 /// One number per parameter, padded to n.
 template <int n>
 struct Tangent {
-    std::array<double, n> d{};
+    std::array<double, n> d;
 
+    // An empty initialiser becomes an instruction (rep stos) that costs more than the numbers of few parameters.
+    constexpr Tangent() {
+        for (double& x : d) x = 0;
+    }
     Tangent& operator+=(const Tangent& o) {
         for (int p = 0; p < n; ++p) d[p] += o.d[p];
         return *this;
@@ -94,23 +99,18 @@ struct Attached {
 /// Evaluates motions of points of a scene. Borrows both arguments.
 class SurfaceMotions {
   public:
-    SurfaceMotions(const Scene& scene, const SceneTangents& tangents) : scene_(scene), tangents_(tangents) {}
+    SurfaceMotions(const Scene& scene, const SceneTangents& tangents);
+
+    /// Whether a shape moves by translations alone, or stays.
+    bool only_translates(std::uint32_t shape) const { return only_translates_[shape]; }
 
     /// Adds the motion of a material point.
     template <int n>
     void add_material(const SurfacePlace& at, PointMotion<n>& motion) const {
-        for (const auto& [p, v] : tangents_.shapes[at.shape_idx]) {
-            const int k = int(p);
-            motion.p.add(k, v.at(at.p));
-            motion.ng.add(k, v.of_normal(at.ng));
-            motion.ns.add(k, v.of_normal(at.ns));
-            motion.twist.d[p] += twist(at, v);
-            motion.area.d[p] += v.area_growth(at.ng);
-        }
-        if (!tangents_.vertices[at.shape_idx].empty()) add_vertices(at, motion);
-        for (const auto& [p, v] : tangents_.shading_normals[at.shape_idx]) {
-            motion.ns.add(int(p), v.of_normal(at.ns));
-            motion.twist.d[p] += twist(at, v);
+        if (only_translates_[at.shape_idx]) {
+            for (const auto& [p, v] : tangents_.shapes[at.shape_idx]) motion.p.add(int(p), v.offset);
+        } else {
+            add_general(at, motion);
         }
     }
 
@@ -127,11 +127,33 @@ class SurfaceMotions {
     /// Texture coordinates of a point.
     Point2f uv_of(const SurfacePlace& at) const { return uv_along(at, {}).uv; }
 
+    /// Adds n . (gradient of the velocity of the surface along the part of d in its tangent plane).
+    template <int n>
+    void add_tilt(const SurfacePlace& at, const Vector3<double>& d, Tangent<n>& tilt) const {
+        if (only_translates_[at.shape_idx]) return;
+        const Vector3<double> along = d - at.ng * loom::dot(at.ng, d);
+        for (const auto& [p, v] : tangents_.shapes[at.shape_idx]) tilt.d[p] += loom::dot(at.ng, v.turned(along));
+        if (!tangents_.vertices[at.shape_idx].empty()) add_tilt_of_vertices(at, along, tilt.d);
+    }
     /// Divergence over the surface of the slip T = v_ray - V between the end of a turning ray and the material point:
     ///   T = -c + d (n . c) / (n . d),  c = V - v_a - turn x d
-    /// in:      d  from the start of the ray;  c  its value here
-    double slip_growth(const SurfacePlace& at, std::uint32_t parameter, const Vector3<double>& d,
-                       const Vector3<double>& c, const Vector3<double>& turn) const;
+    /// in:      growth  of the area around the material point
+    ///          tilt    of add_tilt()
+    ///          d       from the start of the ray;  c  its value here
+    double slip_growth(const SurfacePlace& at, double growth, double tilt, const Vector3<double>& d,
+                       const Vector3<double>& c, const Vector3<double>& turn) const {
+        // The turn has no divergence over a plane.
+        const Vector3<double>& n = at.ng;
+        const double h = loom::dot(n, d), n_c = loom::dot(n, c);
+        const Vector3<double> along = d - n * h;
+        const double flat = -growth + (2 * n_c + tilt - loom::dot(n, cross(turn, along))) / h;
+        const Shape& shape = scene_.shapes[at.shape_idx];
+        if (shape.kind != ShapeKind::sphere) return flat;
+        // The normal turns along the sphere.
+        const double curvature =
+            (loom::dot(n, at.p - Point3<double>(shape.round.center)) < 0 ? -1.0 : 1.0) / double(shape.round.radius);
+        return flat + curvature * (loom::dot(along, c) / h - n_c * length2(along) / (h * h));
+    }
 
     /// Whether shading changes when a point slides over a shape, so that its primitive must be known.
     bool varies(std::uint32_t shape) const;
@@ -154,14 +176,31 @@ class SurfaceMotions {
     const SceneTangents& tangents() const { return tangents_; }
 
   private:
+    /// add_material() of motions that are not only translations.
+    template <int n>
+    void add_general(const SurfacePlace& at, PointMotion<n>& motion) const {
+        for (const auto& [p, v] : tangents_.shapes[at.shape_idx]) {
+            const int k = int(p);
+            motion.p.add(k, v.at(at.p));
+            motion.ng.add(k, v.of_normal(at.ng));
+            motion.ns.add(k, v.of_normal(at.ns));
+            motion.twist.d[p] += twist(at, v);
+            motion.area.d[p] += v.area_growth(at.ng);
+        }
+        if (!tangents_.vertices[at.shape_idx].empty()) add_vertices(at, motion);
+        for (const auto& [p, v] : tangents_.shading_normals[at.shape_idx]) {
+            motion.ns.add(int(p), v.of_normal(at.ns));
+            motion.twist.d[p] += twist(at, v);
+        }
+    }
     static double twist(const SurfacePlace& at, const AffineVelocity& v) {
         return loom::dot(cross(at.ns, at.tangent), v.turned(at.tangent));
     }
     /// Barycentric coordinates (u, v) of a vector from the first corner, or of a vector in the plane of the triangle.
     Point2<double> barycentric(const SurfacePlace& at, const Vector3<double>& from_corner) const;
-    /// Of one parameter that moves single vertices: growth of the area, and n . (gradient of the velocity along a vector).
-    std::pair<double, double> vertex_gradient(const SurfacePlace& at, std::uint32_t parameter,
-                                              const Vector3<double>& along) const;
+    /// add_tilt() of parameters that move single vertices.
+    /// in:      along  in the plane of the triangle
+    void add_tilt_of_vertices(const SurfacePlace& at, const Vector3<double>& along, std::span<double> tilt) const;
     /// Texture coordinates per metre along `slide`, and those of the point.
     struct UvSlide {
         Point2f uv;
@@ -196,6 +235,7 @@ class SurfaceMotions {
 
     const Scene& scene_;
     const SceneTangents& tangents_;
+    std::vector<char> only_translates_;  // [shape]: no motion but translations, or none
 };
 
 }  // namespace loom::derive

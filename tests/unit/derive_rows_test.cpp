@@ -60,7 +60,7 @@ std::vector<float> column_of(const Derivative& d, std::size_t parameter, bool li
     return values;
 }
 
-// The walk pads parameters to 1, 4, 16 and 64: none of it may show.
+// The walk pads parameters to 1, 2, 3, 4, 8, 16 and 64: none of it may show.
 TEST(DeriveRows, ColumnsDependOnNoOtherParameter) {
     const auto scene = testing::load_room(testing::area_lights);
     const PathGraph g = graph_of(*scene, 4);

@@ -63,6 +63,8 @@ GraphReader::GraphReader(const PathGraph& graph) : graph_(graph) {
                     row.external_transmittance.begin());
     }
     for (const auto& [material, table] : coats_) models_[material].coats = &table;
+    bsdfs_.reserve(models_.size());
+    for (const BsdfModel& model : models_) bsdfs_.emplace_back(model);
 }
 
 void GraphReader::prepare_slopes(std::size_t material) {
@@ -70,10 +72,11 @@ void GraphReader::prepare_slopes(std::size_t material) {
     prepare_coat_slopes(models_[material], own == coats_.end() ? nullptr : &own->second);
 }
 
-Bsdf<float> GraphReader::bsdf(std::size_t j) const {
+void GraphReader::read_bsdf(std::size_t j, Bsdf<float>& b) const {
     const auto& v = graph_.vertices;
-    Bsdf<float> b(models_[v.material[j]]);
+    b = bsdfs_[v.material[j]];
     const std::uint8_t textured = graph_.materials.textured[v.material[j]];
+    if (textured == 0) return;
     if (textured & textured_parameter::diffuse) b.diffuse = rgb(v.diffuse, j);
     if (textured & textured_parameter::specular) b.specular = rgb(v.specular, j);
     if (textured & textured_parameter::transmittance) b.transmittance = rgb(v.transmittance, j);
@@ -84,12 +87,10 @@ Bsdf<float> GraphReader::bsdf(std::size_t j) const {
     if (textured & textured_parameter::opacity) b.opacity = float_from_half(v.opacity[j]);
     if (textured & textured_parameter::exponent) b.exponent = v.exponent[j];
     if (textured & textured_parameter::index) b.eta_c = rgb(v.eta_c, j), b.k_c = rgb(v.k_c, j);
-    return b;
 }
 
-ShadingPoint GraphReader::vertex(std::size_t j) const {
+void GraphReader::read_vertex(std::size_t j, ShadingPoint& at) const {
     const auto& v = graph_.vertices;
-    ShadingPoint at;
     at.p = position(graph_, j);
     at.wo = outgoing(graph_, j);
     const Normal3f n = shading_normal(graph_, j);
@@ -98,8 +99,7 @@ ShadingPoint GraphReader::vertex(std::size_t j) const {
     at.perturbed = !v.n_side.empty() && !(at.n_side == n);
     at.frame = v.tangent.empty() ? Framef(n) : frame_along(n, unit_vector<Vector3f>(v.tangent, j));
     at.wo_local = at.frame.to_local(at.wo);
-    at.bsdf = bsdf(j);
-    return at;
+    read_bsdf(j, at.bsdf);
 }
 
 Vector3f GraphReader::light_direction(const Point3f& p, std::size_t k) const {

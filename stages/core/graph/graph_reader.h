@@ -72,9 +72,19 @@ class GraphReader {
     GraphReader(GraphReader&&) = default;
 
     const PathGraph& graph() const { return graph_; }
-    ShadingPoint vertex(std::size_t j) const;
+    ShadingPoint vertex(std::size_t j) const {
+        ShadingPoint at;
+        read_vertex(j, at);
+        return at;
+    }
+    /// Overwrites all members of a point but hit_error with those of vertex(j).
+    void read_vertex(std::size_t j, ShadingPoint& at) const;
     /// Returns the BSDF of a vertex.
-    Bsdf<float> bsdf(std::size_t j) const;
+    Bsdf<float> bsdf(std::size_t j) const {
+        Bsdf<float> b;
+        read_bsdf(j, b);
+        return b;
+    }
     /// Returns the unit direction from vertex position p to light point k.
     Vector3f light_direction(const Point3f& p, std::size_t k) const;
     const BsdfModel& model(std::size_t material) const { return models_[material]; }
@@ -83,8 +93,11 @@ class GraphReader {
     void prepare_slopes(std::size_t material);
 
   private:
+    void read_bsdf(std::size_t j, Bsdf<float>& b) const;
+
     const PathGraph& graph_;
     std::vector<BsdfModel> models_;
+    std::vector<Bsdf<float>> bsdfs_;           // [material], without textures
     std::map<std::size_t, RoughCoats> coats_;  // [material]; models borrow
 };
 

@@ -6,9 +6,6 @@
 namespace loom {
 namespace {
 
-/// Below this cosine gradients are 0: those of Ward's lobe would overflow.
-constexpr float grazing_cosine = 1e-10f;
-
 /// A value and its gradient as a sum of colours times gradients of scalars, for directions on the front, without mask.
 template <int n>
 struct Terms {
