@@ -101,8 +101,9 @@ void DerivativeBinner::drain(Take&& take) {
 
 void DerivativeBinner::end_path(DerivativeHistogram& pixel) {
     drain([&](std::uint32_t k, const double* values) {
-        double *sum = &pixel.sum[k * width_], *square = &pixel.square[k * width_];
-        each([&](std::size_t i) {
+        double* __restrict sum = &pixel.sum[k * width_];
+        double* __restrict square = &pixel.square[k * width_];
+        each([&](std::size_t i) __attribute__((always_inline)) {
             sum[i] += values[i];
             square[i] += sqr(values[i]);
         });

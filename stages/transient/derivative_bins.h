@@ -157,21 +157,31 @@ class DerivativeBinner {
         return &sums_[k * width_];
     }
     double* column(Share share) { return column(response_.n_bins + std::uint32_t(share)); }
-    /// Calls body(i) for the numbers of a column; one parameter is a loop of known length.
+    /// Calls body(i) for the numbers of a column, in a loop of known length for up to three parameters.
     template <class Body>
-    void each(Body&& body) const {
-        if (width_ == 3)
-            for (std::size_t i = 0; i < 3; ++i) body(i);
-        else
-            for (std::size_t i = 0; i < width_; ++i) body(i);
+    [[gnu::always_inline]] void each(Body&& body) const {
+        const auto loop = [&](std::size_t n) __attribute__((always_inline)) {
+            for (std::size_t i = 0; i < n; ++i) body(i);
+        };
+        switch (width_) {
+            case 3:
+                return loop(3);
+            case 6:
+                return loop(6);
+            case 9:
+                return loop(9);
+            default:
+                return loop(width_);
+        }
     }
-    void add(double* to, double weight) const {
-        each([&, dL = dL_.data()](std::size_t i) { to[i] += dL[i] * weight; });
+    void add(double* __restrict to, double weight) const {
+        const double* __restrict dL = dL_.data();
+        each([&](std::size_t i) __attribute__((always_inline)) { to[i] += dL[i] * weight; });
     }
-    void add(double* to, double weight, double slope) const {
-        each([&, dL = dL_.data(), L_dopl = L_dopl_.data()](std::size_t i) {
-            to[i] += dL[i] * weight + L_dopl[i] * slope;
-        });
+    void add(double* __restrict to, double weight, double slope) const {
+        const double* __restrict dL = dL_.data();
+        const double* __restrict L_dopl = L_dopl_.data();
+        each([&](std::size_t i) __attribute__((always_inline)) { to[i] += dL[i] * weight + L_dopl[i] * slope; });
     }
     /// Calls take(column index) for each touched column, and clears it.
     template <class Take>

@@ -82,15 +82,8 @@ Pulse Pulse::table(std::vector<double> at, std::vector<double> power) {
     return p;
 }
 
-double Pulse::arrived(double s) const {
-    switch (kind_) {
-        case Kind::delta:
-            return s >= 0 ? 1 : 0;
-        case Kind::box:
-            return std::clamp(s / length_, 0.0, 1.0);
-        default:
-            break;
-    }
+double Pulse::arrived_of_other(double s) const {
+    if (kind_ == Kind::delta) return s >= 0 ? 1 : 0;
     if (s <= begin_) return 0;
     if (s >= end_) return 1;
     if (kind_ == Kind::table) {
@@ -103,13 +96,12 @@ double Pulse::arrived(double s) const {
     return std::clamp(normal_cdf(u) - late_part(u, length_ / tail_), 0.0, 1.0);
 }
 
-double Pulse::power(double s) const {
+double Pulse::power_of_other(double s) const {
     if (kind_ == Kind::delta || s < begin_ || s > end_) return 0;
     switch (kind_) {
         case Kind::delta:
-            break;
         case Kind::box:
-            return (s == begin_ || s == end_ ? 0.5 : 1.0) / length_;
+            break;
         case Kind::gaussian:
             return normal_density(s / length_) / length_;
         case Kind::exponential_gaussian:

@@ -7,6 +7,7 @@
 //   S_e[k](tof) = P(start + k width + gate - tof) - P(start + k width - tof)
 // so that bins whose gates tile the time sum to 1, except for light that arrives outside of the window.
 
+#include <algorithm>
 #include <cmath>
 #include <cstdint>
 #include <string>
@@ -38,10 +39,16 @@ class Pulse {
     Kind kind() const { return kind_; }
     bool is_delta() const { return kind_ == Kind::delta; }
     /// P(s), from 0 to 1.
-    double arrived(double s) const;
+    double arrived(double s) const {
+        return kind_ == Kind::box ? std::clamp(s / length_, 0.0, 1.0) : arrived_of_other(s);
+    }
     /// dP/ds, the power at s, where it jumps the mean of both sides; 0 for a delta pulse, whose derivative is no
     /// function.
-    double power(double s) const;
+    double power(double s) const {
+        if (kind_ != Kind::box) return power_of_other(s);
+        if (s < begin_ || s > end_) return 0;
+        return (s == begin_ || s == end_ ? 0.5 : 1.0) / length_;
+    }
     /// P is 0 up to `begin` and 1 from `end`, to double precision.
     double begin() const { return begin_; }
     double end() const { return end_; }
@@ -52,6 +59,9 @@ class Pulse {
     }
 
   private:
+    double arrived_of_other(double s) const;
+    double power_of_other(double s) const;
+
     Kind kind_ = Kind::delta;
     double length_ = 0, tail_ = 0;  // length or sigma
     double begin_ = 0, end_ = 0;
