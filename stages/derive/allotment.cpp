@@ -35,7 +35,7 @@ TimeResponse response_of(const PathGraph& graph) {
 ByParameter interior_variance(const BoundaryScene& s) {
     const PathGraph& g = s.graph;
     const std::uint64_t n_pixels = g.n_pixels(), spp = g.tracing.samples_per_pixel;
-    const std::uint64_t n_looked_at = std::min(n_pixels, std::clamp<std::uint64_t>(16384 / spp, 16, 1024));
+    const std::uint64_t n_looked_at = std::min(n_pixels, std::clamp<std::uint64_t>(8192 / spp, 16, 1024));
     const TimeResponse response = response_of(g);
     const bool in_time = !g.transient.n_bins.empty();
     const InteriorWalker walker(g, s.scene, s.tangents, s.attached);
@@ -200,10 +200,10 @@ class Allotment {
                                  least_share_, 1, {}});
     }
 
-    /// Samples until some rows are found, or for a fiftieth of the cost of tracing and binning.
+    /// Samples until some rows are found, or for a hundredth of the cost of tracing and binning.
     Pilot run_pilot(const Family& family) {
-        constexpr std::uint64_t enough = 400;
-        const double most_cost = std::max(0.02 * n_paths_ * path_cost_, 4096.0);
+        constexpr std::uint64_t enough = 300;
+        const double most_cost = std::max(0.01 * n_paths_ * path_cost_, 4096.0);
         Pilot pilot;
         for (double n = family.least;; n *= 4) {
             n = std::min(n, family.most);

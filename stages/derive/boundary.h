@@ -191,7 +191,7 @@ void for_pixels_at(const Sensor& sensor, Point2f film, F&& f) {
 /// Work of a family, in numbers that do not depend on the machine.
 struct Effort {
     std::uint64_t rays = 0;
-    std::uint64_t steps = 0;  // vertices walked, points of silhouettes drawn, eight silhouettes listed
+    std::uint64_t steps = 0;  // vertices walked, points drawn, some silhouettes listed: by measured times
 
     /// In rays; a step costs about as much as two.
     double cost() const { return double(rays) + 2 * double(steps); }

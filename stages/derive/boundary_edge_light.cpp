@@ -250,7 +250,7 @@ Effort add_edge_light(const BoundaryScene& s, std::uint64_t n_samples, const std
                          for (std::uint64_t k = begin; k < end; ++k) worker.sample(k, out);
                      });
     samples[std::size_t(BoundaryFamily::edge_light)] += n_samples;
-    Effort effort{0, n_samples * ShadowPoints::per_light_point};
+    Effort effort{0, n_samples * ShadowPoints::per_light_point / 2};
     for (const OnFilm& worker : workers) effort += worker.effort();
     return effort;
 }

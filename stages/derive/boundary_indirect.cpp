@@ -273,7 +273,7 @@ Effort add_indirect(const BoundaryScene& s, double share, bool surfaces, bool en
     Effort effort;
     for (const Sampling& worker : workers) {
         effort.rays += worker.n_rays();
-        effort.steps += worker.n_walked + worker.n_listed() / 8;
+        effort.steps += 2 * worker.n_walked + worker.n_listed() / 5;
         samples[std::size_t(BoundaryFamily::indirect)] += worker.n_samples;
     }
     return effort;

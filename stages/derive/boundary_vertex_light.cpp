@@ -223,7 +223,7 @@ Effort add_vertex_light(const BoundaryScene& s, double share, const std::vector<
     Effort effort;
     for (const Sampling& worker : workers) {
         effort.rays += worker.n_rays;
-        effort.steps += worker.n_walked + worker.n_listed() / 8;
+        effort.steps += 3 * worker.n_walked / 2 + worker.n_listed() / 6;
         samples[std::size_t(BoundaryFamily::vertex_light)] += worker.n_samples;
     }
     return effort;

@@ -18,6 +18,7 @@
 #include "formats/path_graph.h"
 #include "stages/derive/adjoint.h"
 #include "stages/derive/scene_tangents.h"
+#include "stages/derive/wanted_parts.h"
 
 namespace loom::app {
 class Report;
@@ -79,34 +80,6 @@ struct GradientSums {
     /// Returns the gradient by parameter, from the effects of each.
     std::vector<double> by_parameter(const SceneTangents& tangents) const;
 };
-
-/// Vertices and images whose numbers are wanted one by one.
-struct WantedParts {
-    struct Mesh {
-        std::string name;
-        std::uint32_t shape_idx;
-        std::uint64_t first;              // row of its first vertex
-        std::vector<std::uint32_t> same;  // [vertex] first vertex of that position
-    };
-    std::vector<Mesh> meshes;
-    struct Image {
-        std::string name;
-        std::uint32_t material_idx;
-        std::uint64_t first;
-        std::uint32_t width, height;
-    };
-    std::vector<Image> images;
-
-    std::uint64_t n_vertices = 0, n_texels = 0;
-    std::vector<int> mesh_of, image_of;  // [shape], [material]: index, or -1
-};
-
-/// Takes shape:ID/vertices and bsdf:ID/reflectance/texels from a list of names, and marks what they move.
-/// in:      names     --wrt; out: the rest
-///          tangents  of the rest; out: shapes with wanted vertices count as moving
-/// throws:  InputError when there is no such part
-std::vector<std::string> without_parts(const std::vector<std::string>& names);
-WantedParts find_parts(const Scene& scene, const std::vector<std::string>& names, SceneTangents& tangents);
 
 /// Sweeps backward along stored paths. Borrows all arguments of the constructor; one per thread.
 class ReverseWalker {
