@@ -175,12 +175,13 @@ void TransientCubeOf<ColumnOf>::fields(Self& c, Visitor& v) {
     v.optional_names("parameters/unit", p.unit, "parameter", "unit of the parameter");
     v.optional("parameters/value", p.value, 1, "parameter", "parameters/unit",
                "value at which the derivatives hold; 0 for motions, which start from the scene as it is");
-    v.optional_names(
-        "parameters/temporal", p.temporal, "parameter",
-        "light that moves between bins as its arrival time changes: none (complete: the response is "
-        "smooth, or no arrival time changes), widened (its mean over the length that the plan names; of a delta pulse as for a "
-        "box pulse one bin long, centred), exact (delta pulse: sampled at the borders of bins), partly (exact for a part of the light, "
-        "widened for the rest)");
+    v.optional_names("parameters/temporal", p.temporal, "parameter",
+                     "light that moves between bins as its arrival time changes: none (complete: the response is "
+                     "smooth, or no arrival time changes), widened (its mean over the length that the plan names; of a "
+                     "delta pulse as for a "
+                     "box pulse one bin long, centred), exact (delta pulse: sampled at the borders of bins), partly "
+                     "(exact for a part of the light, "
+                     "widened for the rest)");
 
     auto& d = c.derivative;
     const std::size_t height = c.film.height;

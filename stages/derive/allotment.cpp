@@ -62,7 +62,8 @@ ByParameter interior_variance(const BoundaryScene& s) {
             const auto add = [&](double t, const InteriorWalker::ExactRow& row) {
                 const auto add_bin = [&](std::uint32_t k, double weight, double slope) {
                     for (std::size_t p = 0; p < s.n(); ++p) {
-                        const Rgb<double> x = row.dL[p] * Rgb<double>(weight) + row.L * Rgb<double>(slope * row.dopl[p]);
+                        const Rgb<double> x =
+                            row.dL[p] * Rgb<double>(weight) + row.L * Rgb<double>(slope * row.dopl[p]);
                         Sums& bin = bins[k * s.n() + p];
                         bin.sum += x;
                         bin.square += x * x;
@@ -174,30 +175,45 @@ class Allotment {
             return std::any_of(of.begin(), of.end(), [](char x) { return x != 0; });
         };
         if (parts_.primary)
-            families_.push_back({BoundaryFamily::primary, [this](double n, Rows& rows, Samples samples, app::Report& to) {
+            families_.push_back({BoundaryFamily::primary,
+                                 [this](double n, Rows& rows, Samples samples, app::Report& to) {
                                      return add_primary(s_, count(n), rows, samples, to);
                                  },
-                                 1024, INFINITY, {}});
+                                 1024,
+                                 INFINITY,
+                                 {}});
         if (any_area_)
-            families_.push_back({BoundaryFamily::vertex_light, [this](double share, Rows& rows, Samples samples, app::Report& to) {
+            families_.push_back({BoundaryFamily::vertex_light,
+                                 [this](double share, Rows& rows, Samples samples, app::Report& to) {
                                      return add_vertex_light(s_, share, by_vertex_, true, rows, samples, to);
                                  },
-                                 least_share_, 1, {}});
+                                 least_share_,
+                                 1,
+                                 {}});
         if (any(by_light_))
-            families_.push_back({BoundaryFamily::edge_light, [this](double n, Rows& rows, Samples samples, app::Report& to) {
+            families_.push_back({BoundaryFamily::edge_light,
+                                 [this](double n, Rows& rows, Samples samples, app::Report& to) {
                                      return add_edge_light(s_, count(n), by_light_, rows, samples, to);
                                  },
-                                 64, INFINITY, {}});
+                                 64,
+                                 INFINITY,
+                                 {}});
         if (any(delta_) && deep)
-            families_.push_back({BoundaryFamily::joined_light, [this](double share, Rows& rows, Samples samples, app::Report& to) {
+            families_.push_back({BoundaryFamily::joined_light,
+                                 [this](double share, Rows& rows, Samples samples, app::Report& to) {
                                      return add_joined_light(s_, share, delta_, rows, samples, to);
                                  },
-                                 least_share_, 1, {}});
+                                 least_share_,
+                                 1,
+                                 {}});
         if (parts_.indirect || environment)
-            families_.push_back({BoundaryFamily::indirect, [this, environment](double share, Rows& rows, Samples samples, app::Report& to) {
+            families_.push_back({BoundaryFamily::indirect,
+                                 [this, environment](double share, Rows& rows, Samples samples, app::Report& to) {
                                      return add_indirect(s_, share, parts_.indirect, environment, rows, samples, to);
                                  },
-                                 least_share_, 1, {}});
+                                 least_share_,
+                                 1,
+                                 {}});
     }
 
     /// Samples until some rows are found, or for a hundredth of the cost of tracing and binning.
@@ -237,8 +253,7 @@ class Allotment {
             for (std::size_t f = 0; f < families_.size(); ++f) variance_[f] += families_[f].pilot.variance[p] / sum;
         }
         double root = 0;
-        for (std::size_t f = 0; f < families_.size(); ++f)
-            root += std::sqrt(variance_[f] * families_[f].pilot.cost);
+        for (std::size_t f = 0; f < families_.size(); ++f) root += std::sqrt(variance_[f] * families_[f].pilot.cost);
         if (!(root > 0)) return 0;
         if (!automatic) return effort * traced / root;
         constexpr double with_interior = 1.3;
@@ -274,14 +289,20 @@ class Allotment {
     char prefers_light_points(std::size_t e) {
         std::vector<char> only(s_.scene.emitters.size());
         only[e] = 1;
-        const Pilot vertices = run_pilot({BoundaryFamily::vertex_light, [&](double share, Rows& rows, Samples samples, app::Report& to) {
+        const Pilot vertices = run_pilot({BoundaryFamily::vertex_light,
+                                          [&](double share, Rows&rows, Samples samples, app::Report&to) {
                                               return add_vertex_light(s_, share, only, false, rows, samples, to);
                                           },
-                                          least_share_, 1, {}}),
-                    lights = run_pilot({BoundaryFamily::edge_light, [&](double n, Rows& rows, Samples samples, app::Report& to) {
+                                          least_share_,
+                                          1,
+                                          {}}),
+                    lights = run_pilot({BoundaryFamily::edge_light,
+                                        [&](double n, Rows&rows, Samples samples, app::Report&to) {
                                             return add_edge_light(s_, count(n), only, rows, samples, to);
                                         },
-                                        64, INFINITY, {}});
+                                        64,
+                                        INFINITY,
+                                        {}});
         double vertex_work = 0, light_work = 0;
         for (std::size_t p = 0; p < s_.n(); ++p) {
             const double v = vertices.variance[p] * vertices.cost, l = lights.variance[p] * lights.cost;
@@ -311,8 +332,7 @@ class Allotment {
 
 }  // namespace
 
-std::uint64_t sample_families(BoundaryScene& s, const Parts& parts, Rows& rows, Samples samples,
-                              app::Report& report) {
+std::uint64_t sample_families(BoundaryScene& s, const Parts& parts, Rows& rows, Samples samples, app::Report& report) {
     return Allotment(s, parts, report).sample(rows, samples);
 }
 

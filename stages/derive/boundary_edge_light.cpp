@@ -52,8 +52,7 @@ class OnFilm {
         if (scene.occluded(spawn_segment(here.end(), {film->from}))) return;
         s_.film_velocity(x.at, Pt(film->from), Vec(film->d), v_surface_);
         if (!x.rates(v_surface_, rates_)) return;
-        const Rgb<double> value =
-            Rgb<double>(f_cos) * x.light * Rgb<double>(film->scale * cos_camera / double(n_));
+        const Rgb<double> value = Rgb<double>(f_cos) * x.light * Rgb<double>(film->scale * cos_camera / double(n_));
         // A surface that the camera sees lies in the medium around the camera.
         const double eta = double(scene.sensor_media.at(scene, film->from).medium().ior),
                      camera_opl = eta * double(film->t), opl = x.infinite ? -1 : camera_opl + eta * x.r;
@@ -122,9 +121,9 @@ class Pool {
             i = std::min(std::size_t(u / share * float(points_.size())), points_.size() - 1);
         } else {
             const float target = (u - share) / (1 - share) * total;
-            i = std::min(std::size_t(std::upper_bound(cumulative_.begin(), cumulative_.end(), target) -
-                                     cumulative_.begin()),
-                         points_.size() - 1);
+            i = std::min(
+                std::size_t(std::upper_bound(cumulative_.begin(), cumulative_.end(), target) - cumulative_.begin()),
+                points_.size() - 1);
         }
         const float weight = cumulative_[i] - (i > 0 ? cumulative_[i - 1] : 0);
         probability = double(share) / double(points_.size()) + (1 - double(share)) * double(weight) / double(total);
@@ -134,7 +133,7 @@ class Pool {
   private:
     std::size_t n_;
     std::vector<ShadowPoint> points_;
-    std::vector<Vec> v_edge_, v_emitter_;                            // [point, parameter]
+    std::vector<Vec> v_edge_, v_emitter_;                                // [point, parameter]
     std::vector<float> x_, y_, z_, nx_, ny_, nz_, weight_, cumulative_;  // [point]
 };
 
@@ -181,8 +180,8 @@ class Joined {
 
     void fill_pool(std::uint64_t begin) {
         pool_.clear();
-        const bool all = s_.tangents.any_shape_moves() || emitter_moves_ ||
-                         (s_.tangents.camera_moves() && s_.attached.reach > 0);
+        const bool all =
+            s_.tangents.any_shape_moves() || emitter_moves_ || (s_.tangents.camera_moves() && s_.attached.reach > 0);
         double slide = 0;
         for (const double v : far_speed_) slide += v;
         for (int k = 0; k < light_points; ++k)

@@ -141,8 +141,8 @@ class Sampling {
                                double(s_.graph.tracing.samples_per_pixel);
         const Rgb<double> value =
             x.beta * Rgb<double>(f_cos) * Rgb<double>(Le) * Rgb<double>(1 / (b.r * b.r * density));
-        rows.add(path % s_.graph.n_pixels(), x.opl + index_towards(arriving_index(s_.graph, x.vertex), at, wi) * r, x.camera_opl, value, rates_,
-                 BoundaryFamily::vertex_light, path);
+        rows.add(path % s_.graph.n_pixels(), x.opl + index_towards(arriving_index(s_.graph, x.vertex), at, wi) * r,
+                 x.camera_opl, value, rates_, BoundaryFamily::vertex_light, path);
     }
 
     static bool transmits(const ShadingPoint& at) {

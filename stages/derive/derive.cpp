@@ -301,10 +301,11 @@ void declare(app::Command& command, Options& options) {
     command.option("--sensor", options.sensor,
                    "sensor of the graph, by id or by number from 0 in the order of the file (default: the first)");
     command.option("--off", options.off, "part to leave out: interior, primary, direct, indirect; may be repeated");
-    command.option("--effort", options.effort,
-                   "effort of boundary samples, as a share of that of tracing and binning the graph (default: that of the "
-                   "least variance times cost, at most 1.3; with --adjoint 0.25)",
-                   app::Range<double>{1e-6, 1e6});
+    command.option(
+        "--effort", options.effort,
+        "effort of boundary samples, as a share of that of tracing and binning the graph (default: that of the "
+        "least variance times cost, at most 1.3; with --adjoint 0.25)",
+        app::Range<double>{1e-6, 1e6});
     command.choice(
         "--direct", options.direct,
         "sampling of the shadow edges of area lights at first hits: by a pilot for each emitter, from stored "

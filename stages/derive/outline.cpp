@@ -84,8 +84,7 @@ bool Outline::collect(const Shaft& shaft, const Pt& eye, bool at_infinity, Const
             for (const Vec& v : v_eye) end_speed += length(v);
         if (to_light)
             for (const double v : far_speed) end_speed += v;
-        n_visited +=
-            tree.collect_some(shaft, double(n_blocks), end_speed, std::bit_cast<std::uint32_t>(u), segments_);
+        n_visited += tree.collect_some(shaft, double(n_blocks), end_speed, std::bit_cast<std::uint32_t>(u), segments_);
     }
     creases_.clear();
     seams_.clear();

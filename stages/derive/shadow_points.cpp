@@ -44,8 +44,8 @@ void ShadowPoints::sample(const Sampler& sampler, std::span<const double> far_sp
     s_.emitter_velocity(point.emitter_idx, point.y, v_emitter_);
     const Shaft shaft = point.infinite ? Shaft::along(Vector3f(point.y))
                                        : Shaft::to_infinity({Point3f(point.y), light.n, light.hit_error});
-    if (!outline_.collect(shaft, point.y, point.infinite, v_emitter_, far_speed, s_.edges(all), all,
-                          per_light_point, sampler.pair(std::uint32_t(2 + per_light_point)).x))
+    if (!outline_.collect(shaft, point.y, point.infinite, v_emitter_, far_speed, s_.edges(all), all, per_light_point,
+                          sampler.pair(std::uint32_t(2 + per_light_point)).x))
         return;
     point.v_edge = outline_.velocity();
     point.v_emitter = v_emitter_;
@@ -77,8 +77,7 @@ bool ShadowPoints::complete(const LightPoint& light, double density, ShadowPoint
         before = 0;
     } else {
         const Vector3f d(normalize(b.omega + beside * (clearance / b.r)));
-        ray = area ? spawn_ray({Point3f(point.y), light.n, light.hit_error}, d)
-                   : Ray{Point3f(point.y), d, 0, INFINITY};
+        ray = area ? spawn_ray({Point3f(point.y), light.n, light.hit_error}, d) : Ray{Point3f(point.y), d, 0, INFINITY};
     }
     const Hit hit = scene.intersect(ray);
     ++n_rays;

@@ -277,8 +277,9 @@ std::vector<ExactBorders> set_temporal(const Options& options, const std::vector
         if (moved.widened) widened += (widened.empty() ? "" : ", ") + header.parameters.name[p];
     }
     if (!widened.empty() && response.widened > 0)
-        report.info("light that moves between bins is the mean over {:.6g} {} of arrival time, for the derivatives by {}",
-                    *options.widen, options.unit == Unit::ns ? "ns" : "m", widened);
+        report.info(
+            "light that moves between bins is the mean over {:.6g} {} of arrival time, for the derivatives by {}",
+            *options.widen, options.unit == Unit::ns ? "ns" : "m", widened);
     else if (!widened.empty())
         report.info(
             "delta pulse: {}light that moves between bins is that of a box pulse one bin long, for the "
@@ -384,10 +385,11 @@ void declare(app::Command& command, Options& options) {
         "delta pulse with derivatives that change arrival times: widen the response by a bin, use the samples "
         "of loom-derive --temporal exact, or refuse",
         {{"widen", Temporal::widen}, {"exact", Temporal::exact}, {"refuse", Temporal::refuse}});
-    command.option("--widen", options.widen,
-                   "any pulse: average what moves between bins over this length of arrival time, centred; less noise, and "
-                   "a bias of the order of its square (default: a delta pulse by a bin, others not)",
-                   app::Range<double>{1e-12, 1e12});
+    command.option(
+        "--widen", options.widen,
+        "any pulse: average what moves between bins over this length of arrival time, centred; less noise, and "
+        "a bias of the order of its square (default: a delta pulse by a bin, others not)",
+        app::Range<double>{1e-12, 1e12});
     command.output("-o,--output", options.output, "transient cube (.h5)");
     command.output("--tal", options.tal, "also write an NLOS capture in the format of the TAL tools (.h5)");
     command.choice("--unit", options.unit,

@@ -38,8 +38,8 @@ struct Options {
     std::vector<std::string> derivatives;  // of these graphs, in their order; empty: values alone
     Temporal temporal = Temporal::widen;
     std::optional<double> widen;  // length over which slopes of the response are averaged
-    std::string output;  // transient cube (.h5)
-    std::string tal;     // also an NLOS capture for the TAL tools (.h5); empty: none
+    std::string output;           // transient cube (.h5)
+    std::string tal;              // also an NLOS capture for the TAL tools (.h5); empty: none
 
     // Lengths are in `unit`; unset options are those of the film.
     Unit unit = Unit::opl;

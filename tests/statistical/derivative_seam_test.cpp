@@ -6,7 +6,6 @@
 #include <cstdio>
 #include <fstream>
 
-#include "stages/core/stats/chi_square.h"
 #include "tests/statistical/derivative_support.h"
 #include "tests/statistical/support.h"
 
@@ -36,8 +35,6 @@ constexpr const char* sunk_text = R"(<scene version="3.0.0">
 <bsdf type="diffuse"><rgb name="reflectance" value="0, 0, 0"/></bsdf><emitter type="area"><rgb name="radiance" value="$light, $light, $light"/></emitter></shape>
 </scene>)";
 
-using Samples = std::vector<std::vector<double>>;  // [replicate][quadrant, bin]
-
 std::vector<double> quadrants(const std::vector<double>& bins) {
     std::vector<double> out(n_quadrants * n_bins);
     for (std::size_t p = 0; p < res * res; ++p) {
@@ -45,25 +42,6 @@ std::vector<double> quadrants(const std::vector<double>& bins) {
         for (std::size_t k = 0; k < n_bins; ++k)
             out[q * n_bins + k] += bins[3 * (p * n_bins + k)] / double(res * res / n_quadrants);
     }
-    return out;
-}
-
-struct Agreement {
-    double chi2 = 0, p = 1;
-    int n = 0;
-};
-
-/// Chi-square of Welch's t of all bins.
-Agreement compare(const Samples& a, const Samples& b) {
-    Agreement out;
-    std::vector<double> x(a.size()), y(b.size());
-    for (std::size_t k = 0; k < a[0].size(); ++k) {
-        for (std::size_t i = 0; i < a.size(); ++i) x[i] = a[i][k], y[i] = b[i][k];
-        const Estimate ours = estimate_of(x), theirs = estimate_of(y);
-        if (!(ours.se > 0) && !(theirs.se > 0)) continue;
-        out.chi2 += sqr(student_critical(std::max(welch_p_value(ours, theirs), 1e-300), INFINITY)), ++out.n;
-    }
-    out.p = out.n > 0 ? chi_square_tail(out.chi2, out.n) : 1;
     return out;
 }
 
@@ -140,7 +118,7 @@ TEST_P(DerivativeOfSeams, BinsAgree) {
         for (std::size_t j = 0; j < low.size(); ++j) theirs[k].push_back((high[j] - low[j]) / (2 * step));
     });
     std::filesystem::remove(file);
-    const Agreement all = compare(ours, theirs);
+    const Agreement all = compare_numbers(ours, theirs);
     std::printf("    %-24s n %3d chi^2 %7.1f p %.2g\n", c.name, all.n, all.chi2, all.p);
     EXPECT_GT(all.p, 1e-3) << c.name;
 }

@@ -1,5 +1,6 @@
 #include "tests/statistical/derivative_support.h"
 
+#include "stages/core/stats/chi_square.h"
 #include "stages/derive/interior.h"
 #include "stages/transient/transient.h"
 
@@ -92,6 +93,22 @@ DerivedBins bins_of(const PathGraph& graph, const Derivative* derivative, const 
                 out.boundary[family][pixel * per_pixel + 3 * k + c] += double(dL[c]) * w;
         });
     }
+    return out;
+}
+
+Agreement compare_numbers(const Samples& a, const Samples& b, const std::function<bool(std::size_t)>& keep) {
+    Agreement out;
+    std::vector<double> x(a.size()), y(b.size());
+    for (std::size_t k = 0; k < a[0].size(); ++k) {
+        if (!keep(k)) continue;
+        for (std::size_t i = 0; i < a.size(); ++i) x[i] = a[i][k], y[i] = b[i][k];
+        const Estimate ours = estimate_of(x), theirs = estimate_of(y);
+        if (!(ours.se > 0) && !(theirs.se > 0)) continue;
+        const double z = student_critical(std::max(welch_p_value(ours, theirs), 1e-300), INFINITY);
+        out.chi2 += z * z, ++out.n;
+        if (z > out.worst) out.worst = z, out.worst_number = k;
+    }
+    out.p = out.n > 0 ? chi_square_tail(out.chi2, out.n) : 1;
     return out;
 }
 

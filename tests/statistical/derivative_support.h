@@ -3,6 +3,7 @@
 
 #include <array>
 #include <filesystem>
+#include <functional>
 #include <memory>
 #include <string>
 #include <vector>
@@ -59,6 +60,19 @@ struct DerivedBins {
 /// in:      derivative  null: values alone
 DerivedBins bins_of(const PathGraph& graph, const Derivative* derivative, const TimeResponse& response,
                     std::size_t parameter = 0, const Timing& timing = {});
+
+using Samples = std::vector<std::vector<double>>;  // [replicate][number]
+
+/// Chi-square of Welch's t of some numbers.
+struct Agreement {
+    double chi2 = 0, p = 1, worst = 0;
+    int n = 0;  // numbers that vary
+    std::size_t worst_number = 0;
+};
+/// in:      keep  which numbers
+Agreement compare_numbers(
+    const Samples& a, const Samples& b,
+    const std::function<bool(std::size_t)>& keep = [](std::size_t) { return true; });
 
 /// Returns place i of n, one in each of n equal parts of [-1, 1]. A central difference of any step is the mean of the
 /// derivative over the interval, so that the mean over these places has no bias of a step.

@@ -229,10 +229,7 @@ struct EdgeTree::Builder {
     };
 
     Builder(EdgeTree& tree_, std::span<const float> speeds_)
-        : tree(tree_),
-          edges(std::move(tree_.set_.edges)),
-          speeds(speeds_.begin(), speeds_.end()),
-          order(edges.size()) {
+        : tree(tree_), edges(std::move(tree_.set_.edges)), speeds(speeds_.begin(), speeds_.end()), order(edges.size()) {
         speeds.resize(edges.size());
         std::iota(order.begin(), order.end(), 0u);
         middles.reserve(edges.size());

@@ -82,7 +82,7 @@ struct TimeResponse {
     double gate = 1;              // length of a gate
     Pulse pulse;
     Modulation modulation = Modulation::none;
-    double period = 1;  // with modulation; width is then period / n_bins
+    double period = 1;   // with modulation; width is then period / n_bins
     double widened = 0;  // m over which slopes are averaged; 0: exact slopes, of a delta pulse over a bin
 
     double end() const { return start + n_bins * width; }
@@ -187,7 +187,8 @@ TimeResponse::SlopedOutside TimeResponse::spread_with_slopes(double tof, Visit&&
     }
     if (widened > 0) {
         const Outside at = spread(tof, [&](std::uint32_t k, double w) { visit(k, w, 0.0); });
-        const Outside later = spread(tof + 0.5 * widened, [&](std::uint32_t k, double w) { visit(k, 0.0, w / widened); });
+        const Outside later =
+            spread(tof + 0.5 * widened, [&](std::uint32_t k, double w) { visit(k, 0.0, w / widened); });
         const Outside earlier =
             spread(tof - 0.5 * widened, [&](std::uint32_t k, double w) { visit(k, 0.0, -w / widened); });
         return {at, (later.before - earlier.before) / widened, (later.after - earlier.after) / widened};
