@@ -203,8 +203,10 @@ void expect_equal_bins(const Room& room, const Kind& kind, const std::vector<int
             const std::string where = fmt::format("{} depth {} {}", kind.name, depth, pulse_names[j]);
             const bool sums = j == 2;
             const Agreement all = compare_bins(ours[j], theirs[j], sums);
-            std::printf("    %-28s n %3d chi^2 %6.1f p %.2g worst %.1f at %zu:%zu |", where.c_str(), all.n, all.chi2,
-                        all.p, all.worst, all.worst_number / n_columns, all.worst_number % n_columns);
+            std::printf("    %-28s n %3d chi^2 %6.1f p %.2g worst %.1f at %zu:%zu, %.2g +- %.1g for %.2g +- %.1g |",
+                        where.c_str(), all.n, all.chi2, all.p, all.worst, all.worst_number / n_columns,
+                        all.worst_number % n_columns, all.worst_a.mean, all.worst_a.se, all.worst_b.mean,
+                        all.worst_b.se);
             EXPECT_GT(all.p, 1e-3) << where;
             const auto less = [&](auto&& is_out, double factor) {
                 Samples x = ours[j];

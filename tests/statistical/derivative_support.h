@@ -68,6 +68,7 @@ struct Agreement {
     double chi2 = 0, p = 1, worst = 0;
     int n = 0;  // numbers that vary
     std::size_t worst_number = 0;
+    Estimate worst_a, worst_b;
 };
 /// in:      keep  which numbers
 Agreement compare_numbers(
