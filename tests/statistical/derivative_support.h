@@ -70,7 +70,8 @@ struct Agreement {
     std::size_t worst_number = 0;
     Estimate worst_a, worst_b;
 };
-/// in:      keep  which numbers
+/// in:      a     replicates at places in order, see place_in()
+///          keep  which numbers
 Agreement compare_numbers(
     const Samples& a, const Samples& b,
     const std::function<bool(std::size_t)>& keep = [](std::size_t) { return true; });
