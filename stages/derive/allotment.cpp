@@ -4,7 +4,6 @@
 
 #include <algorithm>
 #include <functional>
-#include <numeric>
 
 #include "stages/core/graph/own_samples.h"
 #include "stages/core/graph/time_of_flight.h"
@@ -103,13 +102,6 @@ std::uint64_t number_of(const Rows& rows) {
     return n;
 }
 
-/// Rounds to 12 binary digits: with the number of threads sums of squares differ in their last.
-double few_digits(double x) {
-    int exponent = 0;
-    const double mantissa = std::frexp(x, &exponent);
-    return std::ldexp(std::round(std::ldexp(mantissa, 12)), exponent - 12);
-}
-
 std::uint64_t count(double n) {
     return std::uint64_t(std::max(1.0, std::ceil(n)));
 }
@@ -139,7 +131,7 @@ class Allotment {
             const Family& family = families_[f];
             // A pilot that found nothing may have been too small.
             const double least = family.pilot.n_rows > 0 ? family.least : family.pilot.n;
-            const double wanted = few_digits(scale * std::sqrt(variance_[f] / family.pilot.cost));
+            const double wanted = scale * std::sqrt(variance_[f] / family.pilot.cost);
             const double n = std::min(std::max(wanted, least), family.most);
             rays_ += family.run(n, rows, samples, report_).rays;
             const double effort = n * family.pilot.cost / (n_paths_ * path_cost_);

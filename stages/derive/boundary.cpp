@@ -45,9 +45,10 @@ std::vector<std::vector<double>> shape_speeds(const Scene& scene, const SceneTan
     return speed;
 }
 
-EdgeTree tree_of(const Scene& scene, const SceneTangents& tangents, const std::vector<bool>& wanted) {
+/// in:      of_shapes  their speeds, by parameter
+EdgeTree tree_of(const Scene& scene, const std::vector<std::vector<double>>& of_shapes,
+                 const std::vector<bool>& wanted) {
     if (!wanted.empty() && std::none_of(wanted.begin(), wanted.end(), [](bool w) { return w; })) return {};
-    const std::vector<std::vector<double>> of_shapes = shape_speeds(scene, tangents);
     EdgeSet set = find_edges(scene.shapes, wanted);
     std::vector<float> speeds;
     for (const Edge& edge : set.edges) {
@@ -67,8 +68,9 @@ BoundaryScene::BoundaryScene(const PathGraph& g, const Scene& s, const SceneTang
       seed(o.seed),
       reader(g),
       motions(s, t),
-      all_edges(tree_of(s, t, {})),
-      moving_edges(tree_of(s, t, moving_shapes(s, t))),
+      shape_speed(shape_speeds(s, t)),
+      all_edges(tree_of(s, shape_speed, {})),
+      moving_edges(tree_of(s, shape_speed, moving_shapes(s, t))),
       attached(attached_of(s, o.attachment)) {
     find_speeds();
     find_all_seams();
@@ -79,7 +81,6 @@ BoundaryScene::BoundaryScene(const PathGraph& g, const Scene& s, const SceneTang
 }
 
 void BoundaryScene::find_speeds() {
-    const std::vector<std::vector<double>> shape_speed = shape_speeds(scene, tangents);
     surface_speed.assign(n(), 0);
     Box3f all;
     for (std::size_t k = 0; k < scene.shapes.size(); ++k) {
@@ -105,6 +106,11 @@ void BoundaryScene::find_speeds() {
             else
                 raise(emitter_speed[e][parameter], v.at(Pt(emitter.position)));
     }
+}
+
+bool cuts_emitter(const Scene& scene, const Seam& seam) {
+    return std::any_of(seam.faces.begin(), seam.faces.end(),
+                       [&](const Seam::Face& face) { return scene.shapes[face.shape_idx].emitter_idx >= 0; });
 }
 
 SeamQuery moving_pairs(const Scene& scene, const SceneTangents& tangents) {
@@ -139,10 +145,8 @@ void BoundaryScene::find_all_seams() {
         return a != b || a == SeamQuery::deforms;
     };
     n_moving_seams = std::size_t(std::stable_partition(seams.begin(), seams.end(), moves) - seams.begin());
-    emitter_seams = std::any_of(seams.begin(), seams.begin() + std::ptrdiff_t(n_moving_seams), [&](const Seam& seam) {
-        return std::any_of(seam.faces.begin(), seam.faces.end(),
-                           [&](const Seam::Face& face) { return scene.shapes[face.shape_idx].emitter_idx >= 0; });
-    });
+    emitter_seams = std::any_of(seams.begin(), seams.begin() + std::ptrdiff_t(n_moving_seams),
+                                [&](const Seam& seam) { return cuts_emitter(scene, seam); });
 }
 
 void BoundaryScene::shape_velocity(std::uint32_t shape, std::uint32_t primitive, const Pt& p, Velocities out) const {

@@ -83,6 +83,8 @@ struct Round {
     Vector3<double> tangent(double phi) const { return v_axis * std::cos(phi) - u_axis * std::sin(phi); }
 };
 
+/// Whether one of the surfaces of a seam is an area light.
+bool cuts_emitter(const Scene& scene, const Seam& seam);
 /// Returns the pairs of shapes that move relative to each other.
 SeamQuery moving_pairs(const Scene& scene, const SceneTangents& tangents);
 
@@ -99,7 +101,8 @@ class BoundaryScene {
     std::uint64_t seed;  // of the samples: those of a pilot are others
     GraphReader reader;
     SurfaceMotions motions;
-    EdgeTree all_edges, moving_edges;  // of all shapes, and of those that move
+    std::vector<std::vector<double>> shape_speed;  // [shape, parameter] largest, m per unit
+    EdgeTree all_edges, moving_edges;              // of all shapes, and of those that move
     Attached attached;
     std::vector<std::uint32_t> creases;  // of all_edges; empty where all vertices stay on their surfaces
     /// Lines where surfaces cut each other: first those of surfaces that move relative to each other, then, where points
@@ -188,17 +191,13 @@ void for_pixels_at(const Sensor& sensor, Point2f film, F&& f) {
         }
 }
 
-/// Work of a family, in numbers that do not depend on the machine.
+/// Work of a family, in numbers that depend neither on the machine nor on the threads: divide sums, not parts.
 struct Effort {
     std::uint64_t rays = 0;
     std::uint64_t steps = 0;  // vertices walked, points drawn, some silhouettes listed: by measured times
 
     /// In rays; a step costs about as much as two.
     double cost() const { return double(rays) + 2 * double(steps); }
-    Effort& operator+=(const Effort& o) {
-        rays += o.rays, steps += o.steps;
-        return *this;
-    }
 };
 
 /// Index of refraction of the medium in which a stored vertex was reached.

@@ -22,16 +22,15 @@ using Pt = Point3<double>;
 class OnFilm {
   public:
     OnFilm(const BoundaryScene& s, std::uint64_t n, const std::vector<double>& weights)
-        : s_(s), n_(n), points_(s, weights), v_surface_(s.n()), rates_(s.n()) {
-        for (std::size_t e = 0; e < weights.size(); ++e) emitter_moves_ |= weights[e] > 0 && s.emitter_moves(e);
-    }
+        : s_(s), n_(n), points_(s, weights), v_surface_(s.n()), rates_(s.n()) {}
 
     std::uint64_t n_rays = 0;
-    Effort effort() const { return {n_rays + points_.n_rays, points_.n_listed() / 8}; }
+    std::uint64_t all_rays() const { return n_rays + points_.n_rays; }
+    std::uint64_t n_listed() const { return points_.n_listed(); }
 
     void sample(std::uint64_t i, BoundaryRows& rows) {
         // Seen from the camera, surfaces that move or slide make every edge matter.
-        const bool all = s_.tangents.camera_moves() || s_.tangents.any_shape_moves() || emitter_moves_;
+        const bool all = s_.tangents.camera_moves() || s_.tangents.any_shape_moves() || points_.emitters_move();
         points_.sample(s_.sampler(2, i), s_.film_speed, all, [&](const ShadowPoint& x) { shade(i, x, rows); });
     }
 
@@ -63,7 +62,6 @@ class OnFilm {
 
     const BoundaryScene& s_;
     std::uint64_t n_;
-    bool emitter_moves_ = false;
     ShadowPoints points_;
     std::vector<Vec> v_surface_;
     std::vector<double> rates_;
@@ -148,13 +146,13 @@ class Joined {
           velocity_(s.n()),
           rates_(s.n()),
           far_speed_(s.surface_speed) {
-        for (std::size_t e = 0; e < weights.size(); ++e) emitter_moves_ |= weights[e] > 0 && s.emitter_moves(e);
         // A vertex that keeps its direction slides where the one before it moves, as first hits do with the camera.
         if (s.attached.reach > 0) far_speed_ = s.film_speed;
     }
 
     std::uint64_t n_rays = 0, n_samples = 0, n_walked = 0;
-    Effort effort() const { return {n_rays + points_.n_rays, n_walked + points_.n_listed() / 8}; }
+    std::uint64_t all_rays() const { return n_rays + points_.n_rays; }
+    std::uint64_t n_listed() const { return points_.n_listed(); }
 
     /// Samples the paths of a chunk. They share a pool of shadow points, other chunks have others.
     void sample_chunk(std::uint64_t begin, std::uint64_t end, BoundaryRows& rows) {
@@ -180,8 +178,8 @@ class Joined {
 
     void fill_pool(std::uint64_t begin) {
         pool_.clear();
-        const bool all =
-            s_.tangents.any_shape_moves() || emitter_moves_ || (s_.tangents.camera_moves() && s_.attached.reach > 0);
+        const bool all = s_.tangents.any_shape_moves() || points_.emitters_move() ||
+                         (s_.tangents.camera_moves() && s_.attached.reach > 0);
         double slide = 0;
         for (const double v : far_speed_) slide += v;
         for (int k = 0; k < light_points; ++k)
@@ -230,7 +228,6 @@ class Joined {
 
     const BoundaryScene& s_;
     double share_;
-    bool emitter_moves_ = false;
     ShadowPoints points_;
     Pool pool_;
     InteriorWalker walker_;
@@ -249,8 +246,10 @@ Effort add_edge_light(const BoundaryScene& s, std::uint64_t n_samples, const std
                          for (std::uint64_t k = begin; k < end; ++k) worker.sample(k, out);
                      });
     samples[std::size_t(BoundaryFamily::edge_light)] += n_samples;
-    Effort effort{0, n_samples * ShadowPoints::per_light_point / 2};
-    for (const OnFilm& worker : workers) effort += worker.effort();
+    Effort effort;
+    std::uint64_t n_listed = 0;
+    for (const OnFilm& worker : workers) effort.rays += worker.all_rays(), n_listed += worker.n_listed();
+    effort.steps = n_samples * ShadowPoints::per_light_point / 2 + n_listed / 8;
     return effort;
 }
 
@@ -263,10 +262,13 @@ Effort add_joined_light(const BoundaryScene& s, double share, const std::vector<
                          worker.sample_chunk(begin, end, out);
                      });
     Effort effort;
+    std::uint64_t n_walked = 0, n_listed = 0;
     for (const Joined& worker : workers) {
-        effort += worker.effort();
+        effort.rays += worker.all_rays();
+        n_walked += worker.n_walked, n_listed += worker.n_listed();
         samples[std::size_t(BoundaryFamily::joined_light)] += worker.n_samples;
     }
+    effort.steps = n_walked + n_listed / 8;
     return effort;
 }
 

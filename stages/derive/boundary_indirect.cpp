@@ -52,6 +52,7 @@ class Sampling {
           light_(s, streams::family(s.seed, 3)),
           v_light_(s.n()),
           rates_(s.n()),
+          emission_rates_(s.n()),
           far_speed_(s.surface_speed) {
         if (!environment || s.scene.environment_idx < 0) return;
         const std::vector<double>& turns = s.emitter_speed[std::size_t(s.scene.environment_idx)];
@@ -98,7 +99,7 @@ class Sampling {
                     if (std::isfinite(opl))
                         add_emission(p, sides_[i], L, opl, rows);
                     else if (environment_)
-                        add(p, Rgb<double>(L), -1, rows);
+                        add(p, Rgb<double>(L), -1, rates_, rows);
                 });
                 return;
             }
@@ -115,13 +116,10 @@ class Sampling {
             }
             bool emitted_first = !is_black(rgb(g.paths.Le, i));
             light_.walk(i, edge, [&](const Spectrum& L, double opl) {
-                if (std::exchange(emitted_first, false)) {
-                    const std::vector<double> rates = rates_;
+                if (std::exchange(emitted_first, false))
                     add_emission(p, sides_[i], L, opl, rows);
-                    rates_ = rates;
-                    return;
-                }
-                if (counts) add(p, Rgb<double>(L) * Rgb<double>(sign), opl, rows);
+                else if (counts)
+                    add(p, Rgb<double>(L) * Rgb<double>(sign), opl, rates_, rows);
             });
         });
         pending_.clear();
@@ -234,14 +232,14 @@ class Sampling {
     void add_emission(const Pending& p, const Side& side, const Spectrum& L, double opl, BoundaryRows& rows) {
         if (!p.b.seam) return;
         s_.shape_velocity(side.at_edge.shape_idx, side.at_edge.primitive_idx, p.b.p, v_light_);
-        for (std::size_t k = 0; k < s_.n(); ++k) rates_[k] = swept(p.b.out, p.v_b[k] - v_light_[k]);
-        add(p, Rgb<double>(L) * Rgb<double>(side.sign), opl, rows);
+        for (std::size_t k = 0; k < s_.n(); ++k) emission_rates_[k] = swept(p.b.out, p.v_b[k] - v_light_[k]);
+        add(p, Rgb<double>(L) * Rgb<double>(side.sign), opl, emission_rates_, rows);
     }
 
-    void add(const Pending& p, const Rgb<double>& L, double opl, BoundaryRows& rows) {
-        if (std::all_of(rates_.begin(), rates_.end(), [](double r) { return r == 0; })) return;
+    void add(const Pending& p, const Rgb<double>& L, double opl, std::span<const double> rates, BoundaryRows& rows) {
+        if (std::all_of(rates.begin(), rates.end(), [](double r) { return r == 0; })) return;
         const bool arrives = opl >= 0 && std::isfinite(opl);
-        rows.add(p.path % s_.graph.n_pixels(), arrives ? p.opl + opl : -1, p.camera_opl, p.value * L, rates_,
+        rows.add(p.path % s_.graph.n_pixels(), arrives ? p.opl + opl : -1, p.camera_opl, p.value * L, rates,
                  BoundaryFamily::indirect, p.path);
     }
 
@@ -252,7 +250,7 @@ class Sampling {
     InteriorWalker walker_;
     RayLight light_;
     std::vector<Vec> v_light_;
-    std::vector<double> rates_, far_speed_;
+    std::vector<double> rates_, emission_rates_, far_speed_;
     std::uint64_t n_checks_ = 0;
     std::vector<Pending> pending_;
     std::vector<Side> sides_;  // [ray]
@@ -271,11 +269,13 @@ Effort add_indirect(const BoundaryScene& s, double share, bool surfaces, bool en
                          worker.finish(out);
                      });
     Effort effort;
+    std::uint64_t n_walked = 0, n_listed = 0;
     for (const Sampling& worker : workers) {
         effort.rays += worker.n_rays();
-        effort.steps += 2 * worker.n_walked + worker.n_listed() / 5;
+        n_walked += worker.n_walked, n_listed += worker.n_listed();
         samples[std::size_t(BoundaryFamily::indirect)] += worker.n_samples;
     }
+    effort.steps = 2 * n_walked + n_listed / 5;
     return effort;
 }
 

@@ -221,11 +221,13 @@ Effort add_vertex_light(const BoundaryScene& s, double share, const std::vector<
                              worker.sample_path(path, std::min(share, 1.0), at_first, deeper, out);
                      });
     Effort effort;
+    std::uint64_t n_walked = 0, n_listed = 0;
     for (const Sampling& worker : workers) {
         effort.rays += worker.n_rays;
-        effort.steps += 3 * worker.n_walked / 2 + worker.n_listed() / 6;
+        n_walked += worker.n_walked, n_listed += worker.n_listed();
         samples[std::size_t(BoundaryFamily::vertex_light)] += worker.n_samples;
     }
+    effort.steps = 3 * n_walked / 2 + n_listed / 6;
     return effort;
 }
 

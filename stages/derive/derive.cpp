@@ -214,10 +214,8 @@ bool emitter_is_cut(const Scene& scene, const SceneTangents& tangents) {
                      [](const Emitter& e) { return e.kind == EmitterKind::area; }))
         return false;
     const SeamSet found = find_seams(scene.shapes, moving_pairs(scene, tangents));
-    return std::any_of(found.seams.begin(), found.seams.end(), [&](const Seam& seam) {
-        return scene.shapes[seam.faces[0].shape_idx].emitter_idx >= 0 ||
-               scene.shapes[seam.faces[1].shape_idx].emitter_idx >= 0;
-    });
+    return std::any_of(found.seams.begin(), found.seams.end(),
+                       [&](const Seam& seam) { return cuts_emitter(scene, seam); });
 }
 
 }  // namespace

@@ -23,7 +23,9 @@ bool ShadowPoint::rates(ConstVelocities v_surface, std::span<double> out) const 
 }
 
 ShadowPoints::ShadowPoints(const BoundaryScene& s, const std::vector<double>& weights)
-    : s_(s), choice_(weights), outline_(s), v_emitter_(s.n()) {}
+    : s_(s), choice_(weights), outline_(s), v_emitter_(s.n()) {
+    for (std::size_t e = 0; e < weights.size(); ++e) emitters_move_ |= weights[e] > 0 && s.emitter_moves(e);
+}
 
 void ShadowPoints::sample(const Sampler& sampler, std::span<const double> far_speed, bool all,
                           const std::function<void(const ShadowPoint&)>& found) {

@@ -48,6 +48,9 @@ class ShadowPoints {
     void sample(const Sampler& sampler, std::span<const double> far_speed, bool all,
                 const std::function<void(const ShadowPoint&)>& found);
 
+    /// Whether one of the emitters moves, so that edges at rest count.
+    bool emitters_move() const { return emitters_move_; }
+
     std::uint64_t n_rays = 0;
     std::uint64_t n_listed() const { return outline_.n_found(); }
 
@@ -59,6 +62,7 @@ class ShadowPoints {
     Distribution1 choice_;
     Outline outline_;
     std::vector<Vector3<double>> v_emitter_;
+    bool emitters_move_ = false;
 };
 
 /// Weights of the choice between emitters, those that are not wanted left out.
