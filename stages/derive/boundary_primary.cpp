@@ -68,6 +68,28 @@ std::optional<FilmCurve> clipped(const FilmMap& map, const Sensor& sensor, const
     return curve;
 }
 
+/// Returns the share of a straight line between its ends, given that of its image.
+double share_on_line(const FilmMap& map, const FilmCurve& curve, double on_film) {
+    return map.perspective() ? on_film * curve.a.z / ((1 - on_film) * curve.b.z + on_film * curve.a.z) : on_film;
+}
+
+/// Returns the parts of a straight curve, equally long on the film: the speed of an edge that turns has a zero somewhere,
+/// so that one speed for all of it would be wrong.
+std::vector<FilmCurve> parts_of(const FilmMap& map, const FilmCurve& whole) {
+    constexpr double length_px = 2, most = 16;
+    const double len = std::hypot(whole.film_b.x - whole.film_a.x, whole.film_b.y - whole.film_a.y);
+    const int n = int(std::clamp(std::ceil(len / length_px), 1.0, most));
+    std::vector<FilmCurve> parts(std::size_t(n), whole);
+    for (int i = 1; i < n; ++i) {
+        FilmCurve &before = parts[std::size_t(i - 1)], &after = parts[std::size_t(i)];
+        const double s = share_on_line(map, whole, double(i) / n);
+        before.s_b = after.s_a = whole.s_a + (whole.s_b - whole.s_a) * s;
+        before.b = after.a = whole.a + (whole.b - whole.a) * s;
+        before.film_b = after.film_a = map.film(after.a);
+    }
+    return parts;
+}
+
 class Primary {
   public:
     Primary(const BoundaryScene& s) : s_(s), map_(s.scene.sensor), tree_(s.edges(s.tangents.camera_moves())) {
@@ -85,11 +107,11 @@ class Primary {
             std::optional<FilmCurve> curve = clipped(map_, sensor, Pt(edge.a), Pt(edge.b));
             if (!curve) continue;
             curve->index = i;
-            s.edge_velocity(tree_.set(), edge, 0.5 * (curve->s_a + curve->s_b), v);
-            const double weight = importance(*curve, edge.point(0.5 * (curve->s_a + curve->s_b)), v);
-            if (!(weight > 0)) continue;
-            curves_.push_back(*curve);
-            weights.push_back(weight);
+            for (const FilmCurve& part : parts_of(map_, *curve)) {
+                const double middle = 0.5 * (part.s_a + part.s_b);
+                s.edge_velocity(tree_.set(), edge, middle, v);
+                add_curve(part, importance(part, edge.point(middle), v), weights);
+            }
         }
         // Without a motion of the camera, those whose surfaces do not move relative to each other may move together.
         for (std::uint32_t i = 0; i < s.seams.size(); ++i) {
@@ -98,12 +120,11 @@ class Primary {
             if (!curve) continue;
             curve->kind = FilmCurve::Kind::seam;
             curve->index = i;
-            const Pt middle = seam.point(0.5 * (curve->s_a + curve->s_b));
-            s.seam_velocity(seam, middle, v);
-            const double weight = importance(*curve, middle, v);
-            if (!(weight > 0)) continue;
-            curves_.push_back(*curve);
-            weights.push_back(weight);
+            for (const FilmCurve& part : parts_of(map_, *curve)) {
+                const Pt middle = seam.point(0.5 * (part.s_a + part.s_b));
+                s.seam_velocity(seam, middle, v);
+                add_curve(part, importance(part, middle, v), weights);
+            }
         }
         rounds_ = map_.perspective() ? s.rounds_from(Pt(sensor.origin), all) : s.rounds_along(-axis, all);
         for (std::uint32_t i = 0; i < rounds_.size(); ++i) {
@@ -120,9 +141,7 @@ class Primary {
                 if (f.x < 0 || f.y < 0 || f.x > sensor.width || f.y > sensor.height) continue;
                 weight += std::hypot(along.x, along.y) * 2 * pi_double / looked_at;
             }
-            if (!(weight > 0)) continue;
-            curves_.push_back(curve);
-            weights.push_back(weight * speed_of_round(rounds_[i], v));
+            add_curve(curve, weight * speed_of_round(rounds_[i], v), weights);
         }
         add_terminators(all, weights);
         double sum = 0;
@@ -173,9 +192,7 @@ class Primary {
                 out.front.u = float(std::cos(phi)), out.front.v = float(std::sin(phi));
             s_.shape_velocity(round.shape_idx, 0, out.p, v);
         } else {
-            const double t = double(u_place);
-            const double s_on = map_.perspective() ? t * curve.a.z / ((1 - t) * curve.b.z + t * curve.a.z) : t;
-            const double s = curve.s_a + (curve.s_b - curve.s_a) * s_on;
+            const double s = curve.s_a + (curve.s_b - curve.s_a) * share_on_line(map_, curve, double(u_place));
             const bool is_seam = curve.kind == FilmCurve::Kind::seam;
             out.p = is_seam ? s_.seams[curve.index].point(s) : tree_.edge(curve.index).point(s);
             out.camera = map_.in_camera(out.p);
@@ -242,6 +259,11 @@ class Primary {
             return {dot(n_u, w) - near * dot(n, e1), dot(n_v, w) - near * dot(n, e2)};
         }
     };
+    void add_curve(const FilmCurve& curve, double weight, std::vector<double>& weights) {
+        if (!(weight > 0)) return;
+        curves_.push_back(curve);
+        weights.push_back(weight);
+    }
     /// Direction from a curve's point to the open space in front of it: beside a silhouette, above a crease.
     Vec lifted(const FilmCurve& curve, const Vec& outward_dir, const Vec& view) const {
         const Vec beside = normalize(outward_dir);
