@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <array>
 #include <functional>
 
 #include "stages/core/graph/own_samples.h"
@@ -115,7 +116,7 @@ class Allotment {
         // One that ends on an emitter has neither vertex nor light edge.
         path_cost_ =
             1.5 * std::max(1.0, double(s.graph.n_vertices() + s.graph.n_light_edges()) / std::max(n_paths_, 1.0));
-        least_share_ = std::min(1.0, 1024 / std::max(n_paths_, 1.0));
+        least_share_ = std::min(1.0, 256 / std::max(n_paths_, 1.0));
     }
 
     std::uint64_t sample(Rows& rows, Samples samples) {
@@ -162,7 +163,7 @@ class Allotment {
         bool environment = false;
         for (const Emitter& e : s_.scene.emitters)
             environment |= parts_.direct && (e.kind == EmitterKind::constant || e.kind == EmitterKind::envmap);
-        if (parts_.direct) choose_direct();
+        if (parts_.direct) choose_direct(deep);
         const auto any = [](const std::vector<char>& of) {
             return std::any_of(of.begin(), of.end(), [](char x) { return x != 0; });
         };
@@ -174,10 +175,10 @@ class Allotment {
                                  1024,
                                  INFINITY,
                                  {}});
-        if (any_area_)
+        if (any(by_vertex_))
             families_.push_back({BoundaryFamily::vertex_light,
                                  [this](double share, Rows& rows, Samples samples, app::Report& to) {
-                                     return add_vertex_light(s_, share, by_vertex_, true, rows, samples, to);
+                                     return add_vertex_light(s_, share, by_vertex_, rows, samples, to);
                                  },
                                  least_share_,
                                  1,
@@ -190,10 +191,10 @@ class Allotment {
                                  64,
                                  INFINITY,
                                  {}});
-        if (any(delta_) && deep)
+        if (any(by_joining_))
             families_.push_back({BoundaryFamily::joined_light,
                                  [this](double share, Rows& rows, Samples samples, app::Report& to) {
-                                     return add_joined_light(s_, share, delta_, rows, samples, to);
+                                     return add_joined_light(s_, share, by_joining_, rows, samples, to);
                                  },
                                  least_share_,
                                  1,
@@ -253,48 +254,58 @@ class Allotment {
         return rest > 0 ? std::min(std::sqrt(fixed / rest), most) : most;
     }
 
-    /// Chooses, by emitter, whether light points are the cheaper way for first hits: by variance times cost of a few
-    /// samples of each. Lights without area have no other.
-    void choose_direct() {
+    /// Chooses, by emitter, whether light points are the cheaper way: by variance times cost of a few samples of each.
+    /// Lights without area have no other.
+    void choose_direct(bool deep) {
         const std::size_t n_emitters = s_.scene.emitters.size();
         by_light_.assign(n_emitters, 0);
+        by_joining_.assign(n_emitters, 0);
         by_vertex_.assign(n_emitters, 0);
-        delta_.assign(n_emitters, 0);
         constexpr std::size_t most = 16;  // pilots; further emitters follow the majority
-        std::size_t n_pilots = 0, n_chosen = 0;
+        std::size_t n_pilots = 0;
+        std::array<std::size_t, 2> n_chosen = {};  // at first hits, beyond
         for (std::size_t e = 0; e < n_emitters; ++e) {
             const Emitter& emitter = s_.scene.emitters[e];
             if (emitter.kind == EmitterKind::area) {
-                if (s_.options.direct == Direct::automatic)
-                    by_light_[e] = n_pilots++ < most ? prefers_light_points(e) : char(2 * n_chosen > most);
-                else
-                    by_light_[e] = s_.options.direct == Direct::lights;
-                n_chosen += std::size_t(by_light_[e]);
-                by_vertex_[e] = !by_light_[e];
-                any_area_ = true;
-            } else {
-                by_light_[e] = delta_[e] = emitter.is_delta();
+                // Segments from vertex to vertex pass masks, those that join do not.
+                const std::array<bool, 2> possible = {true, deep && !s_.scene.features.null_lobes};
+                std::array<char, 2> chosen = {};
+                const bool piloted = s_.options.direct == Direct::automatic && n_pilots++ < most;
+                for (std::size_t k = 0; k < 2; ++k) {
+                    if (!possible[k]) continue;
+                    if (piloted)
+                        chosen[k] = prefers_light_points(e, k == 1);
+                    else
+                        chosen[k] = s_.options.direct == Direct::automatic ? 2 * n_chosen[k] > most
+                                                                           : s_.options.direct == Direct::lights;
+                    n_chosen[k] += std::size_t(chosen[k]);
+                }
+                by_light_[e] = chosen[0], by_joining_[e] = chosen[1];
+                by_vertex_[e] = char((chosen[0] ? 0 : reached_by::camera) | (chosen[1] ? 0 : reached_by::far));
+                if (deep) by_vertex_[e] |= reached_by::near;
+                if (s_.scene.features.delta_lobes || s_.scene.features.null_lobes) by_vertex_[e] |= reached_by::delta;
+            } else if (emitter.is_delta()) {
+                by_light_[e] = 1, by_joining_[e] = deep;
             }
         }
     }
 
-    char prefers_light_points(std::size_t e) {
+    /// in:      beyond  at vertices behind the first hits
+    char prefers_light_points(std::size_t e, bool beyond) {
         std::vector<char> only(s_.scene.emitters.size());
-        only[e] = 1;
-        const Pilot vertices = run_pilot({BoundaryFamily::vertex_light,
-                                          [&](double share, Rows&rows, Samples samples, app::Report&to) {
-                                              return add_vertex_light(s_, share, only, false, rows, samples, to);
-                                          },
-                                          least_share_,
-                                          1,
-                                          {}}),
-                    lights = run_pilot({BoundaryFamily::edge_light,
-                                        [&](double n, Rows&rows, Samples samples, app::Report&to) {
-                                            return add_edge_light(s_, count(n), only, rows, samples, to);
-                                        },
-                                        64,
-                                        INFINITY,
-                                        {}});
+        only[e] = beyond ? reached_by::far : reached_by::camera;
+        const auto at_vertices = [&](double share, Rows& rows, Samples samples, app::Report& to) {
+            return add_vertex_light(s_, share, only, rows, samples, to);
+        };
+        const auto joined = [&](double share, Rows& rows, Samples samples, app::Report& to) {
+            return add_joined_light(s_, share, only, rows, samples, to);
+        };
+        const auto on_film = [&](double n, Rows& rows, Samples samples, app::Report& to) {
+            return add_edge_light(s_, count(n), only, rows, samples, to);
+        };
+        const Pilot vertices = run_pilot({BoundaryFamily::vertex_light, at_vertices, least_share_, 1, {}}),
+                    lights = beyond ? run_pilot({BoundaryFamily::joined_light, joined, least_share_, 1, {}})
+                                    : run_pilot({BoundaryFamily::edge_light, on_film, 64, INFINITY, {}});
         double vertex_work = 0, light_work = 0;
         for (std::size_t p = 0; p < s_.n(); ++p) {
             const double v = vertices.variance[p] * vertices.cost, l = lights.variance[p] * lights.cost;
@@ -314,9 +325,9 @@ class Allotment {
     app::Report& report_;
     app::Report silent_;
     double n_paths_, path_cost_ = 1, least_share_ = 1;
-    bool any_area_ = false;
-    std::vector<char> by_light_, by_vertex_;  // by emitter, for first hits
-    std::vector<char> delta_;                 // by emitter
+    std::vector<char> by_light_;    // by emitter: points of the light, for first hits
+    std::vector<char> by_joining_;  // by emitter: the same beyond
+    std::vector<char> by_vertex_;   // by emitter: the vertices (reached_by) that look for its edges
     std::vector<Family> families_;
     ByParameter variance_;  // [family], over all parameters
     std::uint64_t rays_ = 0;

@@ -71,10 +71,11 @@ BoundaryScene::BoundaryScene(const PathGraph& g, const Scene& s, const SceneTang
       shape_speed(shape_speeds(s, t)),
       all_edges(tree_of(s, shape_speed, {})),
       moving_edges(tree_of(s, shape_speed, moving_shapes(s, t))),
-      attached(attached_of(s, o.attachment)) {
+      attached(attached_of(s, o.attachment)),
+      joined_beyond(0.02 * double(s.radius)) {
     find_speeds();
     find_all_seams();
-    if (attached.reach == 0) return;
+    if (!attached.any_slides()) return;
     for (std::uint32_t i = 0; i < all_edges.n_edges(); ++i)
         if (all_edges.edge(i).kind == EdgeKind::shared && is_crease(all_edges.set(), all_edges.edge(i)))
             creases.push_back(i);
@@ -136,7 +137,7 @@ void BoundaryScene::find_all_seams() {
     if (scene.nlos || !(tangents.any_shape_moves() || tangents.camera_moves())) return;
     SeamQuery query = moving_pairs(scene, tangents);
     const bool deeper = graph.tracing.max_depth < 0 || graph.tracing.max_depth >= 3;
-    query.resting = tangents.camera_moves() || (deeper && attached.reach > 0);
+    query.resting = tangents.camera_moves() || (deeper && attached.any_slides());
     SeamSet found = find_seams(scene.shapes, query);
     seams = std::move(found.seams);
     all_seams = found.complete;
@@ -210,7 +211,8 @@ void BoundaryScene::far_velocity(std::uint32_t shape, std::uint32_t primitive, s
                                  Velocities out) const {
     shape_velocity(shape, primitive, p, out);
     const Vec d = p - from;
-    const double r = length(d), share = has_delta_lobe(scene.materials[material].model.kind) ? 1 : attached.share(r);
+    const double r = length(d),
+                 share = has_delta_lobe(scene.materials[material].model.kind) ? 1 : attached.share(shape, r);
     if (share == 0) return;
     const Vec u = d / r;
     const double cosine = dot(ng, u);

@@ -104,6 +104,8 @@ class BoundaryScene {
     std::vector<std::vector<double>> shape_speed;  // [shape, parameter] largest, m per unit
     EdgeTree all_edges, moving_edges;              // of all shapes, and of those that move
     Attached attached;
+    /// A vertex near a shadow point would make light per distance squared without bound, m.
+    double joined_beyond = 0;
     std::vector<std::uint32_t> creases;  // of all_edges; empty where all vertices stay on their surfaces
     /// Lines where surfaces cut each other: first those of surfaces that move relative to each other, then, where points
     /// slide over surfaces or the camera moves, the others.
@@ -230,13 +232,19 @@ void sample_in_chunks(const BoundaryScene& s, std::uint64_t n, std::uint64_t chu
 ///          share      probability of each path to be sampled, at most 1
 Effort add_primary(const BoundaryScene& s, std::uint64_t n_samples, std::vector<BoundaryRows>& rows,
                    std::span<std::uint64_t> samples, app::Report& report);
-/// in:      at_first  by emitter: whether first hits sample it; deeper: whether deeper vertices do
-Effort add_vertex_light(const BoundaryScene& s, double share, const std::vector<char>& at_first, bool deeper,
+/// Vertices by what leads to them: the camera; a lobe with a width, from nearer or farther than
+/// BoundaryScene::joined_beyond; or a delta lobe (or the camera through a mask).
+namespace reached_by {
+inline constexpr char camera = 1, near = 2, far = 4, delta = 8, any = 15;
+}
+/// in:      sampled_at  by emitter: the vertices (reached_by) that sample it
+Effort add_vertex_light(const BoundaryScene& s, double share, const std::vector<char>& sampled_at,
                         std::vector<BoundaryRows>& rows, std::span<std::uint64_t> samples, app::Report& report);
 /// in:      wanted  by emitter
 Effort add_edge_light(const BoundaryScene& s, std::uint64_t n_samples, const std::vector<char>& wanted,
                       std::vector<BoundaryRows>& rows, std::span<std::uint64_t> samples, app::Report& report);
-/// Shadows of lights at points beyond those that vertices of paths see.
+/// Shadows of lights at points that vertices of paths see by lobes with a width: of those with area,
+/// BoundaryScene::joined_beyond away and more.
 /// in:      wanted  by emitter
 Effort add_joined_light(const BoundaryScene& s, double share, const std::vector<char>& wanted,
                         std::vector<BoundaryRows>& rows, std::span<std::uint64_t> samples, app::Report& report);

@@ -1,5 +1,5 @@
 // Families 2 and 4: from a point of an emitter, the silhouettes seen from there; behind each the surface on which the
-// shadow moves, as the camera sees it (2), or as a stored vertex does (4).
+// shadow moves, as the camera sees it (2), or as a stored vertex does by its lobes with a width (4).
 //   integral of W f_cos Le swept cos_y / (r_y^2 cos_x) over edges and the emitter, r_y = |x_B y|,
 // cos_x geometric. The importance W per area of the surface is h(film) scale cos_cam for the camera, and
 // beta f_cos cos / r^2 for a stored vertex at distance r.
@@ -140,6 +140,7 @@ class Joined {
     Joined(const BoundaryScene& s, double share, const std::vector<double>& weights)
         : s_(s),
           share_(share),
+          light_points_(std::max(2, int(std::lround(most_light_points * std::sqrt(share))))),
           points_(s, weights),
           pool_(s.n()),
           walker_(s.graph, s.scene, s.tangents, s.attached),
@@ -147,7 +148,7 @@ class Joined {
           rates_(s.n()),
           far_speed_(s.surface_speed) {
         // A vertex that keeps its direction slides where the one before it moves, as first hits do with the camera.
-        if (s.attached.reach > 0) far_speed_ = s.film_speed;
+        if (s.attached.any_slides()) far_speed_ = s.film_speed;
     }
 
     std::uint64_t n_rays = 0, n_samples = 0, n_walked = 0;
@@ -174,16 +175,16 @@ class Joined {
     }
 
   private:
-    static constexpr int light_points = 32;  // of a pool
+    static constexpr int most_light_points = 32;  // of a pool
 
     void fill_pool(std::uint64_t begin) {
         pool_.clear();
         const bool all = s_.tangents.any_shape_moves() || points_.emitters_move() ||
-                         (s_.tangents.camera_moves() && s_.attached.reach > 0);
+                         (s_.tangents.camera_moves() && s_.attached.any_slides());
         double slide = 0;
         for (const double v : far_speed_) slide += v;
-        for (int k = 0; k < light_points; ++k)
-            points_.sample(s_.sampler(8, begin * light_points + std::uint64_t(k)), far_speed_, all,
+        for (int k = 0; k < light_points_; ++k)
+            points_.sample(s_.sampler(8, begin * most_light_points + std::uint64_t(k)), far_speed_, all,
                            [&](const ShadowPoint& p) {
                                s_.shape_velocity(p.at.shape_idx, p.at.primitive_idx, Pt(p.at.p), velocity_);
                                p.rates(velocity_, rates_);
@@ -204,6 +205,8 @@ class Joined {
         const Vec d = Pt(found->at.p) - Pt(at.p);
         const double r2 = length2(d), r = std::sqrt(r2);
         if (!(r > 0)) return;
+        const bool area = scene.emitters[found->emitter_idx].kind == EmitterKind::area;
+        if (area && r < s_.joined_beyond) return;
         const Vector3f wi(d / r);
         const Spectrum f_here = f_cos_pdf(at, wi).f_cos;
         if (is_black(f_here)) return;
@@ -219,7 +222,7 @@ class Joined {
         ++n_rays;
         if (scene.occluded(spawn_segment(RayEnd{at.p, at.ng, hit_error}, there.end()))) return;
         const Rgb<double> value = x.beta * Rgb<double>(f_here) * Rgb<double>(f_there) * found->light *
-                                  Rgb<double>(cos_there / (r2 * probability * share_ * light_points *
+                                  Rgb<double>(cos_there / (r2 * probability * share_ * light_points_ *
                                                            double(s_.graph.tracing.samples_per_pixel)));
         const double eta = index_towards(arriving_index(s_.graph, x.vertex), at, wi),
                      opl = found->infinite ? -1 : x.opl + eta * r + index_towards(eta, there, to_light) * found->r;
@@ -228,6 +231,7 @@ class Joined {
 
     const BoundaryScene& s_;
     double share_;
+    int light_points_;  // of a pool: few where few paths share it
     ShadowPoints points_;
     Pool pool_;
     InteriorWalker walker_;

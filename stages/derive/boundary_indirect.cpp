@@ -147,8 +147,8 @@ class Sampling {
         };
         // Rays cross the creases of what moves, and attached to surfaces, what lies behind an edge may move although
         // neither the edge nor the vertex does.
-        const bool ends_move = moving(x.velocity) || moving(x.turn), slide = s_.attached.reach > 0;
-        const bool all = !std::isinf(s_.attached.reach) || !s_.creases.empty() || ends_move;
+        const bool ends_move = moving(x.velocity) || moving(x.turn), slide = s_.attached.any_slides();
+        const bool all = !s_.attached.all_to_rays() || !s_.creases.empty() || ends_move;
         static const EdgeTree no_edges;
         bool any = outline_.collect(shaft, p.x_s, false, x.velocity, far_speed_, seams_alone ? no_edges : s_.edges(all),
                                     all, 1, sampler.pair(2).y);

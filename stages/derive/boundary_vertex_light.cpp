@@ -68,28 +68,36 @@ class Sampling {
     std::uint64_t n_rays = 0, n_samples = 0, n_walked = 0;
     std::uint64_t n_listed() const { return outline_.n_found(); }
 
-    void sample_path(std::size_t path, double share, const std::vector<char>& at_first, bool deeper,
-                     BoundaryRows& rows) {
+    void sample_path(std::size_t path, double share, const std::vector<char>& sampled_at, BoundaryRows& rows) {
         const std::uint64_t seed = streams::family(s_.seed, 1);
         if (!(streams::selection(seed, path) < share)) return;
+        char reached = reached_by::camera;
+        Pt before;
         walker_.walk_vertices(path, [&](const VertexState& x) {
             ++n_walked;
-            if (!deeper && x.vertex != s_.graph.paths.first_vertex[path]) return;
+            const Pt p(x.at->p);
+            char here = reached;
+            if (here == reached_by::far && length(p - before) < s_.joined_beyond) here = reached_by::near;
+            const Lobe lobe = Lobe(s_.graph.vertices.lobe[x.vertex]);
+            if (lobe != Lobe::null)
+                reached = is_delta(lobe) ? reached_by::delta : reached_by::far, before = p;
+            else if (here == reached_by::camera)
+                reached = reached_by::delta;
             if (!(s_.graph.vertices.flags[x.vertex] & vertex_flag::attempted_nee)) return;
             const Sampler sampler(SamplerKind::independent, seed, x.vertex, 0);
             ++n_samples;
-            sample_vertex(x, path, share, at_first, sampler, sampler.pair(0).x, rows);
+            sample_vertex(x, path, share, here, sampled_at, sampler, rows);
         });
     }
 
   private:
-    void sample_vertex(const VertexState& x, std::size_t path, double share, const std::vector<char>& at_first,
-                       const Sampler& sampler, float u_emitter, BoundaryRows& rows) {
+    void sample_vertex(const VertexState& x, std::size_t path, double share, char reached,
+                       const std::vector<char>& sampled_at, const Sampler& sampler, BoundaryRows& rows) {
         const Scene& scene = s_.scene;
+        float u_emitter = sampler.pair(0).x;
         const std::size_t emitter_idx = scene.emitter_pmf.sample(u_emitter);
         const Emitter& e = scene.emitters[emitter_idx];
-        if (e.kind != EmitterKind::area) return;
-        if (!at_first[emitter_idx] && x.vertex == s_.graph.paths.first_vertex[path]) return;
+        if (e.kind != EmitterKind::area || !(sampled_at[emitter_idx] & reached)) return;
         const LightPiece piece = choose_piece(scene, e, u_emitter);
         const ShadingPoint& at = *x.at;
         if (piece.n_corners > 0 && !(dot(piece.n, at.p - piece.corners[0]) > 0)) return;
@@ -212,13 +220,13 @@ class Sampling {
 
 }  // namespace
 
-Effort add_vertex_light(const BoundaryScene& s, double share, const std::vector<char>& at_first, bool deeper,
+Effort add_vertex_light(const BoundaryScene& s, double share, const std::vector<char>& sampled_at,
                         std::vector<BoundaryRows>& rows, std::span<std::uint64_t> samples, app::Report& report) {
     tbb::enumerable_thread_specific<Sampling> workers([&] { return Sampling(s); });
     sample_in_chunks(s, s.graph.n_paths(), 4096, "edges in front of emitters", workers, rows, report,
                      [&](Sampling& worker, BoundaryRows& out, std::uint64_t begin, std::uint64_t end) {
                          for (std::size_t path = begin; path < end; ++path)
-                             worker.sample_path(path, std::min(share, 1.0), at_first, deeper, out);
+                             worker.sample_path(path, std::min(share, 1.0), sampled_at, out);
                      });
     Effort effort;
     std::uint64_t n_walked = 0, n_listed = 0;

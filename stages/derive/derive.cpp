@@ -191,7 +191,7 @@ std::string borders_not_sampled(const Scene& scene, const SceneTangents& tangent
     if (!parts.primary && !parts.indirect) return text;
     // First hits slide over what moves, and over all where the camera does; beyond, points slide unless they keep their
     // places.
-    const bool all_slide = tangents.camera_moves() || (beyond_first_hit && attached.reach > 0);
+    const bool all_slide = tangents.camera_moves() || (beyond_first_hit && attached.any_slides());
     bool textures = false;
     for (std::uint32_t k = 0; k < scene.shapes.size(); ++k) {
         const Shape& shape = scene.shapes[k];
@@ -220,11 +220,33 @@ bool emitter_is_cut(const Scene& scene, const SceneTangents& tangents) {
 
 }  // namespace
 
+namespace {
+
+/// Returns the size of the flat parts of a mesh, or of a sphere or disk, m: the mean over the surface of the root of
+/// twice a triangle's area.
+double size_of_facets(const Shape& shape) {
+    if (shape.kind != ShapeKind::mesh) return double(shape.round.radius);
+    double area = 0, sum = 0;
+    for (const TriangleRecord& t : shape.triangles) {
+        const double twice = length(cross(Vector3<double>(t.e1), Vector3<double>(t.e2)));
+        area += twice, sum += twice * std::sqrt(twice);
+    }
+    return area > 0 ? sum / area : 0;
+}
+
+}  // namespace
+
 Attached attached_of(const Scene& scene, Attachment attachment) {
-    // A share of the scene's size: surfaces that meet are nearer than that, most others farther.
-    constexpr double share_of_radius = 0.3;
-    if (scene.nlos || attachment == Attachment::surface) return {0};
-    return {attachment == Attachment::ray ? double(INFINITY) : share_of_radius * double(scene.radius)};
+    if (scene.nlos || attachment == Attachment::surface) return {};
+    if (attachment == Attachment::ray) return {std::vector<double>(scene.shapes.size(), INFINITY)};
+    // Surfaces that meet are nearer than this share of the scene's size, most others farther. Points that slide farther
+    // than a facet cross creases, and each makes noise.
+    constexpr double share_of_radius = 0.3, share_of_facet = 0.1;
+    Attached attached;
+    for (const Shape& shape : scene.shapes)
+        attached.reach.push_back(
+            std::min(share_of_radius * double(scene.radius), share_of_facet * size_of_facets(shape)));
+    return attached;
 }
 
 Parts required_parts(const Scene& scene, const PathGraph& graph, const SceneTangents& tangents,

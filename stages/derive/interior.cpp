@@ -177,11 +177,12 @@ class Walk {
     /// out:     motion  of the sliding point: normals and the growth of its area included
     void slide(const Start& a, const Segment& to, const SurfacePlace& place, PointMotion<n>& motion,
                Vertex* arrival) const {
-        const double share = a.by_ray ? 1 : s_.attached.share(to.r);
+        const double share = a.by_ray ? 1 : s_.attached.share(place.shape_idx, to.r);
         if (share == 0) return;
         const Vertex& from = *a.from;
         const bool varies = s_.shape_varies[place.shape_idx];
-        const double inv_cosine = 1 / loom::dot(place.ng, to.u), slope = a.by_ray ? 0 : s_.attached.slope(to.r);
+        const double inv_cosine = 1 / loom::dot(place.ng, to.u),
+                     slope = a.by_ray ? 0 : s_.attached.slope(place.shape_idx, to.r);
         Numbers tilt;
         if (!a.by_ray) s_.motions.add_tilt(place, to.d, tilt);
         for (int p = 0; p < n; ++p) {
@@ -892,7 +893,8 @@ std::string missing_columns(const PathGraph& graph, const Scene& scene, const Sc
             !tangents.vertices[s].empty() || (scene.shapes[s].kind == ShapeKind::mesh &&
                                               (tangents.camera_moves() || tangents.moves(s)) && motions.varies(s));
     // Behind mirrors and glass all vertices slide when one of them moves.
-    if ((attached.reach > 0 || scene.features.delta_lobes) && (tangents.any_shape_moves() || tangents.camera_moves()))
+    if ((attached.any_slides() || scene.features.delta_lobes) &&
+        (tangents.any_shape_moves() || tangents.camera_moves()))
         for (std::uint32_t s = 0; s < scene.shapes.size(); ++s)
             primitives |= scene.shapes[s].kind == ShapeKind::mesh && motions.varies(s);
     for (const auto& effects : tangents.materials)

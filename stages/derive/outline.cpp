@@ -35,14 +35,37 @@ void Outline::look(OutlinePoint& point) const {
     point.omega = d / point.r;
 }
 
-double Outline::importance(const Pt& x, const Vec& out) const {
+double Outline::Arc::at(double t) const {
+    const double x = 2 * t;
+    return x < 1 ? importance[0] + x * (importance[1] - importance[0])
+                 : importance[1] + (x - 1) * (importance[2] - importance[1]);
+}
+
+double Outline::Arc::sample(double u) const {
+    // The integral of the first half, then of the second.
+    const double first = 0.25 * (importance[0] + importance[1]), target = u * mean();
+    const bool second = target >= first;
+    const double begin = importance[second ? 1 : 0], end = importance[second ? 2 : 1];
+    const double area = 2 * (second ? target - first : target), slope = end - begin;
+    // begin x + slope x^2 / 2 = area, by the root that does not cancel.
+    const double root = std::sqrt(std::max(sqr(begin) + 2 * slope * area, 0.0));
+    const double x = begin + root > 0 ? 2 * area / (begin + root) : 0;
+    return std::min(0.5 * ((second ? 1 : 0) + std::min(x, 1.0)), 1.0);
+}
+
+double Outline::speed_along(const Vec& out) const {
     double sum = 0;
     for (std::size_t p = 0; p < velocity_.size(); ++p) {
         // A part of the speeds covers edges that move along themselves.
         sum += std::abs(dot(out, velocity_[p] - v_eye_[p])) +
                0.05 * length(out) * (length(velocity_[p]) + length(v_eye_[p]) + 1e-9);
     }
-    return at_infinity_ ? sum : sum / length(x - eye_);
+    return sum;
+}
+
+double Outline::importance(const Pt& x, const Vec& out) const {
+    const double speed = speed_along(out);
+    return at_infinity_ ? speed : speed / length(x - eye_);
 }
 
 void Outline::combine_weights(std::span<const double> far_speed) {
@@ -54,6 +77,7 @@ void Outline::combine_weights(std::span<const double> far_speed) {
     for (const double w : known_) known += w;
     for (const double w : extent_) extent += w;
     cumulative_.clear();
+    total_known_ = known;
     double total = 0;
     for (std::size_t i = 0; i < known_.size(); ++i) {
         if (known > 0) total += known_[i] / known;
@@ -75,8 +99,8 @@ bool Outline::collect(const Shaft& shaft, const Pt& eye, bool at_infinity, Const
     // Of many edges a random part: fewer blocks cost less time and more variance, with a flat optimum. In the shaft of a
     // light there are mostly few, and what lies behind them is the light.
     const bool to_light = shaft.planes().size() > 1;
-    const std::size_t n_blocks = 64 * std::size_t(n_points), most_visits = (to_light ? 64 : 4) * n_blocks;
-    const bool try_all = tree.n_edges() <= 4 * n_blocks || to_light;
+    const std::size_t n_blocks = 16 * std::size_t(n_points), most_visits = (to_light ? 256 : 16) * n_blocks;
+    const bool try_all = tree.n_edges() <= 8 * n_blocks || to_light;
     std::size_t n_visited = try_all ? tree.collect(shaft, segments_, most_visits) : 0;
     if (!try_all || n_visited > most_visits) {
         double end_speed = 0;
@@ -194,7 +218,7 @@ void Outline::add_seam(std::size_t seam_idx, const EdgeInterval& inside, double 
         for (const Vec& of_face : {velocity_[p], v_face_[p]}) speed += std::abs(dot(point.out, v - of_face)) / point.r;
         velocity_[p] = v;
     }
-    if (s_.attached.reach > 0) speed += importance(point.p, point.out);
+    if (s_.attached.any_slides()) speed += importance(point.p, point.out);
     const double extent = arc.height > 0 ? arc.end - arc.begin : 0;
     const double sine = std::max(length(point.out), 1e-6);
     seams_.push_back({inside, seam_idx, share});
@@ -207,18 +231,33 @@ void Outline::add_segment(const EdgeSegment& segment) {
     OutlinePoint point;
     const Edge& edge = tree_->edge(segment.edge_idx);
     const double len = edge.length();
-    const Arc arc = arc_between(Pt(edge.a), Pt(edge.b), segment.s0 * len, segment.s1 * len);
-    const double middle = 0.5 * (segment.s0 + segment.s1);
-    point.p = edge.point(middle);
-    look(point);
+    Arc arc = arc_between(Pt(edge.a), Pt(edge.b), segment.s0 * len, segment.s1 * len);
+    const double extent = arc.height > 0 ? arc.end - arc.begin : 0;
+    const auto place_at = [&](double t) {
+        const double s = std::clamp(along_arc(arc, t) / len, double(segment.s0), double(segment.s1));
+        point.p = edge.point(s);
+        look(point);
+        return s;
+    };
+    const double middle = place_at(0.5), r = point.r;
     point.out = outward(edge, point.omega);
     s_.edge_velocity(tree_->set(), edge, middle, velocity_);
-    const double extent = arc.height > 0 ? arc.end - arc.begin : 0;
-    // Light per angle falls with the distance; the sine of the edge's slant is in the angle.
-    const double sine = std::max(length(point.out), 1e-6);
+    // Light per angle falls with the distance; the sine of the edge's slant is in the angle. The normal of the plane
+    // through eye and edge is the same along it.
+    const Vec n = point.out / std::max(length(point.out), 1e-6);
+    double speed = speed_along(n);
+    arc.importance[1] = speed / r;
+    for (const std::size_t end : {0, 2}) {
+        const double s = place_at(0.5 * double(end));
+        if (!s_.motions.only_translates(edge.shape_idx)) {
+            s_.edge_velocity(tree_->set(), edge, s, velocity_);
+            speed = speed_along(n);
+        }
+        arc.importance[end] = speed / point.r;
+    }
     arcs_.push_back(arc);
-    known_.push_back(extent * importance(point.p, point.out) / (sine * double(segment.share)));
-    extent_.push_back((at_infinity_ ? extent : extent / point.r) / double(segment.share));
+    known_.push_back(extent * arc.mean() / double(segment.share));
+    extent_.push_back((at_infinity_ ? extent : extent / r) / double(segment.share));
 }
 
 bool Outline::place_on_edge(std::size_t i, double t, OutlinePoint& point) {
@@ -282,15 +321,19 @@ bool Outline::sample(Point2f u, OutlinePoint& point) {
     const std::size_t i =
         std::min(std::size_t(std::upper_bound(cumulative_.begin(), cumulative_.end(), target) - cumulative_.begin()),
                  cumulative_.size() - 1);
-    const double weight = cumulative_[i] - (i > 0 ? cumulative_[i - 1] : 0);
+    const double before = i > 0 ? cumulative_[i - 1] : 0, weight = cumulative_[i] - before;
     if (!(weight > 0)) return false;
     const bool is_round = i >= segments_.size() && i < first_crease_;
-    const double t = double(u.y);
+    const Arc& arc = arcs_[i];
+    // Of the weight one part is by importance along the arc, the rest by angle.
+    const double by_importance = total_known_ > 0 ? std::min(known_[i] / total_known_, weight) : 0;
+    const double t = target - before < by_importance ? arc.sample(double(u.y)) : double(u.y);
     if (!(is_round           ? place_on_round(i, t, point)
           : i >= first_seam_ ? place_on_seam(i, t, point)
                              : place_on_edge(i, t, point)))
         return false;
-    point.density *= weight / total;
+    const double uneven = by_importance > 0 ? by_importance * arc.at(t) / arc.mean() : 0;
+    point.density *= (uneven + weight - by_importance) / total;
     return length2(point.out) > 0;
 }
 

@@ -1,6 +1,7 @@
 #pragma once
 // The silhouettes seen from one point, and a point drawn from them.
 
+#include <array>
 #include <span>
 #include <vector>
 
@@ -61,7 +62,16 @@ class Outline {
         double begin, end;  // angle of a straight edge about the foot of the eye; phi of a round
         double height;      // distance of the eye from the edge's line
         double foot;        // position of the foot along the edge from its first end, m
+        /// Importance at begin, middle and end, linear between them: the speed of an edge that turns has a zero somewhere.
+        std::array<double, 3> importance = {1, 1, 1};
+
+        /// The integral of the importance over the share t, in [0, 1], of the arc.
+        double mean() const { return 0.25 * importance[0] + 0.5 * importance[1] + 0.25 * importance[2]; }
+        double at(double t) const;
+        double sample(double u) const;
     };
+    /// Sum over the parameters of the speed along `out`, with a part of the speeds across it.
+    double speed_along(const Vector3<double>& out) const;
     double importance(const Point3<double>& x, const Vector3<double>& out) const;
     void combine_weights(std::span<const double> far_speed);
     Arc arc_between(const Point3<double>& a, const Point3<double>& b, double begin, double end) const;
@@ -95,7 +105,8 @@ class Outline {
     std::vector<Vector3<double>> v_face_;
     std::vector<Arc> arcs_;               // [segment, round, crease, seam]
     std::vector<double> known_, extent_;  // weights by the velocities of edge and eye, and by angle alone
-    std::vector<double> cumulative_;      // of the weights
+    double total_known_ = 0;
+    std::vector<double> cumulative_;  // of the weights
 };
 
 }  // namespace loom::derive

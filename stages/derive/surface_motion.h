@@ -1,7 +1,9 @@
 #pragma once
 // Motion of a stored vertex with each parameter: as a material point of its shape, and as a point that slides over it.
 
+#include <algorithm>
 #include <array>
+#include <cmath>
 #include <span>
 #include <vector>
 
@@ -89,11 +91,21 @@ inline bool has_delta_lobe(BsdfKind kind) {
 /// bound where surfaces meet; far from it the place, or it slides far at grazing angles.
 ///   v = V + w(r) (v_ray - V),  w = 1 / (1 + (r / reach)^2)
 struct Attached {
-    double reach = 0;  // m; 0: all to the surface, infinite: all to the ray
+    std::vector<double> reach;  // [shape], m; 0: all to the surface, infinite: all to the ray. Empty: 0 for all
 
-    double share(double r) const { return reach == 0 ? 0 : 1 / (1 + sqr(r / reach)); }
+    double share(std::uint32_t shape, double r) const { return slides(shape) ? 1 / (1 + sqr(r / reach[shape])) : 0; }
     /// dw/dr
-    double slope(double r) const { return reach == 0 ? 0 : -2 * r / sqr(reach) * sqr(share(r)); }
+    double slope(std::uint32_t shape, double r) const {
+        return slides(shape) ? -2 * r / sqr(reach[shape]) * sqr(share(shape, r)) : 0;
+    }
+    bool slides(std::uint32_t shape) const { return !reach.empty() && reach[shape] > 0; }
+    /// Whether points of any surface keep more than their places, and whether of all they keep their directions alone.
+    bool any_slides() const {
+        return std::any_of(reach.begin(), reach.end(), [](double r) { return r > 0; });
+    }
+    bool all_to_rays() const {
+        return !reach.empty() && std::all_of(reach.begin(), reach.end(), [](double r) { return std::isinf(r); });
+    }
 };
 
 /// Evaluates motions of points of a scene. Borrows both arguments.

@@ -165,8 +165,8 @@ struct ByFamily {
             const derive::BoundaryScene boundary(graph, *scene.scene, scene.tangents, options);
             std::vector<derive::BoundaryRows> rows[3];
             std::vector<std::uint64_t> samples(n_boundary_families);
-            const std::vector<char> all(scene.scene->emitters.size(), 1);
-            derive::add_vertex_light(boundary, 1, all, true, rows[1], samples, report);
+            const std::vector<char> all(scene.scene->emitters.size(), derive::reached_by::any);
+            derive::add_vertex_light(boundary, 1, all, rows[1], samples, report);
             derive::add_edge_light(boundary, n_light_points, all, rows[2], samples, report);
             for (std::size_t axis = 0; axis < 3; ++axis) {
                 const DerivedBins bins = bins_of(graph, &interior, one_bin(), axis);

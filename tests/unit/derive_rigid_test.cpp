@@ -113,7 +113,8 @@ TEST(DeriveRigid, LightStaysWhenEverythingMovesAsOne) {
             EXPECT_LE(light.first, rounding * (size(L) + light.others)) << row.row;
             EXPECT_LE(length.first, rounding * ((std::isfinite(opl) ? opl : 0) + length.others)) << row.row;
         };
-        for (const double reach : {0.0, 0.5, double(INFINITY)}) each_row(g, *c.scene, t, check, check, {reach});
+        for (const double reach : {0.0, 0.5, double(INFINITY)})
+            each_row(g, *c.scene, t, check, check, {std::vector<double>(c.scene->shapes.size(), reach)});
         // Lights alone at infinity, and walls that fill the view, move nothing.
         EXPECT_GT(n_rows, 1200u);
         if (c.name != "mirror-corridor.xml" && c.name != "slab.xml") {

@@ -468,9 +468,9 @@ TEST(Reverse, BoundaryRowsAreContractedAsTheyAreMade) {
         const BoundaryScene s(c.graph, *c.scene, *c.tangents, options);
         std::vector<BoundaryRows> rows;
         std::vector<std::uint64_t> samples(n_boundary_families);
-        const std::vector<char> all(c.scene->emitters.size(), 1);
+        const std::vector<char> all(c.scene->emitters.size(), reached_by::any);
         if (family == BoundaryFamily::primary) add_primary(s, 4000, rows, samples, report);
-        if (family == BoundaryFamily::vertex_light) add_vertex_light(s, 1, all, true, rows, samples, report);
+        if (family == BoundaryFamily::vertex_light) add_vertex_light(s, 1, all, rows, samples, report);
         if (family == BoundaryFamily::edge_light) add_edge_light(s, 1000, all, rows, samples, report);
         if (family == BoundaryFamily::indirect) add_indirect(s, 0.5, true, true, rows, samples, report);
         if (family == BoundaryFamily::joined_light) add_joined_light(s, 1, all, rows, samples, report);
