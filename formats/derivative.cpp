@@ -39,6 +39,22 @@ std::string bad_pixel(const PathGraph& graph, const Derivative& derivative) {
     return {};
 }
 
+/// Points of lights must replace edges to finite lights at the first vertices of paths.
+std::string bad_light_point(const PathGraph& graph, const Derivative& derivative) {
+    const auto& first = graph.paths.first_vertex;
+    auto path = first.begin();
+    for (const std::uint32_t edge : derivative.light_points.edge) {
+        const std::uint32_t vertex = graph.light_edges.vertex[edge];
+        path = std::lower_bound(path, first.end(), vertex);
+        if (path == first.end() || *path != vertex)
+            return fmt::format("light_points/edge: edge {} is of vertex {}, which is the first of no path", edge,
+                               vertex);
+        if (graph.light_edges.y[4 * std::size_t(edge) + 3] == 0)
+            return fmt::format("light_points/edge: edge {} leads to infinity", edge);
+    }
+    return {};
+}
+
 /// Returns the first violated invariant of temporal rows; empty: none.
 std::string temporal_problem(const Derivative& d) {
     const auto& bins = d.temporal_bins;
@@ -48,6 +64,7 @@ std::string temporal_problem(const Derivative& d) {
     if (bins.n.size() != 1 || bins.start_opl.size() != 1 || bins.width_opl.size() != 1 ||
         bins.camera_segment.size() != 1)
         return "temporal: start_opl, width_opl, n and camera_segment have one row each";
+    if (!d.light_points.edge.empty()) return "temporal: rows beside light_points";
     if (!(bins.width_opl[0] > 0)) return fmt::format("temporal/width_opl: is {}, expected > 0", bins.width_opl[0]);
     if (bins.n[0] == 0 || bins.n[0] > max_temporal_bins)
         return fmt::format("temporal/n: is {}, expected 1 to {}", bins.n[0], max_temporal_bins);
@@ -68,6 +85,25 @@ std::string temporal_problem(const Derivative& d) {
             return fmt::format("temporal/border: row {} is {}, but there are {} bins", i, t.border[i], bins.n[0]);
         if (i > 0 && std::pair(t.pixel[i], t.border[i]) <= std::pair(t.pixel[i - 1], t.border[i - 1]))
             return fmt::format("temporal/pixel, border: row {} is not after the row before", i);
+    }
+    return {};
+}
+
+/// Returns the first violated invariant of the points of lights; empty: none.
+std::string light_points_problem(const Derivative& d) {
+    const auto& l = d.light_points;
+    if (l.to_light.size() != l.edge.size() || l.L.size() != 3 * l.edge.size() ||
+        l.dL.size() != 3 * d.n_parameters() * l.edge.size() || l.dopl.size() != d.n_parameters() * l.edge.size())
+        return "light_points: edge, to_light, L, dL and dopl have different numbers of rows";
+    std::size_t row = 0;
+    for (std::size_t i = 0; i < l.edge.size(); ++i) {
+        if (l.edge[i] >= d.n_light_edges || (i > 0 && l.edge[i] < l.edge[i - 1]))
+            return fmt::format("light_points/edge: row {} is {}, decreasing or not below {}", i, l.edge[i],
+                               d.n_light_edges);
+        if (!(l.to_light[i] >= 0)) return fmt::format("light_points/to_light: row {} is {}", i, l.to_light[i]);
+        while (row < d.interior.edge.size() && d.interior.edge[row] < l.edge[i]) ++row;
+        if (row < d.interior.edge.size() && d.interior.edge[row] == l.edge[i])
+            return fmt::format("light_points/edge: row {} is {}, which is in interior/edge, too", i, l.edge[i]);
     }
     return {};
 }
@@ -119,11 +155,13 @@ std::string Derivative::problem() const {
             return fmt::format("boundary/sample: row {} is {}, but family {} has {}", i, boundary.sample[i], family,
                                end);
     }
+    if (std::string bad = light_points_problem(*this); !bad.empty()) return bad;
     return temporal_problem(*this);
 }
 
 void write_derivative(const Derivative& derivative, const std::filesystem::path& path, Sync sync) {
-    write_format(derivative, path, sync);
+    write_format(derivative, path, sync,
+                 derivative.light_points.edge.empty() ? Derivative::format_of_most : Derivative::format);
 }
 
 Derivative read_derivative(const std::filesystem::path& path) {
@@ -138,8 +176,9 @@ void require_derivative_of(const PathGraph& graph, const InputId& graph_id, cons
         if (!moved.empty() && moved[moved.size() - 1] >= graph.n_pixels())
             throw InputError(fmt::format("{}: temporal/pixel goes to {}, but the graph has {} pixels",
                                          derivative_path.native(), moved[moved.size() - 1], graph.n_pixels()));
-        if (const std::string bad = bad_pixel(graph, derivative); !bad.empty())
-            throw InputError(fmt::format("{}: {}", derivative_path.native(), bad));
+        for (const auto& check : {bad_pixel, bad_light_point})
+            if (const std::string bad = check(graph, derivative); !bad.empty())
+                throw InputError(fmt::format("{}: {}", derivative_path.native(), bad));
         return;
     }
     const std::string made_from =

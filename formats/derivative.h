@@ -63,12 +63,19 @@ struct DerivativeHeader {
 
 template <template <class> class ColumnOf>
 struct DerivativeOf : DerivativeHeader {
-    static constexpr FormatId format{"derivative", 1, 1};
+    static constexpr FormatId format{"derivative", 2, 0, 1};
+    static constexpr FormatId format_of_most{"derivative", 1, 1};  // without light_points
 
     struct Interior {
         ColumnOf<std::uint32_t> edge;
         ColumnOf<float> dL, dopl;
     } interior;
+
+    /// Points of lights that are seen wholly, in place of a stored light edge.
+    struct LightPoints {
+        ColumnOf<std::uint32_t> edge;
+        ColumnOf<float> to_light, L, dL, dopl;
+    } light_points;
 
     struct Seen {
         ColumnOf<std::uint32_t> path;
@@ -126,13 +133,30 @@ void DerivativeOf<ColumnOf>::fields(Self& d, Visitor& v) {
     const std::size_t n = d.n_parameters();
     constexpr std::string_view unit = "W m^-2 sr^-1 per parameters/unit";
     auto& i = d.interior;
-    v.field("interior/edge", i.edge, 1, "row", "1",
-            "row of light_edges of the graph, increasing; edges without a row have derivative 0");
+    v.field(
+        "interior/edge", i.edge, 1, "row", "1",
+        "row of light_edges of the graph, increasing; edges without a row here and in light_points have derivative 0");
     v.grid("interior/dL", i.dL, {n, 3}, "row,parameter,rgb", unit,
            "derivative of the light that this edge brings to the pixel, of one path (not divided by the samples)",
            Finite::counted);
     v.grid("interior/dopl", i.dopl, {n}, "row,parameter", "m per parameters/unit",
            "derivative of the optical path length from the camera; 0 for lights at infinity", Finite::counted);
+
+    auto& l = d.light_points;
+    v.optional(
+        "light_points/edge", l.edge, 1, "point", "1",
+        "row of light_edges of the graph, of the first vertex of a path and none of interior/edge, not decreasing: the "
+        "derivative of this edge is the sum over its points, each with its own light and length");
+    v.optional("light_points/to_light", l.to_light, 1, "point", "m",
+               "optical path length from the vertex to the point of the light");
+    v.optional_grid(
+        "light_points/L", l.L, {3}, "point,rgb", "W m^-2 sr^-1",
+        "light that this point brings to the pixel, of one path; the points of an edge have the mean of its light",
+        Finite::counted);
+    v.optional_grid("light_points/dL", l.dL, {n, 3}, "point,parameter,rgb", unit, "derivative of light_points/L",
+                    Finite::counted);
+    v.optional_grid("light_points/dopl", l.dopl, {n}, "point,parameter", "m per parameters/unit",
+                    "derivative of the optical path length from the camera", Finite::counted);
 
     auto& s = d.seen;
     v.field(

@@ -3,7 +3,7 @@
 #   scenes/shadow-mover.xml   a slab, the light, the floor and the camera move
 #   scenes/tower.xml          a tower turns                                        [TR] Figures 4 and 5
 #   egg                       the right light and its case, in height, of [TR] Figures 4 and 5, where ../shared is;
-#                             not by default: loom-derive takes ten seconds for each run
+#                             not by default
 #
 #   error     MSE of the derivative over all pixels, bins and channels: noise and bias. The reference is the mean (a + b) / 2 of two
 #             long runs of loom-derive; its noise is taken out by (x - a)(x - b) = (x - (a + b) / 2)^2 - (a - b)^2 / 4
@@ -15,7 +15,8 @@
 #   p         of loom-compare: whether the mean of all differences at the smallest h agrees with the reference
 #
 # METHODS are auto (the default of loom-derive), or an option and its value: direct-lights, direct-vertices, attach-surface,
-# attach-ray; or widen-N: what moves between bins is averaged over N bins (loom-transient --widen), biased like a difference. Runs are timed one at a time, methods in turn. What is made stays: more METHODS, ROWS or REPLICATES add to it.
+# attach-ray, light-points-N; or widen-N: what moves between bins is averaged over N bins (loom-transient --widen), biased like a
+# difference. Runs are timed one at a time, methods in turn. What is made stays: more METHODS, ROWS or REPLICATES add to it.
 #
 #   make table-derive                              all rows but egg, about four minutes
 #   make table-derive ROWS=occluder_x METHODS="auto direct-lights direct-vertices"
@@ -48,8 +49,8 @@ OUT := $(OUT)
 egg := ../shared/scenes/egg/scene_v3.xml
 
 include pipelines/words.mk
-ifneq ($(shell printf '%s\n' $(METHODS) | grep -cvxE 'auto|(direct|attach)-[a-z]+|widen-[0-9]+(\.[0-9]+)?'),0)
-$(error METHODS=$(METHODS): each must be auto, direct-VALUE or attach-VALUE, as options of loom-derive, or widen-BINS)
+ifneq ($(shell printf '%s\n' $(METHODS) | grep -cvxE 'auto|(direct|attach)-[a-z]+|light-points-[0-9]+|widen-[0-9]+(\.[0-9]+)?'),0)
+$(error METHODS=$(METHODS): each must be auto, direct-VALUE, attach-VALUE or light-points-N, as options of loom-derive, or widen-BINS)
 endif
 
 # scenes|row|scene|parameter|its unit|values of h|length of a bin and of the pulse|further values
@@ -78,7 +79,7 @@ values = $(foreach v,resx=$(SIZE) resy=$(SIZE) bin_width=$(call field,7,$(1)) wi
 	$(if $(shell grep -o '<default name="$(firstword $(subst =, ,$(v)))"' $(call scene,$(1))),-D $(v)))
 trace = $(bin)/loom-trace --quiet --threads 1 $(call scene,$(1)) $(values.$(1)) --sampler independent --spp $(SPP) --seed $(2)
 bins = $(bin)/loom-transient --quiet --threads 1 --pulse box --pulse-length $(call field,7,$(1))
-option = $(if $(filter auto widen-%,$(1)),,--$(subst -, ,$(1)))
+option = $(if $(filter auto widen-%,$(1)),,$(if $(filter light-points-%,$(1)),--light-points $(1:light-points-%=%),--$(subst -, ,$(1))))
 # $(call widen,ROW,METHOD)
 widen = $(if $(filter widen-%,$(2)),--widen $(shell awk 'BEGIN {print $(call field,7,$(1)) * $(2:widen-%=%)}'))
 

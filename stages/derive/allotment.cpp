@@ -6,10 +6,7 @@
 #include <array>
 #include <functional>
 
-#include "stages/core/graph/own_samples.h"
-#include "stages/core/graph/time_of_flight.h"
-#include "stages/core/graph/time_response.h"
-#include "stages/derive/interior.h"
+#include "stages/derive/interior_pilot.h"
 
 namespace loom::derive {
 namespace {
@@ -17,75 +14,6 @@ namespace {
 using Rows = std::vector<BoundaryRows>;
 using Samples = std::span<std::uint64_t>;
 using ByParameter = std::vector<double>;
-
-/// Response of a film to a pulse as long as one of its bins; with one bin for all times where a film has none.
-TimeResponse response_of(const PathGraph& graph) {
-    TimeResponse response;
-    const auto& film = graph.transient;
-    if (film.n_bins.empty()) return response;
-    response.n_bins = film.n_bins[0];
-    response.start = film.start_opl[0];
-    response.width = response.gate = film.bin_width_opl[0];
-    response.pulse = Pulse::box(response.width);
-    return response;
-}
-
-/// Variance of the interior part, summed over pixels, bins and channels, for each parameter: of the paths of some
-/// pixels, whose light edges count as independent.
-ByParameter interior_variance(const BoundaryScene& s) {
-    const PathGraph& g = s.graph;
-    const std::uint64_t n_pixels = g.n_pixels(), spp = g.tracing.samples_per_pixel;
-    const std::uint64_t n_looked_at = std::min(n_pixels, std::clamp<std::uint64_t>(8192 / spp, 16, 1024));
-    const TimeResponse response = response_of(g);
-    const bool in_time = !g.transient.n_bins.empty();
-    const InteriorWalker walker(g, s.scene, s.tangents, s.attached);
-    const OpticalLengths lengths(g, Timing{});
-    struct Sums {
-        Rgb<double> sum, square;
-    };
-    std::vector<Sums> bins(response.n_bins * s.n());
-    std::vector<double> opl;
-    ByParameter variance(s.n());
-    for (std::uint64_t i = 0; i < n_looked_at; ++i) {
-        const std::uint64_t pixel = (2 * i + 1) * n_pixels / (2 * n_looked_at);
-        std::fill(bins.begin(), bins.end(), Sums{});
-        for (std::uint64_t sample = 0; sample < spp; ++sample) {
-            const std::size_t path = sample * n_pixels + pixel;
-            if (!walker.touches(path)) continue;
-            const std::size_t first = first_light_edge(g, g.paths.first_vertex[path]);
-            std::size_t edge = first;
-            opl.clear();
-            double seen_opl = INFINITY;
-            walk_edges_in_time(
-                s.reader, lengths, path, edge, [&](const Spectrum&, double t) { seen_opl = t; },
-                [&](std::size_t, const Spectrum&, double t) { opl.push_back(t); });
-            const auto add = [&](double t, const InteriorWalker::ExactRow& row) {
-                const auto add_bin = [&](std::uint32_t k, double weight, double slope) {
-                    for (std::size_t p = 0; p < s.n(); ++p) {
-                        const Rgb<double> x =
-                            row.dL[p] * Rgb<double>(weight) + row.L * Rgb<double>(slope * row.dopl[p]);
-                        Sums& bin = bins[k * s.n() + p];
-                        bin.sum += x;
-                        bin.square += x * x;
-                    }
-                };
-                if (!in_time)
-                    add_bin(0, 1, 0);
-                else if (std::isfinite(t))
-                    response.spread_with_slopes(t, add_bin);
-            };
-            edge = first;
-            walker.walk_exactly(
-                path, edge, [&](const InteriorWalker::ExactRow& row) { add(opl[row.row - first], row); },
-                [&](const InteriorWalker::ExactRow& row) { add(seen_opl, row); });
-        }
-        for (std::size_t k = 0; k < bins.size(); ++k)
-            for (int c = 0; c < 3; ++c)
-                variance[k % s.n()] += std::max(bins[k].square[c] - sqr(bins[k].sum[c]) / double(spp), 0.0);
-    }
-    for (double& v : variance) v *= double(n_pixels) / double(n_looked_at) / sqr(double(spp));
-    return variance;
-}
 
 /// Sum over all rows of the squares of their derivatives: the variance of their pixels, but for the square of the mean.
 /// A light in a pulse of one bin spreads over two, whose squares are 2/3 of the light's in the mean.
@@ -112,10 +40,7 @@ class Allotment {
     Allotment(BoundaryScene& s, const Parts& parts, app::Report& report)
         : s_(s), parts_(parts), report_(report), silent_(report.name()), n_paths_(double(s.graph.n_paths())) {
         silent_.set_quiet(true);
-        // Tracing a path and binning it costs about as much as this many rays.
-        // One that ends on an emitter has neither vertex nor light edge.
-        path_cost_ =
-            1.5 * std::max(1.0, double(s.graph.n_vertices() + s.graph.n_light_edges()) / std::max(n_paths_, 1.0));
+        path_cost_ = cost_of_path(s.graph);
         least_share_ = std::min(1.0, 256 / std::max(n_paths_, 1.0));
     }
 
@@ -234,7 +159,7 @@ class Allotment {
         const bool automatic = !s_.options.effort && !s_.options.adjoint;
         const double effort = s_.options.effort.value_or(default_effort);
         ByParameter interior(s_.n());
-        if (automatic && parts_.interior) interior = interior_variance(s_);
+        if (automatic && parts_.interior) interior = s_.options.interior_variance;
         variance_.assign(families_.size(), 0);
         double rest = 0;
         for (std::size_t p = 0; p < s_.n(); ++p) {

@@ -12,9 +12,10 @@
 #include "stages/core/compute/parallel.h"
 #include "stages/core/graph/graph_reader.h"
 #include "stages/core/graph/own_samples.h"
+#include "stages/core/sampling/streams.h"
 #include "stages/core/scene/build.h"
 #include "stages/derive/boundary.h"
-#include "stages/derive/interior.h"
+#include "stages/derive/interior_pilot.h"
 #include "stages/derive/reverse_boundary.h"
 #include "stages/derive/temporal.h"
 
@@ -33,11 +34,11 @@ struct InteriorRows {
     }
     /// Moves n rows to lower ones.
     void move(std::size_t from, std::size_t to, std::size_t n) {
-        if (from == to) return;
-        const auto shift = [&](auto& column, std::size_t width) {
-            std::copy_n(column.data() + width * from, width * n, column.data() + width * to);
-        };
-        shift(row, 1), shift(dL, 3 * n_parameters), shift(dopl, n_parameters);
+        shift(row, 1, from, to, n), shift(dL, 3 * n_parameters, from, to, n), shift(dopl, n_parameters, from, to, n);
+    }
+    template <class T>
+    static void shift(HugeArray<T>& column, std::size_t width, std::size_t from, std::size_t to, std::size_t n) {
+        if (from != to) std::copy_n(column.data() + width * from, width * n, column.data() + width * to);
     }
     template <class T>
     static Column<T> first(const HugeArray<T>& column, std::size_t n) {
@@ -46,19 +47,19 @@ struct InteriorRows {
 };
 
 void differentiate_interior(const PathGraph& graph, const Scene& scene, const SceneTangents& tangents,
-                            const Attached& attached, int threads, app::Report& report, Derivative& out,
-                            std::uint64_t& n_touched) {
+                            const Attached& attached, const WholeLightOptions& whole, int threads, app::Report& report,
+                            Derivative& out, std::uint64_t& n_touched) {
     constexpr std::uint64_t chunk = 4096;
     struct Rows {
         std::size_t edges = 0, paths = 0;  // touched: at most as many rows
         std::size_t first_edge = 0, first_path = 0;
-        std::size_t n_edges = 0, n_seen = 0;  // written
+        std::size_t n_edges = 0, n_seen = 0, n_points = 0;  // written
     };
     std::vector<Rows> chunks((graph.n_paths() + chunk - 1) / chunk);
     std::vector<std::uint8_t> touched(graph.n_paths());
     app::Progress progress(report, "interior", graph.n_paths());
     tbb::enumerable_thread_specific<InteriorWalker> walkers(
-        [&] { return InteriorWalker(graph, scene, tangents, attached); });
+        [&] { return InteriorWalker(graph, scene, tangents, attached, whole); });
 
     // Find the paths with a derivative, and where the rows of each chunk may begin.
     parallel_chunks(graph.n_paths(), chunk, threads, [&](std::uint64_t i, std::uint64_t begin, std::uint64_t end) {
@@ -80,27 +81,44 @@ void differentiate_interior(const PathGraph& graph, const Scene& scene, const Sc
 
     // Write the rows of each chunk, then close the gaps.
     struct Storage {
-        InteriorRows edges, seen;
+        InteriorRows edges, seen, points;
+        HugeArray<float> to_light, L;  // of the points
     };
-    const auto storage =
-        std::make_shared<Storage>(Storage{InteriorRows(n_edges, tangents.n()), InteriorRows(n_paths, tangents.n())});
+    const std::size_t points_per_path = whole.on() ? std::size_t(whole.n_points()) : 0,
+                      most = points_per_path * n_paths;
+    const auto storage = std::make_shared<Storage>(
+        Storage{InteriorRows(n_edges, tangents.n()), InteriorRows(n_paths, tangents.n()),
+                InteriorRows(most, tangents.n()), HugeArray<float>(most), HugeArray<float>(3 * most)});
     parallel_chunks(graph.n_paths(), chunk, threads, [&](std::uint64_t i, std::uint64_t begin, std::uint64_t end) {
         Rows& rows = chunks[i];
         InteriorWalker::RowWriter edges = storage->edges.writer(rows.first_edge);
         InteriorWalker::RowWriter seen = storage->seen.writer(rows.first_path);
-        walkers.local().walk_all(begin, end, touched, edges, seen);
-        rows.n_edges = edges.n, rows.n_seen = seen.n;
+        const std::size_t first_point = points_per_path * rows.first_path;
+        InteriorWalker::PointWriter points{storage->points.writer(first_point), storage->to_light.data() + first_point,
+                                           storage->L.data() + 3 * first_point};
+        walkers.local().walk_all(begin, end, touched, edges, seen, &points);
+        rows.n_edges = edges.n, rows.n_seen = seen.n, rows.n_points = points.rows.n;
         progress.add(end - begin);
     });
     n_edges = n_paths = 0;
+    std::size_t n_points = 0;
     for (const Rows& rows : chunks) {
         storage->edges.move(rows.first_edge, n_edges, rows.n_edges);
         storage->seen.move(rows.first_path, n_paths, rows.n_seen);
-        n_edges += rows.n_edges, n_paths += rows.n_seen;
+        const std::size_t first_point = points_per_path * rows.first_path;
+        storage->points.move(first_point, n_points, rows.n_points);
+        InteriorRows::shift(storage->to_light, 1, first_point, n_points, rows.n_points);
+        InteriorRows::shift(storage->L, 3, first_point, n_points, rows.n_points);
+        n_edges += rows.n_edges, n_paths += rows.n_seen, n_points += rows.n_points;
     }
     out.interior.edge = InteriorRows::first(storage->edges.row, n_edges);
     out.interior.dL = InteriorRows::first(storage->edges.dL, 3 * tangents.n() * n_edges);
     out.interior.dopl = InteriorRows::first(storage->edges.dopl, tangents.n() * n_edges);
+    out.light_points.edge = InteriorRows::first(storage->points.row, n_points);
+    out.light_points.to_light = InteriorRows::first(storage->to_light, n_points);
+    out.light_points.L = InteriorRows::first(storage->L, 3 * n_points);
+    out.light_points.dL = InteriorRows::first(storage->points.dL, 3 * tangents.n() * n_points);
+    out.light_points.dopl = InteriorRows::first(storage->points.dopl, tangents.n() * n_points);
     out.seen.path = InteriorRows::first(storage->seen.row, n_paths);
     out.seen.dLe = InteriorRows::first(storage->seen.dL, 3 * tangents.n() * n_paths);
     out.seen.dopl = InteriorRows::first(storage->seen.dopl, tangents.n() * n_paths);
@@ -298,10 +316,26 @@ Derivative differentiate(const PathGraph& graph, const Scene& scene, const Scene
     d.n_paths = graph.n_paths();
     describe_parameters(tangents, d.parameters);
     d.boundary_samples = std::vector<std::uint64_t>(n_boundary_families, 0);
-    if (parts.interior)
-        differentiate_interior(graph, scene, tangents, attached_of(scene, boundary.attachment), boundary.threads,
-                               report, d, counts.touched_paths);
-    differentiate_boundary(graph, scene, tangents, parts, boundary, report, d, counts);
+    BoundaryOptions of_boundary = boundary;
+    if (parts.interior) {
+        const Attached attached = attached_of(scene, boundary.attachment);
+        WholeLightOptions whole{nullptr, 1, streams::family(boundary.seed, 9)};
+        std::optional<EdgeTree> edges;
+        const std::optional<int> points = boundary.light_points_per_side;
+        if (may_see_whole_lights(scene) && points.value_or(0) != 1)
+            whole.edges = &edges.emplace(find_edges(scene.shapes));
+        if (!points || !boundary.effort) {
+            const InteriorPilot pilot = look_at_interior(graph, scene, tangents, attached, whole, points);
+            whole.points_per_side = pilot.points_per_side;
+            of_boundary.interior_variance = pilot.variance;
+        } else {
+            whole.points_per_side = *points;
+        }
+        if (whole.on()) report.info("points of each light that a first hit sees wholly: {}", whole.n_points());
+        differentiate_interior(graph, scene, tangents, attached, whole, boundary.threads, report, d,
+                               counts.touched_paths);
+    }
+    differentiate_boundary(graph, scene, tangents, parts, of_boundary, report, d, counts);
     return d;
 }
 
@@ -335,7 +369,11 @@ void declare(app::Command& command, Options& options) {
                    "what a vertex keeps while the scene moves: its place on its surface, or the sampled direction that "
                    "leads to it; auto: whichever has less variance",
                    {{"auto", Attachment::automatic}, {"surface", Attachment::surface}, {"ray", Attachment::ray}});
-    command.option("--seed", options.seed, "seed of the boundary samples");
+    command.choice("--light-points", options.light_points_per_side,
+                   "points of a light without texture that a first hit sees wholly, in place of one: light that moves "
+                   "between bins has much less noise; auto: those of the least variance times cost",
+                   {{"auto", std::nullopt}, {"1", 1}, {"4", 2}, {"9", 3}, {"16", 4}});
+    command.option("--seed", options.seed, "seed of the samples that are drawn");
     command.choice("--temporal", options.exact_times,
                    "light that a delta pulse moves between bins: leave it to loom-transient, which widens its "
                    "response, or sample it exactly at the borders of these bins",
@@ -470,9 +508,11 @@ void run(const Options& options, app::Report& report) {
         return;
     }
     DeriveCounts counts;
-    Derivative derivative = differentiate(
-        graph, *scene, tangents, parts,
-        {options.effort, options.seed, options.threads, options.direct, options.attachment}, report, counts);
+    Derivative derivative =
+        differentiate(graph, *scene, tangents, parts,
+                      {options.effort, options.seed, options.threads, options.direct, options.attachment, nullptr,
+                       options.exact_times ? std::optional<int>(1) : options.light_points_per_side},
+                      report, counts);
     if (options.exact_times) {
         differentiate_temporal(graph, *scene, tangents, attached, bins, options.threads, report, derivative);
         report.info("exact between bins, of the light whose arrival time changes: {}", shares_in_words(derivative));

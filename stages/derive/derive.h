@@ -44,6 +44,8 @@ struct Options {
                                        // variance times cost
     Direct direct = Direct::automatic;
     Attachment attachment = Attachment::automatic;
+    /// Of a light that a first hit sees wholly; none: as many as pay.
+    std::optional<int> light_points_per_side;
     std::uint64_t seed = 0;
     bool exact_times = false;            // sample the borders of bins, for a delta pulse
     std::optional<double> start, width;  // of these bins, m; default: the film's
@@ -73,7 +75,9 @@ struct BoundaryOptions {
     int threads = 0;
     Direct direct = Direct::automatic;
     Attachment attachment = Attachment::automatic;
-    const Adjoint* adjoint = nullptr;  // weights of a loss: contract the rows
+    const Adjoint* adjoint = nullptr;               // weights of a loss: contract the rows
+    std::optional<int> light_points_per_side = {};  // of the interior: WholeLightOptions; none: as many as pay
+    std::vector<double> interior_variance = {};     // [parameter], of InteriorPilot; empty: 0
 };
 
 struct Attached;

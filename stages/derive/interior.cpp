@@ -55,7 +55,8 @@ struct ColourTangent {
 template <int n>
 class Walk {
   public:
-    explicit Walk(const PathSource& source) : s_(source), g_(source.graph) {
+    Walk(const PathSource& source, const WholeLightOptions& whole)
+        : s_(source), g_(source.graph), whole_(source.scene, whole), has_whole_(whole.on()) {
         camera_.still = !s_.tangents.camera_moves();
         camera_.rests = camera_.still;
         camera_.beta = Rgb<double>(1);
@@ -66,10 +67,12 @@ class Walk {
     using Vectors = VectorTangent<n>;
     using Colours = ColourTangent<n>;
 
-    /// on_edge(k, L, dL, dopl), on_seen(path, Le, dLe, dopl), on_vertex(j, at, beta, opl, motion)
+    /// on_edge(k, L, dL, dopl), on_seen(path, Le, dLe, dopl), on_vertex(j, at, beta, opl, motion),
+    /// on_point(k, length of the last segment, L, dL, dopl): points of the light of edge k, in place of the edge
     /// in:      to_end  whether to go on after the last light edge
-    template <bool to_end, class OnEdge, class OnSeen, class OnVertex>
-    void path(std::size_t path, std::size_t& edge, OnEdge&& on_edge, OnSeen&& on_seen, OnVertex&& on_vertex) {
+    template <bool to_end, class OnEdge, class OnSeen, class OnVertex, class OnPoint>
+    void path(std::size_t path, std::size_t& edge, OnEdge&& on_edge, OnSeen&& on_seen, OnVertex&& on_vertex,
+              OnPoint&& on_point) {
         const auto [begin, end] = vertices_of(g_, path);
         path_ = path;
         start_at_camera(path, begin, end);
@@ -84,7 +87,13 @@ class Walk {
             arrive(j, here);
             if (j == begin) see(path, at, here, on_seen);
             on_vertex(j, at, here.beta, here.opl, here.motion);
-            for (; edge < edges.size() && edges[edge] == j; ++edge) light(j, edge, at, here, on_edge);
+            for (; edge < edges.size() && edges[edge] == j; ++edge) {
+                const LightEnd end_of_edge = stored_light(j, edge);
+                if (j == begin && has_whole_ && end_of_edge.next_event)
+                    light_or_points(j, edge, end_of_edge, at, here, on_edge, on_point);
+                else
+                    light(j, end_of_edge, at, here, [&](const auto&... x) { on_edge(edge, x...); });
+            }
             if constexpr (!to_end)
                 if (edge == edges.size() || edges[edge] >= end) return;
             if (j + 1 < end) leave(j, at, here);
@@ -541,25 +550,72 @@ class Walk {
         next.by_wi = {};
     }
 
-    template <class OnEdge>
-    void light(std::size_t j, std::size_t k, const ShadingPoint& at, const Vertex& here, OnEdge&& on_edge) {
+    /// Where light comes from that a vertex scatters.
+    struct LightEnd {
+        std::size_t emitter = 0;
+        bool next_event = false, at_infinity = false;
+        double weight = 0;  // MIS weight / density
+        Rgb<double> Li;
+        Pt y;  // or the direction towards it
+        Vec normal;
+        double eta = 1;
+        std::uint16_t medium = no_medium;
+    };
+    LightEnd stored_light(std::size_t j, std::size_t k) const {
         const auto& e = g_.light_edges;
-        const std::size_t emitter = e.emitter[k];
+        LightEnd end;
+        end.emitter = e.emitter[k];
+        end.next_event = LightTechnique(e.technique[k]) == LightTechnique::next_event;
+        end.weight = double(mis_weight(end.next_event, e.pdf_nee_w[k], e.pdf_bsdf_w[k], Heuristic::power)) /
+                     double(end.next_event ? e.pdf_nee_w[k] : g_.vertices.pdf_w[j]);
+        end.Li = Rgb<double>(rgb(e.Li, k));
+        const float* y = e.y.data() + 4 * k;
+        end.at_infinity = y[3] == 0;
+        end.y = Pt{y[0], y[1], y[2]};
+        end.normal = s_.normal_of_light(k);
+        if (!e.eta.empty()) end.eta = double(e.eta[k]);
+        if (s_.media_matter) end.medium = e.medium[k];
+        return end;
+    }
+
+    /// light() of a stored edge, or of points all over its light where that is seen wholly and lengths change.
+    template <class OnEdge, class OnPoint>
+    void light_or_points(std::size_t j, std::size_t k, const LightEnd& end, const ShadingPoint& at, const Vertex& here,
+                         OnEdge&& on_edge, OnPoint&& on_point) {
+        std::span<const WholeLightPoint> points;
+        light(j, end, at, here, [&](const Rgb<double>& L, const Colours& dL, const Numbers& dopl) {
+            if (!dopl.is_zero())
+                points = whole_.points(j, at, end.emitter, g_.light_edges.pdf_bsdf_w[k],
+                                       Vector3f(normalize(end.y - here.place.p)));
+            if (points.empty()) on_edge(k, L, dL, dopl);
+        });
+        LightEnd of_point = end;
+        for (const WholeLightPoint& point : points) {
+            of_point.weight = point.weight;
+            of_point.Li = point.Li;
+            of_point.y = point.y;
+            of_point.normal = Vec(point.n);
+            light(j, of_point, at, here,
+                  [&](const auto&... x) { on_point(k, of_point.eta * length(point.y - here.place.p), x...); });
+        }
+    }
+
+    /// on_light(L, dL, dopl) unless both derivatives are 0
+    template <class OnLight>
+    void light(std::size_t j, const LightEnd& end, const ShadingPoint& at, const Vertex& here, OnLight&& on_light) {
+        const std::size_t emitter = end.emitter;
         if (here.rests && !s_.light_changes(emitter)) return;
         const Lobe lobe = Lobe(g_.vertices.lobe[j]);
-        const bool next_event = LightTechnique(e.technique[k]) == LightTechnique::next_event;
-        const bool by_delta = !next_event && is_delta(lobe);
-        const double weight = double(mis_weight(next_event, e.pdf_nee_w[k], e.pdf_bsdf_w[k], Heuristic::power)) /
-                              double(next_event ? e.pdf_nee_w[k] : g_.vertices.pdf_w[j]);
-        const Rgb<double> Li(rgb(e.Li, k));
-        const float* y = e.y.data() + 4 * k;
-        const bool at_infinity = y[3] == 0;
+        const bool by_delta = !end.next_event && is_delta(lobe);
+        const double weight = end.weight;
+        const Rgb<double>& Li = end.Li;
+        const bool at_infinity = end.at_infinity;
         const bool light_stays = !s_.emitter_matters[emitter];
 
         // Set up the segment to the light and its changes.
-        const Pt light = at_infinity ? here.place.p + Vec{y[0], y[1], y[2]} : Pt{y[0], y[1], y[2]};
+        const Pt light = at_infinity ? here.place.p + Vec(end.y) : end.y;
         Segment to(here.place.p, light);
-        const Vec wi = at_infinity ? Vec{y[0], y[1], y[2]} : to.u;
+        const Vec wi = at_infinity ? Vec(end.y) : to.u;
         Start& a = to_light_;
         if (!by_delta) {
             scatter(at, here, wi, weight, light_stays, a);
@@ -585,27 +641,26 @@ class Walk {
             if (stays)
                 apply_factor(a, nullptr, wi, beta, dbeta);
             else
-                move_light(a, to, light, wi, k, emitter, beta, dbeta, dopl);
-            if (s_.media_matter) add_medium(e.medium[k], to.r, dopl);
+                move_light(a, to, end, wi, beta, dbeta, dopl);
+            if (s_.media_matter) add_medium(end.medium, to.r, dopl);
         }
         dbeta.scale(Li);
         if ((at_infinity && a.by_ray) || !of_area || !s_.tangents.radiance[emitter].empty()) {
             Colours dLi;
             if (at_infinity && a.by_ray) add_environment_change(wi, a.dw, emitter_turn(emitter, wi), dLi);
-            if (!at_infinity && !of_area && (!stays || s_.scene.nlos)) change_delta_light(k, emitter, here, dLi);
+            if (!at_infinity && !of_area && (!stays || s_.scene.nlos)) change_delta_light(end, here, dLi);
             if (!s_.tangents.radiance[emitter].empty())
                 add_emission(emitter, Li, s_.unit_emission(emitter, here.place.p), dLi);
             dbeta.add(beta, dLi);
         }
-        if (!dbeta.is_zero() || !dopl.is_zero()) on_edge(k, beta * Li, dbeta, dopl);
+        if (!dbeta.is_zero() || !dopl.is_zero()) on_light(beta * Li, dbeta, dopl);
     }
 
     /// Throughput up to a light at a finite distance, with changes of both ends of the segment to it.
     /// in:      dopl  derivative of the length up to the segment; out: with the segment's
-    void move_light(const Start& a, const Segment& to, const Pt& light, const Vec& wi, std::size_t k,
-                    std::size_t emitter, Rgb<double>& beta, Colours& dbeta, Numbers& dopl) const {
-        const auto& e = g_.light_edges;
-        const Emitter& source = s_.scene.emitters[emitter];
+    void move_light(const Start& a, const Segment& to, const LightEnd& light, const Vec& wi, Rgb<double>& beta,
+                    Colours& dbeta, Numbers& dopl) const {
+        const Emitter& source = s_.scene.emitters[light.emitter];
         const bool of_area = source.kind == EmitterKind::area;
         const bool translates = of_area && !a.by_ray && s_.motions.only_translates(source.shape_idx);
         Vectors ddot;
@@ -615,20 +670,20 @@ class Walk {
             const Vectors du = direction_change(to, ddot, along);
             apply_factor(a, &du, wi, beta, dbeta);
             if (of_area && !a.by_ray) dbeta.add(beta, geometry_change(to, ddot, along, normal, end));
-            dopl.add(e.eta.empty() ? 1.0 : double(e.eta[k]), along);
+            dopl.add(light.eta, along);
         };
         if (translates) {
             for (const auto& [p, v] : s_.tangents.shapes[source.shape_idx]) ddot.add(int(p), v.offset);
-            apply(nullptr, s_.normal_of_light(k));
+            apply(nullptr, light.normal);
         } else if (of_area) {
             PointMotion<n> motion;
-            const SurfacePlace place = s_.place_of_light(k, emitter, light);
+            const SurfacePlace place = s_.place_of_light(light.emitter, light.y, light.normal);
             s_.motions.add_material(place, motion);
             if (a.by_ray) slide(a, to, place, motion, nullptr);
             ddot.add(1, motion.p);
             apply(&motion, place.ng);
         } else {
-            for (const auto& [p, v] : s_.tangents.emitters[emitter]) ddot.add(int(p), v.at(light));
+            for (const auto& [p, v] : s_.tangents.emitters[light.emitter]) ddot.add(int(p), v.at(light.y));
             apply(nullptr, {});
         }
     }
@@ -663,10 +718,10 @@ class Walk {
 
     /// Adds the change of the light of a point, spot or projector with the distance to it and the place in its beam, or
     /// of a laser spot with the direction in which it reflects.
-    void change_delta_light(std::size_t k, std::size_t emitter, const Vertex& here, Colours& dLi) const {
-        const Emitter& e = s_.scene.emitters[emitter];
+    void change_delta_light(const LightEnd& end, const Vertex& here, Colours& dLi) const {
+        const Emitter& e = s_.scene.emitters[end.emitter];
         if (s_.scene.nlos && s_.scene.nlos->laser_sampling) {
-            change_laser_spot(k, here, dLi);
+            change_laser_spot(end, here, dLi);
             return;
         }
         using D = Dual<3, double>;
@@ -676,17 +731,16 @@ class Walk {
         const LightSampleOf<D> light = delta_light(s_.scene, e, pose, from);
         // The light moves: the point moves the other way in its frame.
         Vectors relative = here.motion.p;
-        for (const auto& [p, v] : s_.tangents.emitters[emitter]) relative.add(int(p), -v.at(here.place.p));
+        for (const auto& [p, v] : s_.tangents.emitters[end.emitter]) relative.add(int(p), -v.at(here.place.p));
         for (int c = 0; c < 3; ++c)
             for (int i = 0; i < 3; ++i) dLi.c[std::size_t(c)].add(light.Li[c].d[std::size_t(i)], relative[i]);
     }
 
     ///   Li = f_l cos_l E / r^2 A: the lit surface scatters the laser's light towards the vertex
-    void change_laser_spot(std::size_t k, const Vertex& here, Colours& dLi) const {
-        const auto& e = g_.light_edges;
-        const Pt spot{e.y[4 * k], e.y[4 * k + 1], e.y[4 * k + 2]};
-        const Normal3f normal = unit_vector<Normal3f>(e.n, k);
-        const Vec n_spot(normal), d = here.place.p - spot;
+    void change_laser_spot(const LightEnd& end, const Vertex& here, Colours& dLi) const {
+        const Pt spot = end.y;
+        const Normal3f normal(end.normal);
+        const Vec n_spot = end.normal, d = here.place.p - spot;
         const double r = length(d);
         const Vec u = d / r;
         const std::uint32_t material = s_.lit_material(path_);
@@ -697,7 +751,7 @@ class Walk {
         const Vector3f to_laser = lit.frame.to_local(Vector3f(normalize(Pt(s_.scene.emitters[0].position) - spot)));
         const DirectionGradient f = f_cos_gradient(lit.bsdf, lit.wo_local, to_laser);
         const double cosine = loom::dot(n_spot, u);
-        const Rgb<double> Li(rgb(e.Li, k));
+        const Rgb<double>& Li = end.Li;
         const auto add = [&](int p, int c, double change_of_f) {
             if (f.f_cos[c] > 0) dLi.c[std::size_t(c)].d[p] += Li[c] * change_of_f / double(f.f_cos[c]);
         };
@@ -728,7 +782,11 @@ class Walk {
     Vertex camera_, vertices_[2];
     Start start_, to_light_;
     std::size_t path_ = 0;
+    WholeLights whole_;
+    bool has_whole_;
 };
+
+constexpr auto nothing = [](const auto&...) {};
 
 }  // namespace
 
@@ -740,7 +798,8 @@ struct InteriorWalker::Impl {
     mutable std::vector<float> dL, dopl;
     mutable std::vector<Vec> velocity, turn;
 
-    Impl(const PathGraph& graph, const Scene& scene, const SceneTangents& tangents, const Attached& attached)
+    Impl(const PathGraph& graph, const Scene& scene, const SceneTangents& tangents, const Attached& attached,
+         const WholeLightOptions& whole)
         : source(graph, scene, tangents, attached),
           dL(3 * tangents.n()),
           dopl(tangents.n()),
@@ -748,19 +807,19 @@ struct InteriorWalker::Impl {
           turn(tangents.n()) {
         const std::size_t n = tangents.n();
         if (n <= 1)
-            walk = std::make_unique<Walk<1>>(source);
+            walk = std::make_unique<Walk<1>>(source, whole);
         else if (n <= 2)
-            walk = std::make_unique<Walk<2>>(source);
+            walk = std::make_unique<Walk<2>>(source, whole);
         else if (n <= 3)
-            walk = std::make_unique<Walk<3>>(source);
+            walk = std::make_unique<Walk<3>>(source, whole);
         else if (n <= 4)
-            walk = std::make_unique<Walk<4>>(source);
+            walk = std::make_unique<Walk<4>>(source, whole);
         else if (n <= 8)
-            walk = std::make_unique<Walk<8>>(source);
+            walk = std::make_unique<Walk<8>>(source, whole);
         else if (n <= 16)
-            walk = std::make_unique<Walk<16>>(source);
+            walk = std::make_unique<Walk<16>>(source, whole);
         else
-            walk = std::make_unique<Walk<max_parameters>>(source);
+            walk = std::make_unique<Walk<max_parameters>>(source, whole);
     }
 
     /// Calls f(Walk<n>) with the smallest n that holds all parameters.
@@ -780,8 +839,8 @@ struct InteriorWalker::Impl {
 };
 
 InteriorWalker::InteriorWalker(const PathGraph& graph, const Scene& scene, const SceneTangents& tangents,
-                               const Attached& attached)
-    : impl_(std::make_unique<Impl>(graph, scene, tangents, attached)) {}
+                               const Attached& attached, const WholeLightOptions& whole)
+    : impl_(std::make_unique<Impl>(graph, scene, tangents, attached, whole)) {}
 InteriorWalker::~InteriorWalker() = default;
 InteriorWalker::InteriorWalker(InteriorWalker&&) noexcept = default;
 
@@ -799,12 +858,12 @@ void InteriorWalker::walk(std::size_t path, std::size_t& edge, const OnRow& on_e
             [&](std::size_t p, const Rgb<double>&, const auto& change, const auto& length) {
                 on_seen(impl_->row(p, change, length));
             },
-            [](std::size_t, const ShadingPoint&, const Rgb<double>&, double, const auto&) {});
+            nothing, nothing);
     });
 }
 
 void InteriorWalker::walk_all(std::size_t begin, std::size_t end, std::span<const std::uint8_t> touched,
-                              RowWriter& edges, RowWriter& seen) const {
+                              RowWriter& edges, RowWriter& seen, PointWriter* points) const {
     const PathGraph& g = impl_->source.graph;
     const std::size_t n = impl_->source.tangents.n();
     std::size_t edge = first_light_edge(g, g.paths.first_vertex[begin]);
@@ -818,10 +877,22 @@ void InteriorWalker::walk_all(std::size_t begin, std::size_t end, std::span<cons
             ++rows.n;
         };
     };
+    const auto to_points = [n, points](std::size_t edge, double to_light, const Rgb<double>& L, const auto& change,
+                                       const auto& length) {
+        *points->to_light++ = float(to_light);
+        for (int c = 0; c < 3; ++c) *points->L++ = float(L[c]);
+        RowWriter& rows = points->rows;
+        *rows.row++ = std::uint32_t(edge);
+        for (std::size_t p = 0; p < n; ++p) {
+            for (std::size_t c = 0; c < 3; ++c) *rows.dL++ = float(change.c[c].d[p]);
+            *rows.dopl++ = float(length.d[p]);
+        }
+        ++rows.n;
+    };
     impl_->with_walk([&](auto& walk) {
         for (std::size_t path = begin; path < end; ++path)
             if (touched[path])
-                walk.template path<false>(path, edge, to(edges), to(seen), [](const auto&...) {});
+                walk.template path<false>(path, edge, to(edges), to(seen), nothing, to_points);
             else
                 edge = next_path_edge(g, path, edge);
     });
@@ -831,16 +902,17 @@ void InteriorWalker::walk_exactly(std::size_t path, std::size_t& edge, const OnE
                                   const OnExactRow& on_seen) const {
     const std::size_t n = impl_->source.tangents.n();
     std::vector<Rgb<double>> dL(n);
-    const auto pass = [&](const OnExactRow& to) {
-        return [&](std::size_t of, const Rgb<double>& L, const auto& change, const auto& length) {
+    const auto pass = [&](const OnExactRow& to, double to_light) {
+        return [&, to_light](std::size_t of, const Rgb<double>& L, const auto& change, const auto& length) {
             for (std::size_t p = 0; p < n; ++p)
                 for (int c = 0; c < 3; ++c) dL[p][c] = change.c[std::size_t(c)].d[p];
-            to({of, L, dL, std::span(length.d).first(n)});
+            to({of, L, dL, std::span(length.d).first(n), to_light});
         };
     };
     impl_->with_walk([&](auto&& walk) {
-        walk.template path<false>(path, edge, pass(on_edge), pass(on_seen),
-                                  [](std::size_t, const ShadingPoint&, const Rgb<double>&, double, const auto&) {});
+        walk.template path<false>(
+            path, edge, pass(on_edge, -1), pass(on_seen, -1), nothing,
+            [&](std::size_t of, double to_light, const auto&... x) { pass(on_edge, to_light)(of, x...); });
     });
 }
 
@@ -880,7 +952,8 @@ void InteriorWalker::walk_vertices(std::size_t path, const OnVertex& on_vertex) 
                 }
                 if (j == g.paths.first_vertex[path]) camera_opl = opl;
                 on_vertex({j, &at, beta, opl, camera_opl, impl_->velocity, impl_->turn});
-            });
+            },
+            nothing);
     });
 }
 

@@ -12,6 +12,7 @@
 #include "formats/path_graph.h"
 #include "stages/core/scene/shading.h"
 #include "stages/derive/surface_motion.h"
+#include "stages/derive/whole_lights.h"
 
 namespace loom::derive {
 
@@ -44,7 +45,7 @@ struct VertexState {
 class InteriorWalker {
   public:
     InteriorWalker(const PathGraph& graph, const Scene& scene, const SceneTangents& tangents,
-                   const Attached& attached = {});
+                   const Attached& attached = {}, const WholeLightOptions& whole = {});
     ~InteriorWalker();
     InteriorWalker(InteriorWalker&&) noexcept;
 
@@ -60,17 +61,25 @@ class InteriorWalker {
         float *dL, *dopl;
         std::size_t n = 0;  // rows written
     };
+    /// Writes points of lights that are seen wholly.
+    struct PointWriter {
+        RowWriter rows;  // of light edges
+        float *to_light, *L;
+    };
     /// walk() of the touched paths of [begin, end).
     /// in:      touched  [path] result of touches()
-    /// needs:   memory for a row of each light edge and of each path that is touched
+    ///          points   null without WholeLightOptions
+    /// needs:   memory for a row of each light edge and of each path that is touched, and for the points of an edge of
+    ///          each such path
     void walk_all(std::size_t begin, std::size_t end, std::span<const std::uint8_t> touched, RowWriter& edges,
-                  RowWriter& seen) const;
+                  RowWriter& seen, PointWriter* points) const;
     /// An InteriorRow without rounding, with the light itself.
     struct ExactRow {
         std::size_t row;
         Rgb<double> L;
         std::span<const Rgb<double>> dL;  // [parameter]
         std::span<const double> dopl;
+        double to_light;  // of a point of a light that is seen wholly: from the vertex; negative: the stored edge
     };
     using OnExactRow = std::function<void(const ExactRow&)>;
     /// walk() in double precision.

@@ -62,11 +62,11 @@ struct PathSource {
                 Vector3<double>(at.frame.n),
                 Vector3<double>(at.frame.s)};
     }
-    SurfacePlace place_of_light(std::size_t k, std::size_t emitter, const Point3<double>& y) const {
+    SurfacePlace place_of_light(std::size_t emitter, const Point3<double>& y, const Vector3<double>& n) const {
         SurfacePlace place;
         place.shape_idx = scene.emitters[emitter].shape_idx;
         place.p = y;
-        place.ng = place.ns = normal_of_light(k);
+        place.ng = place.ns = n;
         return place;
     }
     Vector3<double> normal_of_light(std::size_t k) const {

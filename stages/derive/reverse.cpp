@@ -651,7 +651,7 @@ struct ReverseWalker::Impl {
         Vec by_segment;
         add_length(e.eta, e.medium, k, r, u, a.dopl, by_segment, sums);
         if (moves) {
-            SurfacePlace place = source.place_of_light(k, emitter, light);
+            SurfacePlace place = source.place_of_light(emitter, light, source.normal_of_light(k));
             PointGradient end;
             if (of_area && !start.by_ray)
                 by_segment = by_segment + geometry_back(u, r, place.ng, along(beta, by_dbeta), end);

@@ -213,6 +213,7 @@ void bin_own_with_derivative(Worker& worker, const GraphReader& reader, const De
     const double n_samples = double(g.tracing.samples_per_pixel);
     const std::size_t n_parameters = derivative.n_parameters(), width = 3 * n_parameters;
     const auto& interior = derivative.interior;
+    const auto& points = derivative.light_points;
     const auto& seen = derivative.seen;
     const auto& boundary = derivative.boundary;
     const std::vector<float> at_rest(n_parameters);
@@ -237,7 +238,15 @@ void bin_own_with_derivative(Worker& worker, const GraphReader& reader, const De
                         worker.add(pixel, Le, opl);
                 },
                 [&](std::size_t k, const Spectrum& L, double opl) {
-                    if (const std::size_t row = rows.interior(k); row != RowCursor::none)
+                    if (const auto [first, n_points] = rows.light_points(k); n_points > 0) {
+                        worker.add(pixel, L, opl);
+                        const double to_vertex = lengths.from_camera(first_path + i);
+                        for (std::size_t row = first; row < first + n_points; ++row)
+                            worker.derivative.add_light(
+                                {points.L[3 * row], points.L[3 * row + 1], points.L[3 * row + 2]},
+                                to_vertex + double(points.to_light[row]), &points.dL[row * width],
+                                relative(&points.dopl[row * n_parameters]), [](std::uint32_t, double) {});
+                    } else if (const std::size_t row = rows.interior(k); row != RowCursor::none)
                         worker.add(pixel, L, opl, &interior.dL[row * width],
                                    exact && derivative.temporal.is_exact[row]
                                        ? at_rest.data()

@@ -37,6 +37,7 @@ void DerivativeHistogram::clear() {
 RowCursor::RowCursor(const Derivative& derivative, std::size_t path, std::size_t edge)
     : derivative_(derivative),
       interior_(first_at_least(derivative.interior.edge, edge)),
+      light_points_(first_at_least(derivative.light_points.edge, edge)),
       seen_(first_at_least(derivative.seen.path, path)) {}
 
 void BoundaryRows::set(const Derivative& derivative, std::size_t first_pixel, std::size_t n) {

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cstdint>
 #include <span>
+#include <utility>
 #include <vector>
 
 #include "formats/derivative.h"
@@ -46,6 +47,14 @@ class RowCursor {
     /// Returns the row of interior of a light edge, or none.
     /// needs:   edges in increasing order
     std::size_t interior(std::size_t edge) { return take(derivative_.interior.edge, edge, interior_); }
+    /// Returns the first row of light_points of a light edge, and how many it has.
+    /// needs:   edges in increasing order
+    std::pair<std::size_t, std::size_t> light_points(std::size_t edge) {
+        const Column<std::uint32_t>& keys = derivative_.light_points.edge;
+        const std::size_t first = light_points_;
+        while (light_points_ < keys.size() && keys[light_points_] == edge) ++light_points_;
+        return {first, light_points_ - first};
+    }
     /// Returns the row of seen of a path, or none.
     /// needs:   paths in increasing order
     std::size_t seen(std::size_t path) { return take(derivative_.seen.path, path, seen_); }
@@ -55,7 +64,7 @@ class RowCursor {
         return next < keys.size() && keys[next] == key ? next++ : none;
     }
     const Derivative& derivative_;
-    std::size_t interior_, seen_;
+    std::size_t interior_, light_points_, seen_;
 };
 
 /// Boundary rows of the pixels of a chunk, sorted by path or sample.

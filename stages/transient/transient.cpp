@@ -152,7 +152,7 @@ std::vector<Clusters> read_all_clusters(const Options& options, const std::vecto
 
 /// Whether light arrives earlier or later when a parameter changes.
 bool changes_lengths(const Derivative& derivative, std::size_t parameter) {
-    for (const Column<float>* dopl : {&derivative.interior.dopl, &derivative.seen.dopl})
+    for (const Column<float>* dopl : {&derivative.interior.dopl, &derivative.light_points.dopl, &derivative.seen.dopl})
         for (std::size_t i = parameter; i < dopl->size(); i += derivative.n_parameters())
             if ((*dopl)[i] != 0) return true;
     return false;
@@ -210,8 +210,8 @@ Moved moved_by(const Derivative& derivative, std::size_t parameter) {
         if (dopl[row * n + parameter] == 0) continue;
         (derivative.temporal.is_exact[row] ? moved.exact : moved.widened) = true;
     }
-    const auto& seen = derivative.seen.dopl;
-    for (std::size_t i = parameter; i < seen.size(); i += n) moved.widened = moved.widened || seen[i] != 0;
+    for (const Column<float>* other : {&derivative.light_points.dopl, &derivative.seen.dopl})
+        for (std::size_t i = parameter; i < other->size(); i += n) moved.widened = moved.widened || (*other)[i] != 0;
     return moved;
 }
 

@@ -85,9 +85,11 @@ def ours(spp, seed):
         with h5py.File(graph) as g, h5py.File(derivative) as d:
             n = width * height
             image = np.zeros((n, 3))
-            edges = d["interior/edge"][:]
-            paths = np.searchsorted(g["paths/first_vertex"][:].astype(np.int64), g["light_edges/vertex"][:][edges], side="right") - 1
-            for rows, values, weight in ((paths % n, d["interior/dL"], 1 / spp), (d["seen/path"][:] % n, d["seen/dLe"], 1 / spp),
+            first, vertex = g["paths/first_vertex"][:].astype(np.int64), g["light_edges/vertex"][:]
+            pixels = lambda edges: (np.searchsorted(first, vertex[edges], side="right") - 1) % n
+            points = d["light_points"] if "light_points" in d else {"edge": np.zeros(0, int), "dL": None}
+            for rows, values, weight in ((pixels(d["interior/edge"][:]), d["interior/dL"], 1 / spp),
+                                         (pixels(points["edge"][:]), points["dL"], 1 / spp), (d["seen/path"][:] % n, d["seen/dLe"], 1 / spp),
                                          (d["boundary/pixel"][:], d["boundary/dL"], 1)):
                 if len(rows):
                     for c in range(3):

@@ -49,7 +49,7 @@ const Case cases[] = {
     {"translate_sphere_emitter_on_black", "theta", 4, {primary_edges}},
     {"scale_sphere_emitter_on_black", "shape:light/scale", 4, {primary_edges}, false, 0, 0, 1, true},
     {"translate_occluder_area_light", "theta", 2, {direct_edges}},
-    {"translate_shadow_receiver_area_light", "theta", 2, {primary_edges}},
+    {"translate_shadow_receiver_area_light", "theta", 4, {primary_edges}},
 };
 
 struct Thresholds {

@@ -91,7 +91,8 @@ Replicates replicates_of(const Moving& m, const derive::TemporalBins& window, st
         const PathGraph graph = testing::trace_graph(*m.scene, testing::path_options(*m.scene, 300 + i), spp);
         derive::DeriveCounts counts;
         const derive::Parts parts = derive::required_parts(*m.scene, graph, *m.tangents, {});
-        Derivative d = derive::differentiate(graph, *m.scene, *m.tangents, parts, {}, report, counts);
+        Derivative d =
+            derive::differentiate(graph, *m.scene, *m.tangents, parts, {.light_points_per_side = 1}, report, counts);
         derive::differentiate_temporal(graph, *m.scene, *m.tangents,
                                        derive::attached_of(*m.scene, derive::Attachment::automatic), window, 0, report,
                                        d);

@@ -65,7 +65,8 @@ std::vector<PathGraph> two_graphs() {
     return graphs;
 }
 
-/// Rows of about half of the edges, a third of the seen emitters, and boundary rows of all families.
+/// Rows of about half of the edges, points of the lights of others at first vertices, rows of a third of the seen
+/// emitters, and boundary rows of all families.
 /// in:      moves  whether lengths change
 Derivative derivative_of(const PathGraph& g, std::size_t n_parameters, bool moves, unsigned seed) {
     std::mt19937 random(seed);
@@ -93,6 +94,25 @@ Derivative derivative_of(const PathGraph& g, std::size_t n_parameters, bool move
     };
     fill(g.n_light_edges(), 2);
     d.interior.edge = rows, d.interior.dL = dL, d.interior.dopl = dopl;
+    std::vector<std::uint32_t> of_points;
+    std::vector<float> to_light, L, points_dL, points_dopl;
+    for (std::size_t path = 0, row = 0; path < g.n_paths(); ++path) {
+        const auto [begin, end] = vertices_of(g, path);
+        std::size_t edge = begin < end ? first_light_edge(g, begin) : g.n_light_edges();
+        for (; edge < g.n_light_edges() && g.light_edges.vertex[edge] == begin; ++edge) {
+            while (row < rows.size() && rows[row] < edge) ++row;
+            if ((row < rows.size() && rows[row] == edge) || g.light_edges.y[4 * edge + 3] == 0) continue;
+            for (unsigned k = random() % 4; k > 0; --k) {
+                of_points.push_back(std::uint32_t(edge));
+                to_light.push_back(float(random() % 1000) * 3e-3f);
+                for (int c = 0; c < 3; ++c) L.push_back(float(random() % 100) * 1e-2f);
+                for (std::size_t p = 0; p < 3 * n_parameters; ++p) points_dL.push_back(normal(random));
+                for (std::size_t p = 0; p < n_parameters; ++p) points_dopl.push_back(moves ? normal(random) : 0);
+            }
+        }
+    }
+    EXPECT_GT(of_points.size(), 40u);
+    d.light_points = {of_points, to_light, L, points_dL, points_dopl};
     fill(g.n_paths(), 3);
     d.seen.path = rows, d.seen.dLe = dL, d.seen.dopl = dopl;
 
@@ -194,6 +214,13 @@ std::vector<TwinNumber> twin_of(const std::vector<PathGraph>& graphs, const std:
                             double(Le[c]) * (d.seen.dopl[row * N + p] - off));
                 },
                 [&](std::size_t k, const Spectrum& L, double opl) {
+                    const auto& points = d.light_points;
+                    const std::size_t first = find(points.edge, k);
+                    for (std::size_t i = first; i < points.edge.size() && points.edge[i] == k; ++i)
+                        add(of_path, lengths.from_camera(path) + points.to_light[i],
+                            points.dL[(i * N + p) * 3 + std::size_t(c)],
+                            double(points.L[3 * i + std::size_t(c)]) * (double(points.dopl[i * N + p]) - off));
+                    if (first < points.edge.size()) return;
                     const std::size_t row = find(d.interior.edge, k);
                     const bool has_row = row < d.interior.edge.size();
                     add(of_path, opl, has_row ? double(d.interior.dL[(row * N + p) * 3 + std::size_t(c)]) : 0,
@@ -293,7 +320,8 @@ void DerivativeBins::agree(const Timing& timing) const {
 }
 
 // Detected mutations: sign of the slope; boundary rows of paths without the number of paths; boundary samples by row
-// rather than by sample; graphs weighted alike; seen rows of black emitters dropped; after and before exchanged.
+// rather than by sample; graphs weighted alike; seen rows of black emitters dropped; after and before exchanged; points of
+// lights with the stored edge's light, or beside it.
 TEST_F(DerivativeBins, AgreeWithEveryBinOfEveryRow) {
     agree({});
 }

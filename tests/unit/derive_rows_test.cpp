@@ -259,7 +259,7 @@ TEST(DeriveRows, CameraShareOfBoundaryLengths) {
         EXPECT_GT(n[0], 200u);
         EXPECT_GT(n_near[0], n[0] / 5);
         EXPECT_GT(n[0] - n_near[0], n[0] / 5);
-        EXPECT_GT(point ? n[2] : n[1], 20u);
+        EXPECT_GT(point ? n[2] : n[1] + n[4], 20u);
         EXPECT_GT(point ? n[2] : n[3], 20u);
     }
 }

@@ -44,7 +44,8 @@ struct Case {
         report.set_quiet(true);
         derive::DeriveCounts counts;
         derive::Parts parts;
-        Derivative d = derive::differentiate(graph, *scene, *tangents, parts, {}, report, counts);
+        Derivative d =
+            derive::differentiate(graph, *scene, *tangents, parts, {.light_points_per_side = 1}, report, counts);
         derive::differentiate_temporal(graph, *scene, *tangents, {}, window, threads, report, d);
         EXPECT_EQ(d.problem(), "");
         return d;

@@ -54,9 +54,8 @@ struct EdgeTree::Query {
     std::array<Plane, 6> planes;
     int n_planes = 0;
 
-    Query(const Shaft& shaft, bool for_nodes) : weight(float(shaft.weight())) {
+    explicit Query(const Shaft& shaft) : weight(float(shaft.weight())) {
         for (int c = 0; c < 3; ++c) eye[std::size_t(c)] = float(shaft.eye()[c]);
-        if (!for_nodes) return;
         for (const Shaft::Plane& from : shaft.planes()) {
             // The sizes of the components add up to 1, so that rounding is relative to distances.
             const double scale = 1 / (std::abs(from.n.x) + std::abs(from.n.y) + std::abs(from.n.z));
@@ -107,14 +106,26 @@ unsigned EdgeTree::open_children(const Node& node, const Query& query) {
     return ~bits(closed) & ((1u << node.n_children) - 1);
 }
 
-/// Returns the edges of a block that may be silhouettes, as bits.
+/// Returns the edges of a block that may be silhouettes within the shaft, as bits.
 unsigned EdgeTree::possible_silhouettes(const Block& block, const Query& query) {
     const Query::Sight d = query.sight(block.a);
     const Float4 margin = all(slack) * d.size;
     const Float4 cos0 = load(block.n0[0]) * d.x + load(block.n0[1]) * d.y + load(block.n0[2]) * d.z;
     const Float4 cos1 = load(block.n1[0]) * d.x + load(block.n1[1]) * d.y + load(block.n1[2]) * d.z;
     const Mask4 towards = (cos0 > margin) & (cos1 > margin), away = (cos0 < -margin) & (cos1 < -margin);
-    return ~bits(towards | away) & 15u;
+    Mask4 closed = towards | away;
+    if (query.n_planes > 0) {
+        // Both ends beyond a plane.
+        const Query::Sight e = query.sight(block.b);
+        const Float4 wide = all(slack) * (d.size + e.size);
+        for (int i = 0; i < query.n_planes; ++i) {
+            const Query::Plane& plane = query.planes[std::size_t(i)];
+            const Float4 nx = all(plane.n[0]), ny = all(plane.n[1]), nz = all(plane.n[2]);
+            const Float4 limit = all(plane.offset) + wide;
+            closed |= (limit - (nx * d.x + ny * d.y + nz * d.z) < 0) & (limit - (nx * e.x + ny * e.y + nz * e.z) < 0);
+        }
+    }
+    return ~bits(closed) & 15u;
 }
 
 void EdgeTree::list(std::uint32_t block_idx, const Shaft& shaft, const Query& query, float share,
@@ -136,7 +147,7 @@ void EdgeTree::list(std::uint32_t block_idx, const Shaft& shaft, const Query& qu
 std::size_t EdgeTree::collect(const Shaft& shaft, std::vector<EdgeSegment>& found, std::size_t most) const {
     found.clear();
     if (shaft.empty() || blocks_.empty()) return 0;
-    const Query query(shaft, !(root_ & is_block));
+    const Query query(shaft);
     std::array<std::uint32_t, stack_size> stack;
     std::size_t n_waiting = 0, n_visited = 0;
     for (std::uint32_t at = root_;; at = stack[--n_waiting]) {
@@ -160,7 +171,7 @@ std::size_t EdgeTree::collect_some(const Shaft& shaft, double n_blocks, double e
                                    std::vector<EdgeSegment>& found) const {
     found.clear();
     if (shaft.empty() || blocks_.empty()) return 0;
-    const Query query(shaft, !(root_ & is_block));
+    const Query query(shaft);
     struct Visit {
         std::uint32_t at;
         float n_blocks, share;
@@ -395,6 +406,7 @@ struct EdgeTree::Builder {
             for (int c = 0; c < 3; ++c) {
                 const auto k = std::size_t(c);
                 block.a[k][i % width] = edge.a[c];
+                block.b[k][i % width] = edge.b[c];
                 block.n0[k][i % width] = edge.n0[c];
                 block.n1[k][i % width] = edge.n1[c];
             }

@@ -65,9 +65,9 @@ class EdgeTree {
         std::array<std::uint32_t, width> child;
         int n_children = 0;
     };
-    /// Edges [4 i, 4 i + 4) for the test of silhouettes.
+    /// Edges [4 i, 4 i + 4) for the test of silhouettes within a shaft.
     struct Block {
-        alignas(16) std::array<Lanes, 3> a, n0, n1;
+        alignas(16) std::array<Lanes, 3> a, b, n0, n1;
     };
     struct Query;
     struct Builder;

@@ -1,0 +1,73 @@
+#pragma once
+// Next-event samples of first hits on lights that are seen wholly: points all over the light in place of one, without
+// a ray. Most noise of the derivative of a histogram is that of L S' opl', which has both signs: light moves from bin to
+// bin. Its mean over a light is much smaller than its values.
+//
+// Where no silhouette lies between a point and a light, the light is seen wholly or not at all; a stored edge to one of
+// its points says which. If next-event estimation would then store an edge for every point of the light, the mean over
+// the light replaces that of the stored point.
+
+#include <memory>
+#include <optional>
+#include <span>
+#include <vector>
+
+#include "stages/core/edges/edge_tree.h"
+#include "stages/core/graph/graph_reader.h"
+#include "stages/core/scene/scene.h"
+#include "stages/core/scene/shading.h"
+
+namespace loom::derive {
+
+/// How lights that are seen wholly are sampled. Borrows the scene and the edges.
+struct WholeLightOptions {
+    const EdgeTree* edges = nullptr;  // of all shapes; null: stored points alone
+    int points_per_side = 1;          // of a grid over the light
+    std::uint64_t seed = 0;
+
+    int n_points() const { return points_per_side * points_per_side; }
+    bool on() const { return edges != nullptr && points_per_side > 1; }
+};
+
+/// A point of a light.
+struct WholeLightPoint {
+    Point3<double> y;
+    Normal3<double> n;
+    Rgb<double> Li;
+    double weight = 0;  // MIS weight / density / number of points
+};
+
+/// Whether first hits of a scene may see a light wholly.
+bool may_see_whole_lights(const Scene& scene);
+
+/// Finds such lights and draws their points. State of one thread.
+class WholeLights {
+  public:
+    WholeLights(const Scene& scene, const WholeLightOptions& options);
+
+    /// Draws points of the light of a stored next-event edge.
+    /// in:      vertex     of the graph: its random numbers
+    ///          pdf_bsdf_w, wi  of the stored edge: what is folded into the density of BSDF sampling
+    /// out:     empty where the light may be partly hidden
+    std::span<const WholeLightPoint> points(std::size_t vertex, const ShadingPoint& at, std::size_t emitter_idx,
+                                            float pdf_bsdf_w, const Vector3f& wi);
+
+  private:
+    /// A light that can be seen wholly.
+    struct Outline {
+        std::array<Point3f, 4> corners;  // of a rectangle, or around a disk
+        bool is_flat = false;            // else a sphere
+        bool is_usable = false;
+    };
+    bool is_seen(const ShadingPoint& at, std::size_t emitter_idx);
+
+    const Scene& scene_;
+    WholeLightOptions options_;
+    std::vector<Outline> outlines_;                          // [emitter]
+    std::vector<std::pair<Point3<double>, double>> rounds_;  // bounding spheres of spheres and disks
+    std::vector<std::uint32_t> round_shape_;
+    std::vector<EdgeSegment> found_;
+    std::vector<WholeLightPoint> points_;
+};
+
+}  // namespace loom::derive
