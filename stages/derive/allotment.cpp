@@ -210,7 +210,7 @@ class Allotment {
                 if (deep) by_vertex_[e] |= reached_by::near;
                 if (s_.scene.features.delta_lobes || s_.scene.features.null_lobes) by_vertex_[e] |= reached_by::delta;
             } else if (emitter.is_delta()) {
-                by_light_[e] = 1, by_joining_[e] = deep;
+                by_light_[e] = !s_.scene.nlos, by_joining_[e] = deep;
             }
         }
     }

@@ -134,7 +134,7 @@ SeamQuery moving_pairs(const Scene& scene, const SceneTangents& tangents) {
 }
 
 void BoundaryScene::find_all_seams() {
-    if (scene.nlos || !(tangents.any_shape_moves() || tangents.camera_moves())) return;
+    if (!(tangents.any_shape_moves() || tangents.camera_moves())) return;
     SeamQuery query = moving_pairs(scene, tangents);
     const bool deeper = graph.tracing.max_depth < 0 || graph.tracing.max_depth >= 3;
     query.resting = tangents.camera_moves() || (deeper && attached.any_slides());

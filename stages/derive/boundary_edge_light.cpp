@@ -31,7 +31,7 @@ class OnFilm {
     void sample(std::uint64_t i, BoundaryRows& rows) {
         // Seen from the camera, surfaces that move or slide make every edge matter.
         const bool all = s_.tangents.camera_moves() || s_.tangents.any_shape_moves() || points_.emitters_move();
-        points_.sample(s_.sampler(2, i), s_.film_speed, all, [&](const ShadowPoint& x) { shade(i, x, rows); });
+        points_.sample(s_.sampler(2, i), s_.film_speed, all, 0, [&](const ShadowPoint& x) { shade(i, x, rows); });
     }
 
   private:
@@ -42,6 +42,7 @@ class OnFilm {
         if (!film || !(film->film.x >= -reach && film->film.x <= float(scene.sensor.width) + reach &&
                        film->film.y >= -reach && film->film.y <= float(scene.sensor.height) + reach))
             return;
+        if (x.is_seen_from_emitter(Pt(film->from))) return;
         const ShadingPoint here = shading_point(scene, x.at, -film->d);
         const Spectrum f_cos = f_cos_pdf(here, Vector3f(-x.b.omega)).f_cos;
         if (is_black(f_cos)) return;
@@ -140,7 +141,6 @@ class Joined {
     Joined(const BoundaryScene& s, double share, const std::vector<double>& weights)
         : s_(s),
           share_(share),
-          light_points_(std::max(2, int(std::lround(most_light_points * std::sqrt(share))))),
           points_(s, weights),
           pool_(s.n()),
           walker_(s.graph, s.scene, s.tangents, s.attached),
@@ -157,34 +157,59 @@ class Joined {
 
     /// Samples the paths of a chunk. They share a pool of shadow points, other chunks have others.
     void sample_chunk(std::uint64_t begin, std::uint64_t end, BoundaryRows& rows) {
-        const std::uint64_t seed = streams::family(s_.seed, 7);
-        fill_pool(begin);
-        for (std::size_t path = begin; path < end && !pool_.empty(); ++path) {
-            if (!(streams::selection(seed, path) < share_)) continue;
-            const std::size_t first = s_.graph.paths.first_vertex[path];
-            walker_.walk_vertices(path, [&](const VertexState& x) {
-                ++n_walked;
-                const int max_depth = s_.graph.tracing.max_depth, n_edges = int(x.vertex - first) + 3;
-                if (max_depth >= 0 && n_edges > max_depth) return;
-                if (!(s_.graph.vertices.flags[x.vertex] & vertex_flag::attempted_bsdf) || !has_smooth_lobe(x.at->bsdf))
-                    return;
-                ++n_samples;
-                join(x, path, Sampler(SamplerKind::independent, seed, x.vertex, 0).pair(0).x, rows);
-            });
+        const int n = std::max(2, int(std::lround(most_light_points * std::sqrt(share_))));
+        fill_pool(begin, 0, n);
+        for (std::size_t path = begin; path < end && !pool_.empty(); ++path) sample_path(path, rows);
+    }
+    /// Samples the paths of pixels that have laser spots, and so pools, of their own.
+    void sample_pixels(std::uint64_t begin, std::uint64_t end, BoundaryRows& rows) {
+        const std::uint64_t n_pixels = s_.graph.n_pixels(), spp = s_.graph.tracing.samples_per_pixel;
+        // About as many shadow points as paths.
+        const double wanted = share_ * double(spp) / ShadowPoints::per_light_point;
+        const int n = int(std::clamp(std::round(wanted), 1.0, double(most_light_points)));
+        for (std::uint64_t pixel = begin; pixel < end; ++pixel) {
+            fill_pool(pixel, pixel, n);
+            for (std::uint64_t sample = 0; sample < spp && !pool_.empty(); ++sample)
+                sample_path(sample * n_pixels + pixel, rows);
         }
     }
 
   private:
     static constexpr int most_light_points = 32;  // of a pool
 
-    void fill_pool(std::uint64_t begin) {
+    /// Whether the capture or depth limit has paths of this many edges.
+    bool has_paths_of(int n_edges) const {
+        const int max_depth = s_.graph.tracing.max_depth;
+        if (max_depth >= 0 && n_edges > max_depth) return false;
+        return !s_.scene.nlos || s_.scene.nlos->filter_depth < 0 || n_edges == s_.scene.nlos->filter_depth;
+    }
+
+    void sample_path(std::size_t path, BoundaryRows& rows) {
+        const std::uint64_t seed = streams::family(s_.seed, 7);
+        if (!(streams::selection(seed, path) < share_)) return;
+        const std::size_t first = s_.graph.paths.first_vertex[path];
+        const int further = s_.scene.nlos ? 4 : 3;  // a laser's spot is a vertex, too
+        walker_.walk_vertices(path, [&](const VertexState& x) {
+            ++n_walked;
+            if (!has_paths_of(int(x.vertex - first) + further)) return;
+            if (!(s_.graph.vertices.flags[x.vertex] & vertex_flag::attempted_bsdf) || !has_smooth_lobe(x.at->bsdf))
+                return;
+            ++n_samples;
+            join(x, path, Sampler(SamplerKind::independent, seed, x.vertex, 0).pair(0).x, rows);
+        });
+    }
+
+    /// in:      first  number of the pool
+    ///          pixel  of the film, in an NLOS capture
+    void fill_pool(std::uint64_t first, std::uint64_t pixel, int n_light_points) {
         pool_.clear();
+        n_light_points_ = n_light_points;
         const bool all = s_.tangents.any_shape_moves() || points_.emitters_move() ||
                          (s_.tangents.camera_moves() && s_.attached.any_slides());
         double slide = 0;
         for (const double v : far_speed_) slide += v;
-        for (int k = 0; k < light_points_; ++k)
-            points_.sample(s_.sampler(8, begin * most_light_points + std::uint64_t(k)), far_speed_, all,
+        for (int k = 0; k < n_light_points; ++k)
+            points_.sample(s_.sampler(8, first * most_light_points + std::uint64_t(k)), far_speed_, all, pixel,
                            [&](const ShadowPoint& p) {
                                s_.shape_velocity(p.at.shape_idx, p.at.primitive_idx, Pt(p.at.p), velocity_);
                                p.rates(velocity_, rates_);
@@ -204,7 +229,7 @@ class Joined {
         if (!found) return;
         const Vec d = Pt(found->at.p) - Pt(at.p);
         const double r2 = length2(d), r = std::sqrt(r2);
-        if (!(r > 0)) return;
+        if (!(r > 0) || found->is_seen_from_emitter(Pt(at.p))) return;
         const bool area = scene.emitters[found->emitter_idx].kind == EmitterKind::area;
         if (area && r < s_.joined_beyond) return;
         const Vector3f wi(d / r);
@@ -222,16 +247,18 @@ class Joined {
         ++n_rays;
         if (scene.occluded(spawn_segment(RayEnd{at.p, at.ng, hit_error}, there.end()))) return;
         const Rgb<double> value = x.beta * Rgb<double>(f_here) * Rgb<double>(f_there) * found->light *
-                                  Rgb<double>(cos_there / (r2 * probability * share_ * light_points_ *
+                                  Rgb<double>(cos_there / (r2 * probability * share_ * n_light_points_ *
                                                            double(s_.graph.tracing.samples_per_pixel)));
         const double eta = index_towards(arriving_index(s_.graph, x.vertex), at, wi),
-                     opl = found->infinite ? -1 : x.opl + eta * r + index_towards(eta, there, to_light) * found->r;
-        rows.add(path % s_.graph.n_pixels(), opl, x.camera_opl, value, rates_, BoundaryFamily::joined_light, path);
+                     eta_light = index_towards(eta, there, to_light), laser_opl = eta_light * found->laser_r,
+                     opl = found->infinite ? -1 : x.opl + eta * r + eta_light * found->r + laser_opl;
+        rows.add(path % s_.graph.n_pixels(), opl, x.camera_opl + laser_opl, value, rates_, BoundaryFamily::joined_light,
+                 path);
     }
 
     const BoundaryScene& s_;
     double share_;
-    int light_points_;  // of a pool: few where few paths share it
+    int n_light_points_ = 0;  // of the pool
     ShadowPoints points_;
     Pool pool_;
     InteriorWalker walker_;
@@ -261,9 +288,11 @@ Effort add_joined_light(const BoundaryScene& s, double share, const std::vector<
                         std::vector<BoundaryRows>& rows, std::span<std::uint64_t> samples, app::Report& report) {
     const std::vector<double> weights = emitter_weights(s.scene, wanted);
     tbb::enumerable_thread_specific<Joined> workers([&] { return Joined(s, std::min(share, 1.0), weights); });
-    sample_in_chunks(s, s.graph.n_paths(), 16384, "shadows behind stored vertices", workers, rows, report,
-                     [](Joined& worker, BoundaryRows& out, std::uint64_t begin, std::uint64_t end) {
-                         worker.sample_chunk(begin, end, out);
+    const bool by_pixel = s.scene.nlos && s.scene.nlos->laser_points.size() > 1;
+    sample_in_chunks(s, by_pixel ? s.graph.n_pixels() : s.graph.n_paths(), by_pixel ? 8 : 16384,
+                     "shadows behind stored vertices", workers, rows, report,
+                     [by_pixel](Joined& worker, BoundaryRows& out, std::uint64_t begin, std::uint64_t end) {
+                         by_pixel ? worker.sample_pixels(begin, end, out) : worker.sample_chunk(begin, end, out);
                      });
     Effort effort;
     std::uint64_t n_walked = 0, n_listed = 0;

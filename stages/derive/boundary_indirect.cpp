@@ -114,6 +114,12 @@ class Sampling {
                     rates_[k] =
                         swept(p.b.out, relative_velocity(at_edge ? 1 : p.b.r / r, p.v_b[k], p.v_s[k], v_light_[k]));
             }
+            if (s_.scene.nlos) {
+                light_.walk_from_laser(i, edge, [&](const Spectrum& L, double opl, double laser_opl) {
+                    if (counts) add(p, Rgb<double>(L) * Rgb<double>(sign), opl, rates_, rows, laser_opl);
+                });
+                return;
+            }
             bool emitted_first = !is_black(rgb(g.paths.Le, i));
             light_.walk(i, edge, [&](const Spectrum& L, double opl) {
                 if (std::exchange(emitted_first, false))
@@ -194,7 +200,8 @@ class Sampling {
             push(end, p, sides.back, media, edge_number, pending_idx, 1);
         } else {
             const Vec beside = p.b.omega + p.b.out * (clearance / (length(p.b.out) * p.b.r));
-            rays_.push_back({spawn_ray(end, Vector3f(normalize(beside))), {x.vertex, 0}, media, edge_number, {}});
+            rays_.push_back(
+                {spawn_ray(end, Vector3f(normalize(beside))), {x.vertex, 0}, media, edge_number, {}, pixel_of(p)});
             sides_.push_back({pending_idx, 1, {}});
         }
         pending_.push_back(std::move(p));
@@ -212,7 +219,8 @@ class Sampling {
         const bool round = !p.b.edge && !p.b.seam;
         const Vec d = (round ? s_.front_of_round(p.b.shape_idx, p.b.p, p.b.omega) : p.b.p) - p.x_s;
         hit.t = float(length(d));
-        rays_.push_back({Ray{from.p, Vector3f(normalize(d)), 0, INFINITY}, {p.vertex, 0}, media, edge_number, hit});
+        rays_.push_back(
+            {Ray{from.p, Vector3f(normalize(d)), 0, INFINITY}, {p.vertex, 0}, media, edge_number, hit, pixel_of(p)});
         sides_.push_back({pending_idx, sign, hit});
     }
 
@@ -236,10 +244,14 @@ class Sampling {
         add(p, Rgb<double>(L) * Rgb<double>(side.sign), opl, emission_rates_, rows);
     }
 
-    void add(const Pending& p, const Rgb<double>& L, double opl, std::span<const double> rates, BoundaryRows& rows) {
+    std::uint64_t pixel_of(const Pending& p) const { return p.path % s_.graph.n_pixels(); }
+
+    /// in:      laser_opl  share of opl that, like the camera's, may not count
+    void add(const Pending& p, const Rgb<double>& L, double opl, std::span<const double> rates, BoundaryRows& rows,
+             double laser_opl = 0) {
         if (std::all_of(rates.begin(), rates.end(), [](double r) { return r == 0; })) return;
         const bool arrives = opl >= 0 && std::isfinite(opl);
-        rows.add(p.path % s_.graph.n_pixels(), arrives ? p.opl + opl : -1, p.camera_opl, p.value * L, rates,
+        rows.add(pixel_of(p), arrives ? p.opl + opl : -1, p.camera_opl + laser_opl, p.value * L, rates,
                  BoundaryFamily::indirect, p.path);
     }
 

@@ -14,6 +14,7 @@
 #include "stages/core/graph/own_samples.h"
 #include "stages/core/sampling/streams.h"
 #include "stages/core/scene/build.h"
+#include "stages/core/scene/nlos.h"
 #include "stages/derive/boundary.h"
 #include "stages/derive/interior_pilot.h"
 #include "stages/derive/reverse_boundary.h"
@@ -192,15 +193,18 @@ std::string round_seams(const Scene& scene, const SeamQuery& query) {
 /// Returns the borders that may move and that no part of those on looks for, in words.
 std::string borders_not_sampled(const Scene& scene, const SceneTangents& tangents, const Parts& parts, int depth,
                                 const Attached& attached) {
-    if (!parts.primary && !parts.direct && !parts.indirect) return "";
     std::string text;
     const auto add = [&](bool may_be, const char* what) {
         if (may_be) text += (text.empty() ? "" : ", ") + std::string(what);
     };
+    const bool by_camera = scene.nlos && scene.nlos->relay_wall == NlosCapture::no_wall;
+    add(scene.nlos && tangents.any_shape_moves() && (by_camera || !scene.nlos->laser_sampling),
+        "edges in an NLOS capture by a camera or without laser sampling");
+    if (!parts.primary && !parts.direct && !parts.indirect) return text;
     const bool beyond_first_hit = depth < 0 || depth >= 3;
     add(std::any_of(scene.emitters.begin(), scene.emitters.end(),
-                    [](const Emitter& e) {
-                        return e.kind == EmitterKind::projector ||
+                    [&](const Emitter& e) {
+                        return (e.kind == EmitterKind::projector && !scene.nlos) ||
                                (e.kind == EmitterKind::spot && !(e.beam_rad < e.cutoff_rad));
                     }),
         "sharp borders of beams");
@@ -282,21 +286,29 @@ Parts required_parts(const Scene& scene, const PathGraph& graph, const SceneTang
     const bool surfaces = tangents.any_shape_moves() || tangents.camera_moves();
     const int depth = graph.tracing.max_depth;
     const char* still = geometry ? "" : "nothing moves";
+    // Light of a capture is reflected at least at the wall, by a hidden surface and by the laser spot.
+    const int fewest_edges = scene.nlos ? 4 : 3;
+    const char* capture = !scene.nlos                                      ? ""
+                          : scene.nlos->relay_wall == NlosCapture::no_wall ? "an NLOS capture by a camera"
+                          : !scene.nlos->laser_sampling                    ? "an NLOS capture without laser sampling"
+                                                                           : "";
     parts.interior = add("interior", "");
     parts.primary = add("primary", *still       ? still
+                                   : *capture   ? capture
                                    : scene.nlos ? "an NLOS capture"
                                    : surfaces   ? ""
                                                 : "only lights move");
     parts.direct = add("direct", *still                    ? still
-                                 : scene.nlos              ? "an NLOS capture without occlusion of the laser spot"
+                                 : *capture                ? capture
                                  : scene.emitters.empty()  ? "no emitter"
                                  : depth >= 0 && depth < 2 ? "no reflected light"
                                                            : "");
     // An emitter that is cut by a surface belongs to this part, too.
-    const bool deep_enough = depth < 0 || depth >= 3 || (depth == 2 && surfaces && emitter_is_cut(scene, tangents));
+    const bool deep_enough =
+        depth < 0 || depth >= fewest_edges || (depth == 2 && surfaces && emitter_is_cut(scene, tangents));
     parts.indirect = add("indirect", *still         ? still
                                      : !surfaces    ? "only lights move"
-                                     : scene.nlos   ? "an NLOS capture"
+                                     : *capture     ? capture
                                      : !deep_enough ? "light is reflected once"
                                                     : "");
     bool index = false;

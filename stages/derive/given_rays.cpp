@@ -11,6 +11,7 @@ PathOptions options_of(const PathGraph& graph, std::uint64_t seed) {
     options.roulette = graph.tracing.roulette == "albedo"       ? Roulette::albedo
                        : graph.tracing.roulette == "throughput" ? Roulette::throughput
                                                                 : Roulette::off;
+    if (!graph.nlos.true_area.empty() && graph.nlos.true_area[0]) options.laser_spot = LaserSpot::true_area;
     return options;
 }
 

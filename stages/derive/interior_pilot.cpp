@@ -68,6 +68,8 @@ class PixelBins {
     std::vector<std::uint32_t> touched_;
 };
 
+constexpr double golden_ratio = 0.6180339887498949;
+
 struct Look {
     std::vector<double> variance;  // [parameter]
     double n_points = 0;           // per path
@@ -85,7 +87,9 @@ Look look(const PathGraph& g, const Scene& scene, const SceneTangents& tangents,
     std::vector<double> opl;
     Look out{std::vector<double>(tangents.n())};
     for (std::uint64_t i = 0; i < n_looked_at; ++i) {
-        const std::uint64_t pixel = (2 * i + 1) * n_pixels / (2 * n_looked_at);
+        // Even steps could stay in one column.
+        const double place = (double(i) + 0.5) * golden_ratio;
+        const auto pixel = std::uint64_t((place - std::floor(place)) * double(n_pixels));
         for (std::uint64_t sample = 0; sample < spp; ++sample) {
             const std::size_t path = sample * n_pixels + pixel;
             if (!walker.touches(path)) continue;
@@ -132,7 +136,7 @@ InteriorPilot look_at_interior(const PathGraph& graph, const Scene& scene, const
     if (!whole.edges) wanted = 1;
     if (wanted) return {*wanted, look_with(*wanted).variance};
     constexpr int most = 3;
-    constexpr double with_interior = 1.3, point_cost = 1, proof_cost = 1.5;  // rays, by measured times
+    constexpr double with_interior = 1.3, point_cost = 1, proof_cost = 3.5;  // rays, by measured times
     const Look one = look_with(1);
     InteriorPilot best{1, one.variance};
     double least_work = double(tangents.n()) * with_interior * cost_of_path(graph);

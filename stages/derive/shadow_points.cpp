@@ -27,7 +27,7 @@ ShadowPoints::ShadowPoints(const BoundaryScene& s, const std::vector<double>& we
     for (std::size_t e = 0; e < weights.size(); ++e) emitters_move_ |= weights[e] > 0 && s.emitter_moves(e);
 }
 
-void ShadowPoints::sample(const Sampler& sampler, std::span<const double> far_speed, bool all,
+void ShadowPoints::sample(const Sampler& sampler, std::span<const double> far_speed, bool all, std::uint64_t pixel,
                           const std::function<void(const ShadowPoint&)>& found) {
     float u_choice = sampler.pair(0).x;
     ShadowPoint point;
@@ -35,7 +35,19 @@ void ShadowPoints::sample(const Sampler& sampler, std::span<const double> far_sp
     const Emitter& e = s_.scene.emitters[point.emitter_idx];
     double density = double(choice_.pmf(point.emitter_idx));
     LightPoint light;
-    if (e.kind == EmitterKind::area) {
+    LitSpot spot;
+    if (s_.scene.nlos) {
+        const NlosCapture& capture = *s_.scene.nlos;
+        const bool true_area = !s_.graph.nlos.true_area.empty() && s_.graph.nlos.true_area[0];
+        spot = lit_spot(s_.scene, capture.laser_points[capture.laser_point(pixel)], true_area, sampler.pair(1));
+        if (!spot.is_lit) return;
+        point.y = Pt(spot.point.p);
+        point.laser_r = length(point.y - Pt(e.position));
+        // The side that the laser lights.
+        const Vec to_laser = Pt(e.position) - point.y;
+        light.n = dot(Vec(spot.point.ng), to_laser) < 0 ? -spot.point.ng : spot.point.ng;
+        light.hit_error = spot.point.hit_error;
+    } else if (e.kind == EmitterKind::area) {
         sample_area_point(s_.scene, e, sampler.pair(1), light);
         point.y = Pt(light.y);
         density /= double(light.area);
@@ -53,12 +65,13 @@ void ShadowPoints::sample(const Sampler& sampler, std::span<const double> far_sp
     point.v_emitter = v_emitter_;
     for (int k = 0; k < per_light_point; ++k) {
         const Point2f u = sampler.pair(std::uint32_t(2 + k));
-        if (outline_.sample({(float(k) + u.x) / per_light_point, u.y}, point.b) && complete(light, density, point))
+        if (outline_.sample({(float(k) + u.x) / per_light_point, u.y}, point.b) &&
+            complete(light, s_.scene.nlos ? &spot : nullptr, density, point))
             found(point);
     }
 }
 
-bool ShadowPoints::complete(const LightPoint& light, double density, ShadowPoint& point) {
+bool ShadowPoints::complete(const LightPoint& light, const LitSpot* spot, double density, ShadowPoint& point) {
     const Scene& scene = s_.scene;
     const Emitter& e = scene.emitters[point.emitter_idx];
     const OutlinePoint& b = point.b;
@@ -79,7 +92,8 @@ bool ShadowPoints::complete(const LightPoint& light, double density, ShadowPoint
         before = 0;
     } else {
         const Vector3f d(normalize(b.omega + beside * (clearance / b.r)));
-        ray = area ? spawn_ray({Point3f(point.y), light.n, light.hit_error}, d) : Ray{Point3f(point.y), d, 0, INFINITY};
+        ray = area || spot ? spawn_ray({Point3f(point.y), light.n, light.hit_error}, d)
+                           : Ray{Point3f(point.y), d, 0, INFINITY};
     }
     const Hit hit = scene.intersect(ray);
     ++n_rays;
@@ -90,7 +104,11 @@ bool ShadowPoints::complete(const LightPoint& light, double density, ShadowPoint
     if (!(cos_surface > 0)) return false;
     point.r = point.infinite ? 0 : length(p - point.y);
     Rgb<double> intensity(light.Li);
-    if (!area)
+    if (spot) {
+        LightSample seen;
+        if (!see_spot(scene, *spot, point.at.p, seen)) return false;
+        intensity = Rgb<double>(seen.Li) * Rgb<double>(sqr(point.r));
+    } else if (!area)
         intensity = Rgb<double>(delta_light(scene, e, EmitterPose<float>(e), point.at.p).Li) *
                     Rgb<double>(point.infinite ? 1 : sqr(point.r));
     const double geometry = point.infinite ? 1 : cos_light / sqr(b.r);

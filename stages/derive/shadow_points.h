@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "stages/core/scene/emitter.h"
+#include "stages/core/scene/nlos.h"
 #include "stages/derive/outline.h"
 
 namespace loom::derive {
@@ -22,10 +23,17 @@ struct ShadowPoint {
     Point3<double> y;       // of the emitter, or the direction towards it
     OutlinePoint b;         // of the occluder; omega points from the emitter to the surface
     double r = 0;           // from y to the surface, m; 0 for an emitter at infinity
+    double laser_r = 0;     // from the laser to its spot y, m
     SurfacePoint at;
     Rgb<double> light;
     ConstVelocities v_edge, v_emitter;  // [parameter]
 
+    /// Whether the surface is seen from the place of the emitter: then one edge ends both the view and the light, and
+    /// belongs to the view.
+    bool is_seen_from_emitter(const Point3<double>& eye) const {
+        constexpr double rounding = 1e-6;
+        return !infinite && length(eye - y) <= rounding * r;
+    }
     /// Computes the rates at which light appears beside the edge.
     /// in:      v_surface  velocities of `at`
     /// out:     out  by parameter; returns whether any is not 0
@@ -45,7 +53,8 @@ class ShadowPoints {
     /// in:      sampler    from its pair 0
     ///          far_speed  largest speeds of the surfaces behind the silhouettes, by parameter
     ///          all        edges at rest count, too
-    void sample(const Sampler& sampler, std::span<const double> far_speed, bool all,
+    ///          pixel      of the film: in an NLOS capture, whose laser spot is the emitter
+    void sample(const Sampler& sampler, std::span<const double> far_speed, bool all, std::uint64_t pixel,
                 const std::function<void(const ShadowPoint&)>& found);
 
     /// Whether one of the emitters moves, so that edges at rest count.
@@ -56,7 +65,8 @@ class ShadowPoints {
 
   private:
     /// Finds the surface behind an edge. Returns whether there is one that the light reaches.
-    bool complete(const LightPoint& light, double density, ShadowPoint& point);
+    /// in:      spot  in an NLOS capture, else null
+    bool complete(const LightPoint& light, const LitSpot* spot, double density, ShadowPoint& point);
 
     const BoundaryScene& s_;
     Distribution1 choice_;

@@ -88,7 +88,8 @@ DerivedBins bins_of(const PathGraph& graph, const Derivative* derivative, const 
         const std::size_t pixel = b.pixel[row], family = b.family[row];
         for (std::size_t c = 0; c < 3; ++c) out.steady_boundary[family][3 * pixel + c] += double(dL[c]);
         if (b.opl[row] < 0) continue;
-        response.spread(b.opl[row], [&](std::uint32_t k, double w) {
+        const double opl = timing.camera_segment ? b.opl[row] : std::max(b.opl[row] - b.camera_opl[row], 0.0);
+        response.spread(opl, [&](std::uint32_t k, double w) {
             for (std::size_t c = 0; c < 3; ++c)
                 out.boundary[family][pixel * per_pixel + 3 * k + c] += double(dL[c]) * w;
         });

@@ -4,6 +4,7 @@
 
 #include "stages/core/description/description.h"
 #include "stages/core/sampling/warp.h"
+#include "stages/core/scene/delta_light.h"
 
 namespace loom {
 namespace {
@@ -210,6 +211,54 @@ NlosCapture::Point look(const Scene& scene, const Point3f& from, const Vector3f&
         if (const Hit hit = scene.intersect(ray)) return describe(scene, ray, hit);
     }
     return describe(scene, {from, d}, {});
+}
+
+namespace {
+
+/// Whether two points lie in one plane. They receive light from each other only by rounding, which divided by their
+/// squared distance can have any value.
+bool in_one_plane(const Normal3f& n, const Vector3f& d, const Point3f& p) {
+    constexpr double flat = 1e-5;
+    const double size = std::max({std::abs(p.x), std::abs(p.y), std::abs(p.z)});
+    return std::abs(dot(Vector3<double>(n), Vector3<double>(d))) <
+           flat * std::max(length(Vector3<double>(d)), flat * size);
+}
+
+}  // namespace
+
+LitSpot lit_spot(const Scene& scene, const NlosCapture::LaserPoint& laser, bool true_area, Point2f u) {
+    if (!laser.lit) return {};
+    const Emitter& projector = scene.emitters[0];
+    if (!true_area)
+        return {laser, projected(scene, projector, EmitterPose<float>(projector, laser.beam), laser.p), true};
+    const float x = 2 * u.x - 1, y = 2 * u.y - 1;
+    const Vector3f local = normalize(Vector3f{x * projector.tan_x, y * projector.tan_y, 1});
+    const NlosCapture::Point point = look(scene, projector.position, laser.beam.to_world(local));
+    const float cos_surface = std::abs(dot(point.ng, point.ray.d));
+    if (!point.hit || !(cos_surface > 0)) return {};
+    // Over the beam's section, irradiance times area is constant except for the surface's slant.
+    return {point,
+            beam_radiance(scene, projector, projector.radiance, x, y) *
+                (pi<float> * 4 * projector.tan_x * projector.tan_y / cos_surface),
+            true};
+}
+
+bool see_spot(const Scene& scene, const LitSpot& spot, const Point3f& from, LightSample& light) {
+    const NlosCapture::Point& point = spot.point;
+    const Vector3f d = point.p - from;
+    if (in_one_plane(point.flat, d, point.p)) return false;
+    const float r = length(d);
+    light.wi = d / r;
+    light.y = point.p;
+    Hit hit = point.hit;
+    hit.t = r;
+    const SurfacePoint at = scene.surface({from, light.wi}, hit);
+    const ShadingPoint lit = shading_point(scene, at, -light.wi);
+    light.n = at.ng;
+    const Vector3f to_laser = normalize(scene.emitters[0].position - point.p);
+    const float cos_l = std::abs(dot(at.ng, light.wi));
+    light.Li = f_cos_pdf(lit, to_laser).f_cos * spot.power * (cos_l / (r * r));
+    return true;
 }
 
 HiddenPoint sample_hidden(const Scene& scene, Point2f u) {

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "stages/core/sampling/distribution.h"
+#include "stages/core/scene/emitter.h"
 #include "stages/core/scene/scene.h"
 
 namespace loom {
@@ -70,6 +71,18 @@ struct NlosCapture {
 
 /// Returns the first hit along a direction.
 NlosCapture::Point look(const Scene& scene, const Point3f& from, const Vector3f& d);
+
+/// A point of a surface that the laser lights, as a light of its own.
+struct LitSpot {
+    NlosCapture::Point point;
+    Spectrum power;  // irradiance times area
+    bool is_lit = false;
+};
+/// in:      true_area  whether a point of the beam's section is drawn by u; else the laser point with an area of 1 m^2
+LitSpot lit_spot(const Scene& scene, const NlosCapture::LaserPoint& laser, bool true_area, Point2f u);
+/// Sets the light of a spot as a point receives it: Li = f_l cos_laser E A cos_l / r^2.
+/// out:     light  wi, y, n and Li; returns whether the point lies outside of the spot's plane
+bool see_spot(const Scene& scene, const LitSpot& spot, const Point3f& from, LightSample& light);
 
 /// A point of the hidden geometry, uniform by area.
 struct HiddenPoint {

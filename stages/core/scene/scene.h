@@ -17,6 +17,7 @@
 #include "stages/core/scene/media.h"
 #include "stages/core/scene/ray.h"
 #include "stages/core/scene/sensor.h"
+#include "stages/core/scene/shading.h"
 #include "stages/core/scene/stored_values.h"
 #include "stages/core/scene/surface_geometry.h"
 
@@ -171,6 +172,21 @@ struct Scene {
     /// Returns the BSDF with its textures evaluated at a point, parameters rounded as the path graph stores them.
     Bsdf<float> bsdf(const SurfacePoint& at) const;
 };
+
+/// A point on a surface as light that leaves along wo sees it.
+inline ShadingPoint shading_point(const Scene& scene, const SurfacePoint& at, const Vector3f& wo) {
+    ShadingPoint here;
+    here.p = at.p;
+    here.wo = wo;
+    here.frame = at.frame;
+    here.wo_local = at.frame.to_local(wo);
+    here.ng = at.ng;
+    here.hit_error = at.hit_error;
+    here.n_side = at.ns_smooth;
+    here.perturbed = at.perturbed;
+    here.bsdf = scene.bsdf(at);
+    return here;
+}
 
 /// Hit point on a triangle.
 struct TrianglePoint {

@@ -1,12 +1,9 @@
 #include "stages/core/tracing/given_ray_tracer.h"
 
-#include <stdexcept>
-
 namespace loom {
 
 GivenRayTracer::GivenRayTracer(const Scene& scene, const PathOptions& options, const OptionalColumns& columns)
     : batch_(scene, options), graph_(scene, options, columns) {
-    if (scene.nlos) throw std::logic_error("given rays in an NLOS capture");
     records_.keeps_misses = columns.misses;
 }
 

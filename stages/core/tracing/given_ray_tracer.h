@@ -18,7 +18,6 @@ class GivenRayTracer {
   public:
     /// in:      scene    borrowed
     ///          options  its seed must differ from that of paths that must be independent of these (streams.h)
-    /// throws:  std::logic_error for an NLOS capture, whose paths start at the relay wall: not supported yet
     explicit GivenRayTracer(const Scene& scene, const PathOptions& options, const OptionalColumns& columns = {});
 
     /// Traces a batch of rays, at most PathBatch::capacity; full batches are fastest.

@@ -1,5 +1,7 @@
 #include "stages/core/tracing/nlos_tracer.h"
 
+#include <utility>
+
 #include "stages/core/scene/delta_light.h"
 #include "stages/core/scene/nlos.h"
 #include "stages/core/tracing/vertex_rules.h"
@@ -7,24 +9,10 @@
 namespace loom {
 namespace {
 
-/// Whether two points lie in one plane. They receive light from each other only by rounding, which divided by their
-/// squared distance can have any value.
-bool in_one_plane(const Normal3f& n, const Vector3f& d, const Point3f& p) {
-    constexpr double flat = 1e-5;
-    const double size = std::max({std::abs(p.x), std::abs(p.y), std::abs(p.z)});
-    return std::abs(dot(Vector3<double>(n), Vector3<double>(d))) <
-           flat * std::max(length(Vector3<double>(d)), flat * size);
-}
-
 class NlosPath {
   public:
     NlosPath(const Scene& scene, const PathOptions& options, PathId id)
-        : scene_(scene),
-          options_(options),
-          capture_(*scene.nlos),
-          laser_(capture_.laser_points[capture_.laser_point(id.pixel)]),
-          projector_(scene.emitters[0]),
-          path_(Sampler(options.sampler, options.seed, id.pixel, id.sample)) {
+        : NlosPath(scene, options, id.pixel, PathState(Sampler(options.sampler, options.seed, id.pixel, id.sample))) {
         path_.media = scene.sensor_media.everywhere;
         if (capture_.relay_wall == NlosCapture::no_wall) {
             const std::uint64_t width = scene.sensor.width;
@@ -37,19 +25,37 @@ class NlosPath {
             path_.ray = seen.ray;
             hit_ = seen.hit;
         }
-        longest_ = options.max_depth < 0 ? no_limit : options.max_depth;
-        if (capture_.filter_depth >= 0) longest_ = std::min(longest_, capture_.filter_depth);
+    }
+    NlosPath(const Scene& scene, const PathOptions& options, const GivenRay& start)
+        : NlosPath(scene, options, start.pixel,
+                   PathState(Sampler(options.sampler, options.seed, start.id.pixel, start.id.sample), start)) {
+        hit_ = start.hit ? start.hit : scene.intersect(path_.ray);
+        ++path_.result.n_rays;
     }
 
     template <bool recording>
     PathResult trace(PathRecorder record) {
         if constexpr (recording) record.path().origin = path_.ray.o;
-        int depth = 1;
+        const int first = path_.depth();
+        int depth = first;
         while (hit_ && step<recording>(depth, record)) ++depth;
+        path_.result.n_vertices -= std::uint32_t(first - 1);
         return path_.result;
     }
 
   private:
+    /// in:      pixel  of the film
+    NlosPath(const Scene& scene, const PathOptions& options, std::uint64_t pixel, const PathState& start)
+        : scene_(scene),
+          options_(options),
+          capture_(*scene.nlos),
+          laser_(capture_.laser_points[capture_.laser_point(pixel)]),
+          projector_(scene.emitters[0]),
+          path_(start) {
+        longest_ = options.max_depth < 0 ? no_limit : options.max_depth;
+        if (capture_.filter_depth >= 0) longest_ = std::min(longest_, capture_.filter_depth);
+    }
+
     /// Light that reaches a vertex from the projector or the laser spot. pmf is 1: the point is not sampled.
     struct Light : LightSample {
         RayEnd end;  // end of its shadow ray
@@ -64,7 +70,7 @@ class NlosPath {
         const ShadingPoint here = shading_point(scene_, at, -path_.ray.d);
         const BsdfModel& model = *here.bsdf.model;
         ++path_.result.n_vertices;
-        if (depth == 1) path_.result.first = first_hit(here, hit_.t);
+        if (std::exchange(path_.is_first, false)) path_.result.first = first_hit(here, hit_.t);
         if constexpr (recording) record.add(scene_, at, here, path_.media.medium());
         const auto end = [&](Ending ending) {
             if constexpr (recording) record.last().end(ending);
@@ -184,36 +190,12 @@ class NlosPath {
     }
 
     bool light_of_spot(const ShadingPoint& here, int depth, Light& light) {
-        if (!laser_.lit) return false;
-        NlosCapture::Point spot = laser_;
-        Spectrum E;  // times area
-        if (options_.laser_spot == LaserSpot::unit_area) {
-            E = projected(scene_, projector_, EmitterPose<float>(projector_, laser_.beam), spot.p);
-        } else {
-            const Point2f u = path_.sampler.pair(dimension(depth, Dimension::light));
-            const float x = 2 * u.x - 1, y = 2 * u.y - 1;
-            const Vector3f local = normalize(Vector3f{x * projector_.tan_x, y * projector_.tan_y, 1});
-            spot = look(scene_, projector_.position, laser_.beam.to_world(local));
-            ++path_.result.n_rays;
-            const float cos_surface = std::abs(dot(spot.ng, spot.ray.d));
-            if (!spot.hit || !(cos_surface > 0)) return false;
-            // Over the beam's section, irradiance times area is constant except for the surface's slant.
-            E = beam_radiance(scene_, projector_, projector_.radiance, x, y) *
-                (pi<float> * 4 * projector_.tan_x * projector_.tan_y / cos_surface);
-        }
-        const Vector3f d = spot.p - here.p;
-        if (in_one_plane(spot.flat, d, spot.p)) return false;
-        const float r = length(d);
-        light.wi = d / r;
-        light.y = spot.p;
-        spot.hit.t = r;
-        const SurfacePoint at = scene_.surface({here.p, light.wi}, spot.hit);
-        const ShadingPoint lit = shading_point(scene_, at, -light.wi);
-        light.n = at.ng;
-        light.end = spot.end();
-        const Vector3f to_laser = normalize(projector_.position - spot.p);
-        const float cos_l = std::abs(dot(at.ng, light.wi));
-        light.Li = f_cos_pdf(lit, to_laser).f_cos * E * (cos_l / (r * r));
+        const bool true_area = options_.laser_spot == LaserSpot::true_area;
+        path_.result.n_rays += true_area;
+        const Point2f u = true_area ? path_.sampler.pair(dimension(depth, Dimension::light)) : Point2f{};
+        const LitSpot spot = lit_spot(scene_, laser_, true_area, u);
+        if (!spot.is_lit || !see_spot(scene_, spot, here.p, light)) return false;
+        light.end = spot.point.end();
         return true;
     }
 
@@ -229,13 +211,19 @@ class NlosPath {
 
 }  // namespace
 
-void trace_nlos(const Scene& scene, const PathOptions& options, std::span<const PathId> ids,
+template <class Start>
+void trace_nlos(const Scene& scene, const PathOptions& options, std::span<const Start> starts,
                 std::span<PathResult> results, PathRecords* records) {
-    if (records) records->start(ids.size());
-    for (std::size_t i = 0; i < ids.size(); ++i) {
-        NlosPath path(scene, options, ids[i]);
+    if (records) records->start(starts.size());
+    for (std::size_t i = 0; i < starts.size(); ++i) {
+        NlosPath path(scene, options, starts[i]);
         results[i] = records ? path.trace<true>(PathRecorder(*records, std::uint32_t(i))) : path.trace<false>({});
     }
 }
+
+template void trace_nlos(const Scene&, const PathOptions&, std::span<const PathId>, std::span<PathResult>,
+                         PathRecords*);
+template void trace_nlos(const Scene&, const PathOptions&, std::span<const GivenRay>, std::span<PathResult>,
+                         PathRecords*);
 
 }  // namespace loom

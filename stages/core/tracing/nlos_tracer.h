@@ -15,8 +15,10 @@ namespace loom {
 /// A sampled point of hidden geometry that is occluded ends the path, so that no layer counts twice.   [Royo2022]
 /// Depths count edges, including the laser's: wall, hidden surface, wall is 4 with or without laser sampling.
 /// needs:   scene.nlos
-/// in:      records  null: compute the radiance only
-void trace_nlos(const Scene& scene, const PathOptions& options, std::span<const PathId> ids,
+/// in:      starts   PathId, or GivenRay: a ray from a surface
+///          records  null: compute the radiance only
+template <class Start>
+void trace_nlos(const Scene& scene, const PathOptions& options, std::span<const Start> starts,
                 std::span<PathResult> results, PathRecords* records);
 
 }  // namespace loom

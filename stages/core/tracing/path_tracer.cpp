@@ -29,7 +29,7 @@ LightQuery light_query(const Hit& hit, const Ray& ray, Point2f u, bool last) {
 PathResult trace_path(const Scene& scene, const PathOptions& options, PathId id, PathRecords& records) {
     if (scene.nlos) {
         PathResult result;
-        trace_nlos(scene, options, {&id, 1}, {&result, 1}, &records);
+        trace_nlos(scene, options, std::span<const PathId>{&id, 1}, {&result, 1}, &records);
         return result;
     }
     const Sampler sampler(options.sampler, options.seed, id.pixel, id.sample);
@@ -264,6 +264,7 @@ void PathBatch::trace(std::span<const PathId> ids, std::span<PathResult> results
 }
 
 void PathBatch::trace(std::span<const GivenRay> rays, std::span<PathResult> results, PathRecords& records) {
+    if (impl_->scene.nlos) return trace_nlos(impl_->scene, impl_->options, rays, results, &records);
     impl_->trace(rays, results, records);
 }
 

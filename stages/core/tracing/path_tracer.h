@@ -69,6 +69,7 @@ struct GivenRay {
     int depth = 1;
     // what it hits, where that is known better than a ray can find it, as on the edge of a triangle; none: traced
     Hit hit{};
+    std::uint64_t pixel = 0;  // of the film: in an NLOS capture, whose laser point lights the path
 };
 
 /// Traces many paths at once: rays sixteen at a time, random numbers as a structure of arrays. One batch belongs to one
@@ -92,7 +93,7 @@ class PathBatch {
     /// Light that the ray itself hits is Le of its path, at full weight: no technique competes.
     /// in:      rays  at most `capacity`, in any order of depths
     /// out:     results  of the same length; vertices before a ray do not count
-    /// needs:   no observer, no NLOS capture
+    /// needs:   no observer
     void trace(std::span<const GivenRay> rays, std::span<PathResult> results, PathRecords& records);
 
     /// Traces started paths to their ends, each from its own depth; the result equals that of tracing them whole.

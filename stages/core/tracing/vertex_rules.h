@@ -123,21 +123,6 @@ inline bool hides_sky(const Scene& scene, bool is_straight) {
     return scene.hides_emitters && is_straight;
 }
 
-/// A point on a surface as light that leaves along wo sees it.
-inline ShadingPoint shading_point(const Scene& scene, const SurfacePoint& at, const Vector3f& wo) {
-    ShadingPoint here;
-    here.p = at.p;
-    here.wo = wo;
-    here.frame = at.frame;
-    here.wo_local = at.frame.to_local(wo);
-    here.ng = at.ng;
-    here.hit_error = at.hit_error;
-    here.n_side = at.ns_smooth;
-    here.perturbed = at.perturbed;
-    here.bsdf = scene.bsdf(at);
-    return here;
-}
-
 /// in:  distance  from the origin of the camera ray, m
 inline FirstHit first_hit(const ShadingPoint& here, float distance) {
     return {albedo(here.bsdf, here.wo_local), here.frame.n, distance};
