@@ -149,7 +149,7 @@ InteriorPilot look_at_interior(const PathGraph& graph, const Scene& scene, const
             variance += one.variance[p] > 0 ? l.variance[p] / one.variance[p] : 1;
         const double work =
             variance * (with_interior * cost_of_path(graph) + l.n_points * (point_cost + proof_cost / n));
-        if (!(work < least_work)) continue;
+        if (!(work < least_work)) break;
         least_work = work;
         best = {side, l.variance};
     }
