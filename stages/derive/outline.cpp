@@ -8,6 +8,15 @@ namespace loom::derive {
 using Vec = Vector3<double>;
 using Pt = Point3<double>;
 
+namespace {
+
+/// Sum of the sizes of the components: a length without a root.
+double size_of(const Vec& v) {
+    return std::abs(v.x) + std::abs(v.y) + std::abs(v.z);
+}
+
+}  // namespace
+
 Outline::Outline(const BoundaryScene& s) : s_(s), velocity_(s.n()), v_face_(s.n()) {
     // Many seams are listed in proportion to their lengths, those of each kind by themselves.
     constexpr double most = 128;
@@ -53,19 +62,14 @@ double Outline::Arc::sample(double u) const {
     return std::min(0.5 * ((second ? 1 : 0) + std::min(x, 1.0)), 1.0);
 }
 
-double Outline::speed_along(const Vec& out) const {
+double Outline::importance(const Pt& x, const Vec& out) const {
     double sum = 0;
     for (std::size_t p = 0; p < velocity_.size(); ++p) {
         // A part of the speeds covers edges that move along themselves.
         sum += std::abs(dot(out, velocity_[p] - v_eye_[p])) +
-               0.05 * length(out) * (length(velocity_[p]) + length(v_eye_[p]) + 1e-9);
+               0.05 * length(out) * (size_of(velocity_[p]) + size_of(v_eye_[p]) + 1e-9);
     }
-    return sum;
-}
-
-double Outline::importance(const Pt& x, const Vec& out) const {
-    const double speed = speed_along(out);
-    return at_infinity_ ? speed : speed / length(x - eye_);
+    return at_infinity_ ? sum : sum / length(x - eye_);
 }
 
 void Outline::combine_weights(std::span<const double> far_speed) {
@@ -129,7 +133,7 @@ bool Outline::collect(const Shaft& shaft, const Pt& eye, bool at_infinity, Const
             sum += importance(point.p, point.out) * length(t) / (at_infinity ? 1 : point.r);
             extent += length(point.out) * length(t) / (at_infinity ? 1 : sqr(point.r));
         }
-        arcs_.push_back({0, 2 * pi_double, 1, 0});
+        arcs_.push_back({0, 2 * pi_double});
         known_.push_back(sum * 2 * pi_double / looked_at);
         extent_.push_back(extent * 2 * pi_double / looked_at);
     }
@@ -184,7 +188,7 @@ bool Outline::add_seams(const Shaft& shaft, std::span<const double> far_speed, b
 }
 
 Outline::Arc Outline::arc_between(const Pt& a, const Pt& b, double begin, double end) const {
-    Arc arc{begin, end, 1, 0};
+    Arc arc{begin, end};
     if (at_infinity_) return arc;
     const Vec t = normalize(b - a), to_eye = eye_ - a;
     arc.foot = dot(to_eye, t);
@@ -228,47 +232,63 @@ void Outline::add_seam(std::size_t seam_idx, const EdgeInterval& inside, double 
 }
 
 void Outline::add_segment(const EdgeSegment& segment) {
-    OutlinePoint point;
     const Edge& edge = tree_->edge(segment.edge_idx);
-    const double len = edge.length();
-    Arc arc = arc_between(Pt(edge.a), Pt(edge.b), segment.s0 * len, segment.s1 * len);
-    const double extent = arc.height > 0 ? arc.end - arc.begin : 0;
-    const auto place_at = [&](double t) {
-        const double s = std::clamp(along_arc(arc, t) / len, double(segment.s0), double(segment.s1));
-        point.p = edge.point(s);
-        look(point);
-        return s;
-    };
-    const double middle = place_at(0.5), r = point.r;
-    point.out = outward(edge, point.omega);
-    s_.edge_velocity(tree_->set(), edge, middle, velocity_);
-    // Light per angle falls with the distance; the sine of the edge's slant is in the angle. The normal of the plane
-    // through eye and edge is the same along it.
-    const Vec n = point.out / std::max(length(point.out), 1e-6);
-    double speed = speed_along(n);
-    arc.importance[1] = speed / r;
-    for (const std::size_t end : {0, 2}) {
-        const double s = place_at(0.5 * double(end));
-        if (!s_.motions.only_translates(edge.shape_idx)) {
-            s_.edge_velocity(tree_->set(), edge, s, velocity_);
-            speed = speed_along(n);
+    const Pt ends[2] = {edge.point(segment.s0), edge.point(segment.s1)};
+    // Weights need no exact angles, which take most of the time. Light per angle falls with the distance; the sine of the
+    // edge's slant is in the angle.
+    Vec normal;          // of the plane through eye and edge
+    double r[3], angle;  // distances of begin, middle and end; about the angle of the segment
+    double to_middle = 0.5;
+    if (at_infinity_) {
+        const Vec along = ends[1] - ends[0];
+        normal = cross(along, Vec(eye_));
+        angle = length(along);
+        r[0] = r[1] = r[2] = 1;
+    } else {
+        const Vec d0 = ends[0] - eye_, d1 = ends[1] - eye_;
+        normal = cross(d0, d1);
+        r[0] = length(d0), r[2] = length(d1);
+        const double cosine = std::min(dot(d0, d1) / (r[0] * r[2]), 1.0);
+        angle = std::sqrt(2 * (1 - cosine));  // the chord
+        // The line that halves the angle.
+        to_middle = r[0] / (r[0] + r[2]);
+        r[1] = std::max(to_middle * r[2] * std::sqrt(2 * std::max(1 + cosine, 0.0)), 1e-9 * r[2]);
+    }
+    const double size = length(normal);
+    Arc arc;
+    if (size > 0) {
+        normal = normal / size;
+        s_.edge_velocity(tree_->set(), edge, segment.s0, velocity_);
+        const bool varies = !s_.motions.only_translates(edge.shape_idx);
+        if (varies) s_.edge_velocity(tree_->set(), edge, segment.s1, v_face_);
+        double speed[3] = {};
+        for (std::size_t p = 0; p < velocity_.size(); ++p) {
+            const Vec begin = velocity_[p] - v_eye_[p], end = varies ? v_face_[p] - v_eye_[p] : begin;
+            const double across0 = dot(normal, begin), across2 = dot(normal, end),
+                         across1 = across0 + (across2 - across0) * to_middle;
+            const double rest = 0.05 * (size_of(velocity_[p]) + size_of(v_eye_[p]) + 1e-9);
+            speed[0] += std::abs(across0) + rest;
+            speed[1] += std::abs(across1) + rest;
+            speed[2] += std::abs(across2) + rest;
         }
-        arc.importance[end] = speed / point.r;
+        for (std::size_t k = 0; k < 3; ++k) arc.importance[k] = speed[k] / r[k];
     }
     arcs_.push_back(arc);
-    known_.push_back(extent * arc.mean() / double(segment.share));
-    extent_.push_back((at_infinity_ ? extent : extent / r) / double(segment.share));
+    known_.push_back(size > 0 ? angle * arc.mean() / double(segment.share) : 0);
+    extent_.push_back(size > 0 ? angle / (r[1] * double(segment.share)) : 0);
 }
 
 bool Outline::place_on_edge(std::size_t i, double t, OutlinePoint& point) {
     const bool is_crease = i >= first_crease_;
     const EdgeSegment& segment = is_crease ? creases_[i - first_crease_] : segments_[i];
     const Edge& edge = tree_->edge(segment.edge_idx);
-    const Arc& arc = arcs_[i];
+    const double len = edge.length();
+    const Arc arc = arc_between(Pt(edge.a), Pt(edge.b), segment.s0 * len, segment.s1 * len);
+    if (!(arc.height > 0) || !(arc.end > arc.begin)) return false;
     point.edge = &edge;
     point.seam = nullptr;
     point.is_crease = is_crease;
-    const double s = std::clamp(along_arc(arc, t) / edge.length(), segment.s0, segment.s1);
+    const double s = std::clamp(along_arc(arc, t) / len, segment.s0, segment.s1);
     point.p = edge.point(s);
     look(point);
     point.out = outward(edge, point.omega);

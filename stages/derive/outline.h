@@ -59,9 +59,10 @@ class Outline {
 
   private:
     struct Arc {
-        double begin, end;  // angle of a straight edge about the foot of the eye; phi of a round
-        double height;      // distance of the eye from the edge's line
-        double foot;        // position of the foot along the edge from its first end, m
+        // Of a seam or round; of an edge they are found when it is chosen.
+        double begin = 0, end = 0;  // angle of a straight edge about the foot of the eye; phi of a round
+        double height = 1;          // distance of the eye from the edge's line
+        double foot = 0;            // position of the foot along the edge from its first end, m
         /// Importance at begin, middle and end, linear between them: the speed of an edge that turns has a zero somewhere.
         std::array<double, 3> importance = {1, 1, 1};
 
@@ -70,8 +71,6 @@ class Outline {
         double at(double t) const;
         double sample(double u) const;
     };
-    /// Sum over the parameters of the speed along `out`, with a part of the speeds across it.
-    double speed_along(const Vector3<double>& out) const;
     double importance(const Point3<double>& x, const Vector3<double>& out) const;
     void combine_weights(std::span<const double> far_speed);
     Arc arc_between(const Point3<double>& a, const Point3<double>& b, double begin, double end) const;
