@@ -397,10 +397,8 @@ void set_rows(std::vector<BoundaryRows>& parts, std::size_t n_parameters, Deriva
 
 }  // namespace
 
-std::vector<BoundaryRows> sample_boundary(const PathGraph& graph, const Scene& scene, const SceneTangents& tangents,
-                                          const Parts& parts, const BoundaryOptions& options, app::Report& report,
+std::vector<BoundaryRows> sample_boundary(BoundaryScene& s, const Parts& parts, app::Report& report,
                                           std::vector<std::uint64_t>& samples, DeriveCounts& counts) {
-    BoundaryScene s(graph, scene, tangents, options);
     if (!s.all_seams)
         report.warn("biased: the search for lines where meshes cut each other ended early; {} were found",
                     s.seams.size());
@@ -410,13 +408,11 @@ std::vector<BoundaryRows> sample_boundary(const PathGraph& graph, const Scene& s
     return rows;
 }
 
-void differentiate_boundary(const PathGraph& graph, const Scene& scene, const SceneTangents& tangents,
-                            const Parts& parts, const BoundaryOptions& options, app::Report& report, Derivative& out,
+void differentiate_boundary(BoundaryScene& s, const Parts& parts, app::Report& report, Derivative& out,
                             DeriveCounts& counts) {
-    if (!parts.primary && !parts.direct && !parts.indirect) return;
     std::vector<std::uint64_t> samples;
-    std::vector<BoundaryRows> rows = sample_boundary(graph, scene, tangents, parts, options, report, samples, counts);
-    set_rows(rows, tangents.n(), out);
+    std::vector<BoundaryRows> rows = sample_boundary(s, parts, report, samples, counts);
+    set_rows(rows, s.n(), out);
     out.boundary_samples = std::move(samples);
 }
 

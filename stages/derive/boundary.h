@@ -254,12 +254,10 @@ Effort add_indirect(const BoundaryScene& s, double share, bool surfaces, bool en
 
 /// Samples all boundary terms that `parts` requires.
 /// out:     samples  [family]
-std::vector<BoundaryRows> sample_boundary(const PathGraph& graph, const Scene& scene, const SceneTangents& tangents,
-                                          const Parts& parts, const BoundaryOptions& options, app::Report& report,
+std::vector<BoundaryRows> sample_boundary(BoundaryScene& s, const Parts& parts, app::Report& report,
                                           std::vector<std::uint64_t>& samples, DeriveCounts& counts);
 /// sample_boundary(), into the rows of `out`, sorted by pixel, family and sample.
-void differentiate_boundary(const PathGraph& graph, const Scene& scene, const SceneTangents& tangents,
-                            const Parts& parts, const BoundaryOptions& options, app::Report& report, Derivative& out,
+void differentiate_boundary(BoundaryScene& s, const Parts& parts, app::Report& report, Derivative& out,
                             DeriveCounts& counts);
 
 }  // namespace loom::derive

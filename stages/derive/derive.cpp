@@ -200,7 +200,7 @@ std::string borders_not_sampled(const Scene& scene, const SceneTangents& tangent
     const bool by_camera = scene.nlos && scene.nlos->relay_wall == NlosCapture::no_wall;
     add(scene.nlos && tangents.any_shape_moves() && (by_camera || !scene.nlos->laser_sampling),
         "edges in an NLOS capture by a camera or without laser sampling");
-    if (!parts.primary && !parts.direct && !parts.indirect) return text;
+    if (!parts.any_boundary()) return text;
     const bool beyond_first_hit = depth < 0 || depth >= 3;
     add(std::any_of(scene.emitters.begin(), scene.emitters.end(),
                     [&](const Emitter& e) {
@@ -329,13 +329,15 @@ Derivative differentiate(const PathGraph& graph, const Scene& scene, const Scene
     describe_parameters(tangents, d.parameters);
     d.boundary_samples = std::vector<std::uint64_t>(n_boundary_families, 0);
     BoundaryOptions of_boundary = boundary;
+    std::optional<BoundaryScene> of_edges;
+    if (parts.any_boundary()) of_edges.emplace(graph, scene, tangents, of_boundary);
     if (parts.interior) {
         const Attached attached = attached_of(scene, boundary.attachment);
         WholeLightOptions whole{nullptr, 1, streams::family(boundary.seed, 9)};
         std::optional<EdgeTree> edges;
         const std::optional<int> points = boundary.light_points_per_side;
         if (may_see_whole_lights(scene) && points.value_or(0) != 1)
-            whole.edges = &edges.emplace(find_edges(scene.shapes));
+            whole.edges = of_edges ? &of_edges->all_edges : &edges.emplace(find_edges(scene.shapes));
         if (!points || !boundary.effort) {
             const InteriorPilot pilot = look_at_interior(graph, scene, tangents, attached, whole, points);
             whole.points_per_side = pilot.points_per_side;
@@ -347,7 +349,7 @@ Derivative differentiate(const PathGraph& graph, const Scene& scene, const Scene
         differentiate_interior(graph, scene, tangents, attached, whole, boundary.threads, report, d,
                                counts.touched_paths);
     }
-    differentiate_boundary(graph, scene, tangents, parts, of_boundary, report, d, counts);
+    if (of_edges) differentiate_boundary(*of_edges, parts, report, d, counts);
     return d;
 }
 

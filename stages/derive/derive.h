@@ -64,6 +64,8 @@ struct Parts {
     bool interior = true, primary = false, direct = false, indirect = false, media = false;
     std::string plan;         // one line: what is on, what is off and why, what is not sampled
     std::string not_sampled;  // borders that may move and that no part looks for: a bias
+
+    bool any_boundary() const { return primary || direct || indirect; }
 };
 Parts required_parts(const Scene& scene, const PathGraph& graph, const SceneTangents& tangents,
                      const std::vector<std::string>& off, Attachment attachment = Attachment::automatic);

@@ -133,10 +133,10 @@ void MotionBasis::add_boundary(const PathGraph& graph, const Scene& scene, const
     for (const Block& block : blocks_) {
         const SceneTangents tangents = tangents_of(block, scene);
         const Parts parts = required_parts(scene, graph, tangents, off);
-        if (!parts.primary && !parts.direct && !parts.indirect) continue;
+        if (!parts.any_boundary()) continue;
+        BoundaryScene s(graph, scene, tangents, options);
         std::vector<std::uint64_t> samples;
-        const std::vector<BoundaryRows> rows =
-            sample_boundary(graph, scene, tangents, parts, options, report, samples, counts);
+        const std::vector<BoundaryRows> rows = sample_boundary(s, parts, report, samples, counts);
         std::vector<double> gradient(block.size());
         for (const BoundaryRows& part : rows)
             for (std::size_t p = 0; p < part.gradient.size(); ++p) gradient[p] += part.gradient[p];

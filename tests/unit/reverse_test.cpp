@@ -520,9 +520,9 @@ TEST(Reverse, BoundaryTermsOfABasisEqualThoseOfTheParameters) {
         DeriveCounts counts;
         std::vector<std::uint64_t> samples;
         std::vector<double> gradient(n), by_vertex;
-        for (const BoundaryRows& rows :
-             sample_boundary(c.graph, *c.scene, *c.tangents, parts,
-                             {2, seed, 0, Direct::automatic, Attachment::surface, &adjoint}, report, samples, counts))
+        const BoundaryOptions options{2, seed, 0, Direct::automatic, Attachment::surface, &adjoint};
+        BoundaryScene boundary(c.graph, *c.scene, *c.tangents, options);
+        for (const BoundaryRows& rows : sample_boundary(boundary, parts, report, samples, counts))
             for (std::size_t p = 0; p < rows.gradient.size(); ++p) gradient[p] += rows.gradient[p];
         by_parameters.push_back(gradient);
         GradientSums sums(*c.scene);
