@@ -333,10 +333,12 @@ Derivative differentiate(const PathGraph& graph, const Scene& scene, const Scene
     if (parts.any_boundary()) of_edges.emplace(graph, scene, tangents, of_boundary);
     if (parts.interior) {
         const Attached attached = attached_of(scene, boundary.attachment);
-        WholeLightOptions whole{nullptr, 1, streams::family(boundary.seed, 9)};
+        WholeLightOptions whole{nullptr, 1, streams::family(boundary.seed, 9), usable_lights(scene)};
         std::optional<EdgeTree> edges;
         const std::optional<int> points = boundary.light_points_per_side;
-        if (may_see_whole_lights(scene) && points.value_or(0) != 1)
+        const bool any_light =
+            std::any_of(whole.lights.begin(), whole.lights.end(), [](char usable) { return usable != 0; });
+        if (any_light && points.value_or(0) != 1)
             whole.edges = of_edges ? &of_edges->all_edges : &edges.emplace(find_edges(scene.shapes));
         if (!points || !boundary.effort) {
             const InteriorPilot pilot = look_at_interior(graph, scene, tangents, attached, whole, points);

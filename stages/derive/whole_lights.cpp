@@ -36,48 +36,146 @@ bool may_meet(const Shaft& shaft, const Pt& center, double radius, const Pt& ape
     });
 }
 
-/// Whether a light has one radiance, a convex outline and one that a shaft can have.
-bool is_usable(const Scene& scene, const Emitter& e) {
-    // Textures may be black.
-    if (e.kind != EmitterKind::area || e.texture_idx >= 0) return false;
-    const Shape& shape = scene.shapes[e.shape_idx];
-    return shape.kind == ShapeKind::disk || (shape.kind == ShapeKind::sphere && !shape.flip_normals) || e.parallelogram;
+/// Corners of a rectangle, or around a disk.
+std::array<Point3f, 4> corners_of(const Shape& shape) {
+    if (shape.kind == ShapeKind::disk) {
+        const auto& round = shape.round;
+        return {round.disk_point(-1, -1), round.disk_point(1, -1), round.disk_point(1, 1), round.disk_point(-1, 1)};
+    }
+    const TriangleRecord& t = shape.triangles[0];
+    return {t.p0, t.p0 + t.e1, t.p0 + t.e2, t.p0 + (t.e2 - t.e1)};
+}
+
+double radius_of(const Shape& round) {
+    if (round.kind == ShapeKind::sphere) return double(round.round.radius);
+    return std::max(length(Vec(round.round.u_axis)), length(Vec(round.round.v_axis)));
+}
+
+/// Surfaces that end at the border of a light, as its case does, do not cut it.
+constexpr double touching = 1e-5;  // of its size
+
+/// A flat light, to find what cuts it.
+class FlatLight {
+  public:
+    explicit FlatLight(const std::array<Point3f, 4>& corners)
+        : origin_(corners[0]),
+          u_(Pt(corners[1]) - origin_),
+          v_(Pt(corners[3]) - origin_),
+          n_(normalize(cross(u_, v_))) {
+        size_ = std::max(length(u_), length(v_));
+    }
+
+    bool is_cut_by(const TriangleRecord& t) const {
+        const Pt p0(t.p0);
+        const Pt corners[3] = {p0, p0 + Vec(t.e1), p0 + Vec(t.e2)};
+        double d[3];
+        for (int i = 0; i < 3; ++i) d[i] = dot(n_, corners[i] - origin_);
+        const double near = touching * size_;
+        const auto [low, high] = std::minmax({d[0], d[1], d[2]});
+        if (low > near || high < -near) return false;
+        // Where the triangle meets the light's plane, in the light's coordinates, [0, 1]^2.
+        double low_u = INFINITY, low_v = INFINITY, high_u = -INFINITY, high_v = -INFINITY;
+        const auto add = [&](const Pt& p) {
+            const Vec at = p - origin_;
+            const double uu = length2(u_), uv = dot(u_, v_), vv = length2(v_), det = uu * vv - uv * uv;
+            const double pu = dot(at, u_), pv = dot(at, v_);
+            const double u = (pu * vv - pv * uv) / det, v = (pv * uu - pu * uv) / det;
+            low_u = std::min(low_u, u), high_u = std::max(high_u, u);
+            low_v = std::min(low_v, v), high_v = std::max(high_v, v);
+        };
+        for (int i = 0; i < 3; ++i) {
+            const int j = (i + 1) % 3;
+            if (std::abs(d[i]) <= near) add(corners[i]);
+            if ((d[i] < 0) != (d[j] < 0)) add(corners[i] + (corners[j] - corners[i]) * (d[i] / (d[i] - d[j])));
+        }
+        return low_u < 1 - touching && high_u > touching && low_v < 1 - touching && high_v > touching;
+    }
+    bool may_be_cut_by(const Pt& center, double radius) const {
+        const Pt middle = origin_ + (u_ + v_) * 0.5;
+        return std::abs(dot(n_, center - origin_)) < radius &&
+               length(center - middle) < radius + 0.5 * std::max(length(u_ + v_), length(u_ - v_));
+    }
+
+  private:
+    Pt origin_;
+    Vec u_, v_, n_;
+    double size_ = 0;
+};
+
+/// Whether a triangle may reach into a ball.
+bool may_cut(const TriangleRecord& t, const Pt& center, double radius) {
+    const double inside = radius * (1 - touching);
+    const Pt p0(t.p0);
+    const Vec n = cross(Vec(t.e1), Vec(t.e2));
+    if (std::abs(dot(n, center - p0)) > inside * length(n)) return false;
+    double beyond = 0;  // square of the distance to the triangle's box
+    for (int c = 0; c < 3; ++c) {
+        const auto [low, high] = std::minmax({0.0, double(t.e1[c]), double(t.e2[c])});
+        beyond += sqr(std::max({p0[c] + low - center[c], center[c] - p0[c] - high, 0.0}));
+    }
+    return beyond < sqr(inside);
+}
+
+/// Whether by_round(center, radius) or by_triangle(triangle) holds for any surface but the light.
+template <class ByRound, class ByTriangle>
+bool any_cuts(const Scene& scene, std::uint32_t light_idx, ByRound&& by_round, ByTriangle&& by_triangle) {
+    for (std::uint32_t k = 0; k < scene.shapes.size(); ++k) {
+        const Shape& shape = scene.shapes[k];
+        if (k == light_idx) continue;
+        if (shape.kind != ShapeKind::mesh && by_round(Pt(shape.round.center), radius_of(shape))) return true;
+        if (std::any_of(shape.triangles.begin(), shape.triangles.end(), by_triangle)) return true;
+    }
+    return false;
+}
+
+bool is_cut(const Scene& scene, std::uint32_t light_idx) {
+    const Shape& light = scene.shapes[light_idx];
+    if (light.kind == ShapeKind::sphere) {
+        const Pt center(light.round.center);
+        const double size = radius_of(light);
+        return any_cuts(
+            scene, light_idx, [&](const Pt& other, double radius) { return length(other - center) < radius + size; },
+            [&](const TriangleRecord& t) { return may_cut(t, center, size); });
+    }
+    const FlatLight flat(corners_of(light));
+    return any_cuts(
+        scene, light_idx, [&](const Pt& center, double radius) { return flat.may_be_cut_by(center, radius); },
+        [&](const TriangleRecord& t) { return flat.is_cut_by(t); });
 }
 
 }  // namespace
 
-bool may_see_whole_lights(const Scene& scene) {
-    return !scene.nlos && std::any_of(scene.emitters.begin(), scene.emitters.end(),
-                                      [&](const Emitter& e) { return is_usable(scene, e); });
+std::vector<char> usable_lights(const Scene& scene) {
+    std::vector<char> usable;
+    constexpr std::ptrdiff_t most_rounds = 64;  // all of which each proof looks at
+    const bool few_rounds = std::count_if(scene.shapes.begin(), scene.shapes.end(), [](const Shape& shape) {
+                                return shape.kind != ShapeKind::mesh;
+                            }) <= most_rounds;
+    for (const Emitter& e : scene.emitters) {
+        // Textures may be black.
+        bool is = few_rounds && !scene.nlos && e.kind == EmitterKind::area && e.texture_idx < 0;
+        if (is) {
+            const Shape& shape = scene.shapes[e.shape_idx];
+            is = shape.kind == ShapeKind::mesh ? e.parallelogram : shape.kind == ShapeKind::disk || !shape.flip_normals;
+        }
+        usable.push_back(is && !is_cut(scene, e.shape_idx));
+    }
+    return usable;
 }
 
 WholeLights::WholeLights(const Scene& scene, const WholeLightOptions& options) : scene_(scene), options_(options) {
-    constexpr std::size_t most_rounds = 64;
+    if (!options_.on()) return;
+    if (options_.lights.empty()) options_.lights = usable_lights(scene);
     for (std::uint32_t k = 0; k < scene.shapes.size(); ++k) {
         const Shape& shape = scene.shapes[k];
         if (shape.kind == ShapeKind::mesh) continue;
-        const double radius = shape.kind == ShapeKind::sphere
-                                  ? double(shape.round.radius)
-                                  : std::max(length(Vec(shape.round.u_axis)), length(Vec(shape.round.v_axis)));
-        rounds_.push_back({Pt(shape.round.center), radius});
+        rounds_.push_back({Pt(shape.round.center), radius_of(shape)});
         round_shape_.push_back(k);
     }
-    for (const Emitter& e : scene.emitters) {
+    for (std::size_t e = 0; e < scene.emitters.size(); ++e) {
         Outline outline;
-        if (options.on() && is_usable(scene, e) && rounds_.size() <= most_rounds) {
-            const Shape& shape = scene.shapes[e.shape_idx];
-            const auto& round = shape.round;
-            if (shape.kind == ShapeKind::disk) {
-                outline.corners = {round.disk_point(-1, -1), round.disk_point(1, -1), round.disk_point(1, 1),
-                                   round.disk_point(-1, 1)};
-                outline.is_flat = true;
-            } else if (shape.kind == ShapeKind::mesh) {
-                const TriangleRecord& t = shape.triangles[0];
-                outline.corners = {t.p0, t.p0 + t.e1, t.p0 + t.e2, t.p0 + (t.e2 - t.e1)};
-                outline.is_flat = true;
-            }
-            outline.is_usable = true;
-        }
+        const Shape& shape = scene.shapes[scene.emitters[e].shape_idx];
+        if (options_.lights[e] && shape.kind != ShapeKind::sphere) outline = {corners_of(shape), true};
         outlines_.push_back(outline);
     }
 }
@@ -114,7 +212,7 @@ bool WholeLights::is_seen(const ShadingPoint& at, std::size_t emitter_idx) {
 std::span<const WholeLightPoint> WholeLights::points(std::size_t vertex, const ShadingPoint& at,
                                                      std::size_t emitter_idx, float pdf_bsdf_w, const Vector3f& wi) {
     points_.clear();
-    if (!outlines_[emitter_idx].is_usable || at.perturbed || !reflects_all(at.bsdf)) return points_;
+    if (!options_.lights[emitter_idx] || at.perturbed || !reflects_all(at.bsdf)) return points_;
     const float pdf_of_stored = f_cos_pdf(at, wi).pdf_w;
     if (!(pdf_of_stored > 0) || !is_seen(at, emitter_idx)) return points_;
     const float survival = pdf_bsdf_w / pdf_of_stored;

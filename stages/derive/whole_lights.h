@@ -24,6 +24,7 @@ struct WholeLightOptions {
     const EdgeTree* edges = nullptr;  // of all shapes; null: stored points alone
     int points_per_side = 1;          // of a grid over the light
     std::uint64_t seed = 0;
+    std::vector<char> lights = {};  // [emitter] usable_lights(); empty: they are found again
 
     int n_points() const { return points_per_side * points_per_side; }
     bool on() const { return edges != nullptr && points_per_side > 1; }
@@ -37,8 +38,9 @@ struct WholeLightPoint {
     double weight = 0;  // MIS weight / density / number of points
 };
 
-/// Whether first hits of a scene may see a light wholly.
-bool may_see_whole_lights(const Scene& scene);
+/// Returns, by emitter, whether a first hit may see it wholly: a rectangle, disk or ball without texture, which no surface
+/// cuts. What cuts a light hides a part of it without a silhouette in front.
+std::vector<char> usable_lights(const Scene& scene);
 
 /// Finds such lights and draws their points. State of one thread.
 class WholeLights {
@@ -57,7 +59,6 @@ class WholeLights {
     struct Outline {
         std::array<Point3f, 4> corners;  // of a rectangle, or around a disk
         bool is_flat = false;            // else a sphere
-        bool is_usable = false;
     };
     bool is_seen(const ShadingPoint& at, std::size_t emitter_idx);
 

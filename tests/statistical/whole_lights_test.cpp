@@ -119,6 +119,42 @@ TEST(WholeLights, PointsAreSeenAndBringTheLightOfNextEventSamples) {
     EXPECT_LT(ratio.se, 0.002);
 }
 
+// A wall through a lamp hides a part of it without a silhouette in front; one that ends at its border does not.
+// Detected mutations: each check of what cuts a light left out.
+TEST(WholeLights, LightsThatAreCutAreNotUsed) {
+    const auto usable = [](const std::string& light, const std::string& others) {
+        const auto scene =
+            testing::load_inline({.sensor = "type='perspective'><transform name='to_world'><lookat origin='0,-4,1' "
+                                            "target='0,0,1' up='0,0,1'/></transform>",
+                                  .body = light + "<emitter type='area'/></shape><shape type='rectangle'/>" + others});
+        return derive::usable_lights(*scene)[0] != 0;
+    };
+    const std::string wall =
+        "<shape type='rectangle'><transform name='to_world'><scale value='3'/><rotate y='1' angle='90'/><translate x='";
+    const auto wall_at = [&](double x) { return wall + fmt::format("{}'/></transform></shape>", x); };
+    const auto ball_at = [](double x) {
+        return fmt::format(
+            "<shape type='sphere'><point name='center' x='{}' y='0' z='2'/><float name='radius' value='0.1'/></shape>",
+            x);
+    };
+    const std::string
+        square =
+            "<shape type='rectangle'><transform name='to_world'><scale value='0.5'/><rotate x='1' "
+            "angle='180'/><translate z='2'/></transform>",
+        disk =
+            "<shape type='disk'><transform name='to_world'><scale value='0.5'/><rotate x='1' angle='180'/><translate "
+            "z='2'/></transform>",
+        sphere = "<shape type='sphere'><point name='center' x='0' y='0' z='2'/><float name='radius' value='0.5'/>";
+    for (const std::string& light : {square, disk, sphere}) {
+        EXPECT_TRUE(usable(light, "")) << light;
+        EXPECT_TRUE(usable(light, wall_at(0.5))) << light;
+        EXPECT_TRUE(usable(light, wall_at(0.7) + ball_at(1))) << light;
+        EXPECT_FALSE(usable(light, wall_at(0.2))) << light;
+        EXPECT_FALSE(usable(light, ball_at(0.4))) << light;
+    }
+    EXPECT_FALSE(usable("<shape type='cube'>", ""));
+}
+
 // Detected mutations: silhouettes ignored (p < 1e-5).
 TEST(WholeLights, PointsHaveTheMeanOfStoredPoints) {
     const File file;
