@@ -159,7 +159,7 @@ class Allotment {
         const bool automatic = !s_.options.effort && !s_.options.adjoint;
         const double effort = s_.options.effort.value_or(default_effort);
         ByParameter interior(s_.n());
-        if (automatic && parts_.interior) interior = s_.options.interior_variance;
+        if (automatic && !s_.options.interior_variance.empty()) interior = s_.options.interior_variance;
         variance_.assign(families_.size(), 0);
         double rest = 0;
         for (std::size_t p = 0; p < s_.n(); ++p) {

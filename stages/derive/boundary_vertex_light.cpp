@@ -32,17 +32,14 @@ LightPiece choose_piece(const Scene& scene, const Emitter& e, float& u) {
     if (shape.kind == ShapeKind::sphere) return piece;
     if (shape.kind == ShapeKind::disk) {
         // A square around it; points beyond the rim emit nothing.
-        const auto& round = shape.round;
-        piece.corners = {round.disk_point(-1, -1), round.disk_point(1, -1), round.disk_point(1, 1),
-                         round.disk_point(-1, 1)};
+        piece.corners = corners_of_flat_light(shape);
         piece.n_corners = 4;
-        piece.n = shape.flip_normals ? -round.disk_normal() : round.disk_normal();
+        piece.n = shape.flip_normals ? -shape.round.disk_normal() : shape.round.disk_normal();
         return piece;
     }
     const Mesh& mesh = shape.mesh;
     if (e.parallelogram) {
-        const TriangleRecord& t = shape.triangles[0];
-        piece.corners = {t.p0, t.p0 + t.e1, t.p0 + t.e2, t.p0 + (t.e2 - t.e1)};
+        piece.corners = corners_of_flat_light(shape);
         piece.n_corners = 4;
         piece.n = e.normals[0];
         return piece;

@@ -190,6 +190,13 @@ std::string round_seams(const Scene& scene, const SeamQuery& query) {
     return text + (pairs.size() > most ? "; others" : "");
 }
 
+/// Returns the kind of an NLOS capture whose edges no part looks for; empty: another, or none.
+const char* capture_without_edges(const Scene& scene) {
+    if (!scene.nlos) return "";
+    if (scene.nlos->relay_wall == NlosCapture::no_wall) return "an NLOS capture by a camera";
+    return scene.nlos->laser_sampling ? "" : "an NLOS capture without laser sampling";
+}
+
 /// Returns the borders that may move and that no part of those on looks for, in words.
 std::string borders_not_sampled(const Scene& scene, const SceneTangents& tangents, const Parts& parts, int depth,
                                 const Attached& attached) {
@@ -197,8 +204,7 @@ std::string borders_not_sampled(const Scene& scene, const SceneTangents& tangent
     const auto add = [&](bool may_be, const char* what) {
         if (may_be) text += (text.empty() ? "" : ", ") + std::string(what);
     };
-    const bool by_camera = scene.nlos && scene.nlos->relay_wall == NlosCapture::no_wall;
-    add(scene.nlos && tangents.any_shape_moves() && (by_camera || !scene.nlos->laser_sampling),
+    add(tangents.any_shape_moves() && *capture_without_edges(scene),
         "edges in an NLOS capture by a camera or without laser sampling");
     if (!parts.any_boundary()) return text;
     const bool beyond_first_hit = depth < 0 || depth >= 3;
@@ -288,10 +294,7 @@ Parts required_parts(const Scene& scene, const PathGraph& graph, const SceneTang
     const char* still = geometry ? "" : "nothing moves";
     // Light of a capture is reflected at least at the wall, by a hidden surface and by the laser spot.
     const int fewest_edges = scene.nlos ? 4 : 3;
-    const char* capture = !scene.nlos                                      ? ""
-                          : scene.nlos->relay_wall == NlosCapture::no_wall ? "an NLOS capture by a camera"
-                          : !scene.nlos->laser_sampling                    ? "an NLOS capture without laser sampling"
-                                                                           : "";
+    const char* capture = capture_without_edges(scene);
     parts.interior = add("interior", "");
     parts.primary = add("primary", *still       ? still
                                    : *capture   ? capture
@@ -333,12 +336,11 @@ Derivative differentiate(const PathGraph& graph, const Scene& scene, const Scene
     if (parts.any_boundary()) of_edges.emplace(graph, scene, tangents, of_boundary);
     if (parts.interior) {
         const Attached attached = attached_of(scene, boundary.attachment);
-        WholeLightOptions whole{nullptr, 1, streams::family(boundary.seed, 9), usable_lights(scene)};
+        WholeLightOptions whole{nullptr, 1, streams::family(boundary.seed, 9)};
         std::optional<EdgeTree> edges;
         const std::optional<int> points = boundary.light_points_per_side;
-        const bool any_light =
-            std::any_of(whole.lights.begin(), whole.lights.end(), [](char usable) { return usable != 0; });
-        if (any_light && points.value_or(0) != 1)
+        if (points.value_or(0) != 1) whole.lights = usable_lights(scene);
+        if (std::any_of(whole.lights.begin(), whole.lights.end(), [](char usable) { return usable != 0; }))
             whole.edges = of_edges ? &of_edges->all_edges : &edges.emplace(find_edges(scene.shapes));
         if (!points || !boundary.effort) {
             const InteriorPilot pilot = look_at_interior(graph, scene, tangents, attached, whole, points);

@@ -35,15 +35,9 @@ class RayLight {
     /// The same of an NLOS capture, on_light(L, opl, share of opl from the laser to its spot).
     template <class OnLight>
     void walk_from_laser(std::size_t i, std::size_t& edge, OnLight&& on_light) const {
-        const auto& e = reader_.graph().light_edges;
         walk_edges_in_time(
             reader_, lengths_, i, edge, [](const Spectrum&, double) {},
-            [&](std::size_t k, const Spectrum& L, double opl) {
-                const float* p = reader_.graph().emitters.position.data();
-                const float* y = e.y.data() + 4 * k;
-                const double r = length(Point3<double>{y[0], y[1], y[2]} - Point3<double>{p[0], p[1], p[2]});
-                on_light(L, opl, (e.eta.empty() ? 1.0 : double(e.eta[k])) * r);
-            });
+            [&](std::size_t k, const Spectrum& L, double opl) { on_light(L, opl, lengths_.from_laser(k)); });
     }
 
     /// Length of path i from the ray's origin to its first hit; 0 without one.

@@ -1,7 +1,6 @@
 #include "stages/derive/interior_pilot.h"
 
 #include <algorithm>
-#include <numeric>
 
 #include "stages/core/graph/own_samples.h"
 #include "stages/core/graph/time_of_flight.h"
@@ -135,25 +134,17 @@ InteriorPilot look_at_interior(const PathGraph& graph, const Scene& scene, const
     };
     if (!whole.edges) wanted = 1;
     if (wanted) return {*wanted, look_with(*wanted).variance};
-    constexpr int most = 2;  // 9 points pay as much, with twice the memory
-    constexpr double with_interior = 1.3, point_cost = 1, proof_cost = 3.5;  // rays, by measured times
-    const Look one = look_with(1);
-    InteriorPilot best{1, one.variance};
-    double least_work = double(tangents.n()) * with_interior * cost_of_path(graph);
-    for (int side = 2; side <= most; ++side) {
-        const Look l = look_with(side);
-        if (l.n_points == 0) break;
-        const double n = sqr(side);
-        double variance = 0;
-        for (std::size_t p = 0; p < tangents.n(); ++p)
-            variance += one.variance[p] > 0 ? l.variance[p] / one.variance[p] : 1;
-        const double work =
-            variance * (with_interior * cost_of_path(graph) + l.n_points * (point_cost + proof_cost / n));
-        if (!(work < least_work)) break;
-        least_work = work;
-        best = {side, l.variance};
-    }
-    return best;
+    // Rays, by measured times. Three points per side pay as much as two, with twice the memory.
+    constexpr int side = 2;
+    constexpr double with_interior = 1.3, point_cost = 1, proof_cost = 3.5;
+    const Look one = look_with(1), more = look_with(side);
+    double ratio = 0;  // of the variances, summed over the parameters
+    for (std::size_t p = 0; p < tangents.n(); ++p)
+        ratio += one.variance[p] > 0 ? more.variance[p] / one.variance[p] : 1;
+    const double work = with_interior * cost_of_path(graph),
+                 work_of_more = work + more.n_points * (point_cost + proof_cost / sqr(side));
+    const bool pays = more.n_points > 0 && ratio * work_of_more < double(tangents.n()) * work;
+    return pays ? InteriorPilot{side, more.variance} : InteriorPilot{1, one.variance};
 }
 
 }  // namespace loom::derive

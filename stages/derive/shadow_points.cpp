@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "stages/core/scene/delta_light.h"
+#include "stages/derive/given_rays.h"
 
 namespace loom::derive {
 
@@ -38,7 +39,7 @@ void ShadowPoints::sample(const Sampler& sampler, std::span<const double> far_sp
     LitSpot spot;
     if (s_.scene.nlos) {
         const NlosCapture& capture = *s_.scene.nlos;
-        const bool true_area = !s_.graph.nlos.true_area.empty() && s_.graph.nlos.true_area[0];
+        const bool true_area = options_of(s_.graph, s_.seed).laser_spot == LaserSpot::true_area;
         spot = lit_spot(s_.scene, capture.laser_points[capture.laser_point(pixel)], true_area, sampler.pair(1));
         if (!spot.is_lit) return;
         point.y = Pt(spot.point.p);

@@ -36,16 +36,6 @@ bool may_meet(const Shaft& shaft, const Pt& center, double radius, const Pt& ape
     });
 }
 
-/// Corners of a rectangle, or around a disk.
-std::array<Point3f, 4> corners_of(const Shape& shape) {
-    if (shape.kind == ShapeKind::disk) {
-        const auto& round = shape.round;
-        return {round.disk_point(-1, -1), round.disk_point(1, -1), round.disk_point(1, 1), round.disk_point(-1, 1)};
-    }
-    const TriangleRecord& t = shape.triangles[0];
-    return {t.p0, t.p0 + t.e1, t.p0 + t.e2, t.p0 + (t.e2 - t.e1)};
-}
-
 double radius_of(const Shape& round) {
     if (round.kind == ShapeKind::sphere) return double(round.round.radius);
     return std::max(length(Vec(round.round.u_axis)), length(Vec(round.round.v_axis)));
@@ -137,13 +127,22 @@ bool is_cut(const Scene& scene, std::uint32_t light_idx) {
             scene, light_idx, [&](const Pt& other, double radius) { return length(other - center) < radius + size; },
             [&](const TriangleRecord& t) { return may_cut(t, center, size); });
     }
-    const FlatLight flat(corners_of(light));
+    const FlatLight flat(corners_of_flat_light(light));
     return any_cuts(
         scene, light_idx, [&](const Pt& center, double radius) { return flat.may_be_cut_by(center, radius); },
         [&](const TriangleRecord& t) { return flat.is_cut_by(t); });
 }
 
 }  // namespace
+
+std::array<Point3f, 4> corners_of_flat_light(const Shape& shape) {
+    if (shape.kind == ShapeKind::disk) {
+        const auto& round = shape.round;
+        return {round.disk_point(-1, -1), round.disk_point(1, -1), round.disk_point(1, 1), round.disk_point(-1, 1)};
+    }
+    const TriangleRecord& t = shape.triangles[0];
+    return {t.p0, t.p0 + t.e1, t.p0 + t.e2, t.p0 + (t.e2 - t.e1)};
+}
 
 std::vector<char> usable_lights(const Scene& scene) {
     std::vector<char> usable;
@@ -169,21 +168,21 @@ WholeLights::WholeLights(const Scene& scene, const WholeLightOptions& options) :
     for (std::uint32_t k = 0; k < scene.shapes.size(); ++k) {
         const Shape& shape = scene.shapes[k];
         if (shape.kind == ShapeKind::mesh) continue;
-        rounds_.push_back({Pt(shape.round.center), radius_of(shape)});
-        round_shape_.push_back(k);
+        rounds_.push_back({k, Pt(shape.round.center), radius_of(shape)});
     }
+    corners_.resize(scene.emitters.size());
     for (std::size_t e = 0; e < scene.emitters.size(); ++e) {
-        Outline outline;
+        if (!options_.lights[e]) continue;
         const Shape& shape = scene.shapes[scene.emitters[e].shape_idx];
-        if (options_.lights[e] && shape.kind != ShapeKind::sphere) outline = {corners_of(shape), true};
-        outlines_.push_back(outline);
+        if (shape.kind != ShapeKind::sphere) corners_[e] = corners_of_flat_light(shape);
     }
 }
 
 bool WholeLights::is_seen(const ShadingPoint& at, std::size_t emitter_idx) {
-    const Outline& outline = outlines_[emitter_idx];
     const std::uint32_t shape_idx = scene_.emitters[emitter_idx].shape_idx;
     const Shape& light = scene_.shapes[shape_idx];
+    const bool is_flat = light.kind != ShapeKind::sphere;
+    const std::array<Point3f, 4>& corners = corners_[emitter_idx];
     // Above the horizons of both normals.
     const Normal3f ng = facing(at.ng, at.wo), ns = facing(at.frame.n, at.wo);
     const auto above = [&](const Point3f& p, float radius) {
@@ -191,20 +190,19 @@ bool WholeLights::is_seen(const ShadingPoint& at, std::size_t emitter_idx) {
         const float margin = 1e-4f * length(d) + radius;
         return dot(ng, d) > margin && dot(ns, d) > margin;
     };
-    if (outline.is_flat) {
-        for (const Point3f& corner : outline.corners)
+    if (is_flat) {
+        for (const Point3f& corner : corners)
             if (!above(corner, 0)) return false;
     } else if (!above(light.round.center, light.round.radius) ||
                length(light.round.center - at.p) < 1.01f * light.round.radius) {
         return false;
     }
     const RayEnd from{at.p, ng, at.hit_error};
-    const Shaft shaft = outline.is_flat ? Shaft::to_polygon(from, outline.corners)
-                                        : Shaft::to_sphere(from, light.round.center, light.round.radius);
+    const Shaft shaft =
+        is_flat ? Shaft::to_polygon(from, corners) : Shaft::to_sphere(from, light.round.center, light.round.radius);
     if (shaft.empty()) return false;
-    for (std::size_t i = 0; i < rounds_.size(); ++i)
-        if (round_shape_[i] != shape_idx && may_meet(shaft, rounds_[i].first, rounds_[i].second, Pt(at.p)))
-            return false;
+    for (const Round& round : rounds_)
+        if (round.shape_idx != shape_idx && may_meet(shaft, round.center, round.radius, Pt(at.p))) return false;
     constexpr std::size_t most_visits = 256;
     return options_.edges->collect(shaft, found_, most_visits) <= most_visits && found_.empty();
 }

@@ -7,8 +7,7 @@
 // its points says which. If next-event estimation would then store an edge for every point of the light, the mean over
 // the light replaces that of the stored point.
 
-#include <memory>
-#include <optional>
+#include <array>
 #include <span>
 #include <vector>
 
@@ -38,6 +37,8 @@ struct WholeLightPoint {
     double weight = 0;  // MIS weight / density / number of points
 };
 
+/// Returns the corners of a light that is a parallelogram, or of a square around one that is a disk.
+std::array<Point3f, 4> corners_of_flat_light(const Shape& shape);
 /// Returns, by emitter, whether a first hit may see it wholly: a rectangle, disk or ball without texture, which no surface
 /// cuts. What cuts a light hides a part of it without a silhouette in front.
 std::vector<char> usable_lights(const Scene& scene);
@@ -55,18 +56,18 @@ class WholeLights {
                                             float pdf_bsdf_w, const Vector3f& wi);
 
   private:
-    /// A light that can be seen wholly.
-    struct Outline {
-        std::array<Point3f, 4> corners;  // of a rectangle, or around a disk
-        bool is_flat = false;            // else a sphere
+    /// A ball around a sphere or disk.
+    struct Round {
+        std::uint32_t shape_idx;
+        Point3<double> center;
+        double radius;
     };
     bool is_seen(const ShadingPoint& at, std::size_t emitter_idx);
 
     const Scene& scene_;
     WholeLightOptions options_;
-    std::vector<Outline> outlines_;                          // [emitter]
-    std::vector<std::pair<Point3<double>, double>> rounds_;  // bounding spheres of spheres and disks
-    std::vector<std::uint32_t> round_shape_;
+    std::vector<std::array<Point3f, 4>> corners_;  // [emitter] corners_of_flat_light(), of usable ones
+    std::vector<Round> rounds_;
     std::vector<EdgeSegment> found_;
     std::vector<WholeLightPoint> points_;
 };

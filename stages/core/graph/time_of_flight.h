@@ -46,12 +46,15 @@ class OpticalLengths {
         const Point3<double> light{y[0], y[1], y[2]};
         const bool lit_spot = !graph_.emitters.position.empty() &&
                               EmitterKind(graph_.emitters.kind[e.emitter[k]]) == EmitterKind::laser_spot;
-        double sum = lit_spot || laser_segment_ ? index_of(e.eta, k) * length(light - from) : 0;
-        if (lit_spot && laser_segment_) {
-            const float* p = graph_.emitters.position.data() + 3 * e.emitter[k];
-            sum += index_of(e.eta, k) * length(Point3<double>{p[0], p[1], p[2]} - light);
-        }
-        return sum;
+        const double sum = lit_spot || laser_segment_ ? index_of(e.eta, k) * length(light - from) : 0;
+        return lit_spot && laser_segment_ ? sum + from_laser(k) : sum;
+    }
+    /// Returns the length from a laser to its spot, of light edge k.
+    double from_laser(std::size_t k) const {
+        const auto& e = graph_.light_edges;
+        const float* y = e.y.data() + 4 * k;
+        const float* p = graph_.emitters.position.data() + 3 * e.emitter[k];
+        return index_of(e.eta, k) * length(Point3<double>{p[0], p[1], p[2]} - Point3<double>{y[0], y[1], y[2]});
     }
 
   private:
