@@ -321,7 +321,7 @@ void DerivativeBins::agree(const Timing& timing) const {
 
 // Detected mutations: sign of the slope; boundary rows of paths without the number of paths; boundary samples by row
 // rather than by sample; graphs weighted alike; seen rows of black emitters dropped; after and before exchanged; points of
-// lights with the stored edge's light, or beside it.
+// lights with the light of the stored edge.
 TEST_F(DerivativeBins, AgreeWithEveryBinOfEveryRow) {
     agree({});
 }
