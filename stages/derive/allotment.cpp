@@ -25,6 +25,20 @@ ByParameter second_moments(const BoundaryScene& s, const Rows& rows) {
     return sum;
 }
 
+/// Number of rows of equal size with such sums of squares: the least over the parameters that have any.
+double effective_number(const Rows& rows) {
+    ByParameter square, fourth;
+    for (const BoundaryRows& part : rows) {
+        square.resize(std::max(square.size(), part.square.size()));
+        fourth.resize(square.size());
+        for (std::size_t p = 0; p < part.square.size(); ++p) square[p] += part.square[p], fourth[p] += part.fourth[p];
+    }
+    double least = INFINITY;
+    for (std::size_t p = 0; p < square.size(); ++p)
+        if (fourth[p] > 0) least = std::min(least, sqr(square[p]) / fourth[p]);
+    return least;
+}
+
 std::uint64_t number_of(const Rows& rows) {
     std::uint64_t n = 0;
     for (const BoundaryRows& part : rows) n += part.n_rows;
@@ -75,6 +89,7 @@ class Allotment {
         ByParameter variance;  // of one sample, or of all paths
         double cost = 0;       // of one, or of all
         std::uint64_t n_rows = 0;
+        bool tells = false;  // enough rows make the variance, not a few
     };
     struct Family {
         BoundaryFamily name;
@@ -134,9 +149,11 @@ class Allotment {
                                  {}});
     }
 
-    /// Samples until some rows are found, or for a hundredth of the cost of tracing and binning.
+    /// Samples until some rows are found and a few of them no longer make the variance, or for a hundredth of the cost of
+    /// tracing and binning.
     Pilot run_pilot(const Family& family) {
         constexpr std::uint64_t enough = 300;
+        constexpr double enough_of_equal_size = 30, most_unseen = 10;
         const double most_cost = std::max(0.01 * n_paths_ * path_cost_, 4096.0);
         Pilot pilot;
         for (double n = family.least;; n *= 4) {
@@ -146,10 +163,13 @@ class Allotment {
             const Effort effort = family.run(n, tried, n_tried, silent_);
             rays_ += effort.rays;
             pilot = {n, second_moments(s_, tried), std::max(effort.cost() / n, 1e-9), number_of(tried)};
-            for (double& v : pilot.variance) v *= n;
+            // Where a few rows make the variance, rarer and larger ones are likely.
+            const double effective = effective_number(tried),
+                         unseen = std::clamp(enough_of_equal_size / effective, 1.0, most_unseen);
+            for (double& v : pilot.variance) v *= n * unseen;
+            pilot.tells = pilot.n_rows >= enough && effective >= enough_of_equal_size;
             // Without any work there is nothing to sample.
-            if (effort.cost() == 0 || pilot.n_rows >= enough || effort.cost() >= most_cost || n >= family.most)
-                return pilot;
+            if (effort.cost() == 0 || pilot.tells || effort.cost() >= most_cost || n >= family.most) return pilot;
         }
     }
 
@@ -238,9 +258,8 @@ class Allotment {
             vertex_work += v / (v + l);
             light_work += l / (v + l);
         }
-        // Few vertices that find an edge are no measure of the variance, which rare ones make.
-        constexpr std::uint64_t fewest = 100;
-        return light_work > 0 && (vertices.n_rows < fewest || light_work < vertex_work);
+        // Rare vertices near an edge may make the variance.
+        return light_work > 0 && (!vertices.tells || light_work < vertex_work);
     }
 
     static constexpr double default_effort = 0.25;

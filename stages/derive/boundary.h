@@ -33,7 +33,8 @@ struct BoundaryRows {
 
     const Adjoint* adjoint = nullptr;  // null: rows are stored
     std::vector<double> gradient;      // of the loss, by parameter
-    std::vector<double> square;        // [parameter]: sum over rows of the squares of their derivatives
+    // [parameter]: sums over rows of the squares of their derivatives, and of the squares of these squares
+    std::vector<double> square, fourth;
     std::uint64_t n_rows = 0;
 
     std::vector<std::uint32_t> pixel;
@@ -48,26 +49,36 @@ struct BoundaryRows {
              std::span<const double> rates, BoundaryFamily family_, std::uint64_t sample_) {
         ++n_rows;
         square.resize(rates.size());
+        fourth.resize(rates.size());
         if (adjoint) {
             const Rgb<double> weight = adjoint->value_at(pixel_, opl_);
             const double by_rate = light.r * weight.r + light.g * weight.g + light.b * weight.b;
             gradient.resize(rates.size());
             for (std::size_t p = 0; p < rates.size(); ++p) {
                 gradient[p] += by_rate * rates[p];
-                square[p] += sqr(by_rate * rates[p]);
+                add_square(p, sqr(by_rate * rates[p]));
             }
             return;
         }
         pixel.push_back(std::uint32_t(pixel_));
         opl.push_back(opl_);
         camera_opl.push_back(camera_opl_);
-        for (std::size_t p = 0; p < rates.size(); ++p)
+        for (std::size_t p = 0; p < rates.size(); ++p) {
+            double of_row = 0;
             for (int c = 0; c < 3; ++c) {
                 dL.push_back(float(light[c] * rates[p]));
-                square[p] += sqr(double(dL.back()));
+                of_row += sqr(double(dL.back()));
             }
+            add_square(p, of_row);
+        }
         family.push_back(std::uint8_t(family_));
         sample.push_back(sample_);
+    }
+
+  private:
+    void add_square(std::size_t p, double of_row) {
+        square[p] += of_row;
+        fourth[p] += sqr(of_row);
     }
 };
 

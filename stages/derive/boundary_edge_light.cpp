@@ -215,9 +215,17 @@ class Joined {
                                p.rates(velocity_, rates_);
                                double speed = 0.05 * slide * length(p.b.out);
                                for (const double rate : rates_) speed += std::abs(rate);
-                               pool_.add(p, speed);
+                               pool_.add(p, speed * reflected(p));
                            });
         pool_.finish();
+    }
+    /// Returns f cos of a shadow point as seen along its normal; a share of the cosine where little goes there.
+    double reflected(const ShadowPoint& p) const {
+        const Vector3f to_light(-p.b.omega);
+        const ShadingPoint there = shading_point(s_.scene, p.at, Vector3f(facing(p.at.ng, to_light)));
+        const Spectrum f_cos = f_cos_pdf(there, to_light).f_cos;
+        constexpr double least = 0.01;
+        return double(f_cos.r + f_cos.g + f_cos.b) / 3 + least * std::abs(double(dot(p.at.ng, to_light)));
     }
 
     void join(const VertexState& x, std::size_t path, float u, BoundaryRows& rows) {

@@ -585,7 +585,7 @@ class Walk {
         std::span<const WholeLightPoint> points;
         light(j, end, at, here, [&](const Rgb<double>& L, const Colours& dL, const Numbers& dopl) {
             if (!dopl.is_zero())
-                points = whole_.points(j, at, end.emitter, g_.light_edges.pdf_bsdf_w[k],
+                points = whole_.points(j, here.place.shape_idx, at, end.emitter, g_.light_edges.pdf_bsdf_w[k],
                                        Vector3f(normalize(end.y - here.place.p)));
             if (points.empty()) on_edge(k, L, dL, dopl);
         });

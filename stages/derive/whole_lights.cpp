@@ -170,6 +170,7 @@ WholeLights::WholeLights(const Scene& scene, const WholeLightOptions& options) :
         if (shape.kind == ShapeKind::mesh) continue;
         rounds_.push_back({k, Pt(shape.round.center), radius_of(shape)});
     }
+    cells_.emplace(scene, *options_.edges, rounds_);
     corners_.resize(scene.emitters.size());
     for (std::size_t e = 0; e < scene.emitters.size(); ++e) {
         if (!options_.lights[e]) continue;
@@ -178,9 +179,9 @@ WholeLights::WholeLights(const Scene& scene, const WholeLightOptions& options) :
     }
 }
 
-bool WholeLights::is_seen(const ShadingPoint& at, std::size_t emitter_idx) {
-    const std::uint32_t shape_idx = scene_.emitters[emitter_idx].shape_idx;
-    const Shape& light = scene_.shapes[shape_idx];
+bool WholeLights::is_seen(const ShadingPoint& at, std::uint32_t shape_idx, std::size_t emitter_idx) {
+    const std::uint32_t light_idx = scene_.emitters[emitter_idx].shape_idx;
+    const Shape& light = scene_.shapes[light_idx];
     const bool is_flat = light.kind != ShapeKind::sphere;
     const std::array<Point3f, 4>& corners = corners_[emitter_idx];
     // Above the horizons of both normals.
@@ -197,22 +198,24 @@ bool WholeLights::is_seen(const ShadingPoint& at, std::size_t emitter_idx) {
                length(light.round.center - at.p) < 1.01f * light.round.radius) {
         return false;
     }
+    if (is_flat && cells_->is_clear(at.p, ng, shape_idx, light_idx, corners)) return true;
     const RayEnd from{at.p, ng, at.hit_error};
     const Shaft shaft =
         is_flat ? Shaft::to_polygon(from, corners) : Shaft::to_sphere(from, light.round.center, light.round.radius);
     if (shaft.empty()) return false;
-    for (const Round& round : rounds_)
-        if (round.shape_idx != shape_idx && may_meet(shaft, round.center, round.radius, Pt(at.p))) return false;
+    for (const RoundBounds& round : rounds_)
+        if (round.shape_idx != light_idx && may_meet(shaft, round.center, round.radius, Pt(at.p))) return false;
     constexpr std::size_t most_visits = 256;
     return options_.edges->collect(shaft, found_, most_visits) <= most_visits && found_.empty();
 }
 
-std::span<const WholeLightPoint> WholeLights::points(std::size_t vertex, const ShadingPoint& at,
-                                                     std::size_t emitter_idx, float pdf_bsdf_w, const Vector3f& wi) {
+std::span<const WholeLightPoint> WholeLights::points(std::size_t vertex, std::uint32_t shape_idx,
+                                                     const ShadingPoint& at, std::size_t emitter_idx, float pdf_bsdf_w,
+                                                     const Vector3f& wi) {
     points_.clear();
     if (!options_.lights[emitter_idx] || at.perturbed || !reflects_all(at.bsdf)) return points_;
     const float pdf_of_stored = f_cos_pdf(at, wi).pdf_w;
-    if (!(pdf_of_stored > 0) || !is_seen(at, emitter_idx)) return points_;
+    if (!(pdf_of_stored > 0) || !is_seen(at, shape_idx, emitter_idx)) return points_;
     const float survival = pdf_bsdf_w / pdf_of_stored;
 
     const Emitter& e = scene_.emitters[emitter_idx];

@@ -8,6 +8,7 @@
 // the light replaces that of the stored point.
 
 #include <array>
+#include <optional>
 #include <span>
 #include <vector>
 
@@ -15,6 +16,7 @@
 #include "stages/core/graph/graph_reader.h"
 #include "stages/core/scene/scene.h"
 #include "stages/core/scene/shading.h"
+#include "stages/derive/clear_cells.h"
 
 namespace loom::derive {
 
@@ -50,24 +52,20 @@ class WholeLights {
 
     /// Draws points of the light of a stored next-event edge.
     /// in:      vertex     of the graph: its random numbers
+    ///          shape_idx  of the vertex
     ///          pdf_bsdf_w, wi  of the stored edge: what is folded into the density of BSDF sampling
     /// out:     empty where the light may be partly hidden
-    std::span<const WholeLightPoint> points(std::size_t vertex, const ShadingPoint& at, std::size_t emitter_idx,
-                                            float pdf_bsdf_w, const Vector3f& wi);
+    std::span<const WholeLightPoint> points(std::size_t vertex, std::uint32_t shape_idx, const ShadingPoint& at,
+                                            std::size_t emitter_idx, float pdf_bsdf_w, const Vector3f& wi);
 
   private:
-    /// A ball around a sphere or disk.
-    struct Round {
-        std::uint32_t shape_idx;
-        Point3<double> center;
-        double radius;
-    };
-    bool is_seen(const ShadingPoint& at, std::size_t emitter_idx);
+    bool is_seen(const ShadingPoint& at, std::uint32_t shape_idx, std::size_t emitter_idx);
 
     const Scene& scene_;
     WholeLightOptions options_;
     std::vector<std::array<Point3f, 4>> corners_;  // [emitter] corners_of_flat_light(), of usable ones
-    std::vector<Round> rounds_;
+    std::vector<RoundBounds> rounds_;
+    std::optional<ClearCells> cells_;
     std::vector<EdgeSegment> found_;
     std::vector<WholeLightPoint> points_;
 };

@@ -1,4 +1,5 @@
-// Derivatives that are known exactly: a penumbra of rectangles, a plane lit from the pinhole, a furnace, hidden geometry.
+// Derivatives that are known exactly: a penumbra of rectangles, a plane lit from the pinhole, a board in front of a lit
+// ceiling, a furnace, hidden geometry.
 #include <fmt/format.h>
 #include <gtest/gtest.h>
 
@@ -299,6 +300,73 @@ TEST(DerivativeClosedForm, PlaneLitFromThePinhole) {
                     int(pulses[j].kind()), n, of_values, squares, 100 * largest);
         EXPECT_GT(chi_square_tail(of_values, n), 1e-3);
         EXPECT_GT(chi_square_tail(squares, n), 1e-3);
+    }
+}
+
+// ---- A board in front of a lit ceiling ------------------------------------------------------------------------------
+
+/// Irradiance from a convex polygon of radiance 1 in front of the origin, whose normal is z: half the sum over edges of
+/// angle times normal.                                                                    [Lambert] Photometria (1760)
+double lambert(const std::vector<Vector3<double>>& corners) {
+    double sum = 0;
+    for (std::size_t k = 0; k < corners.size(); ++k) {
+        const Vector3<double> a = normalize(corners[k]), b = normalize(corners[(k + 1) % corners.size()]);
+        const Vector3<double> n = cross(a, b);
+        sum += std::atan2(length(n), dot(a, b)) * n.z / length(n);
+    }
+    return std::abs(sum) / 2;
+}
+
+// A point sees a ceiling that the sun lights evenly, and a black board in front of it: all of the derivative is light of
+// a surface beside edges. A tenth of it lost is 20 and 40 standard errors by turn and z.
+TEST(DerivativeClosedForm, BoardInFrontOfALitCeiling) {
+    const SceneText text(
+        R"(<scene version="3.0.0"><default name="x" value="0"/><default name="z" value="0"/><default name="turn" value="30"/>
+<integrator type="path"><integer name="max_depth" value="3"/></integrator>
+<sensor type="perspective"><float name="fov" value="0.05"/><transform name="to_world"><lookat origin="3, 0, 1" target="0, 0, 0" up="0, 0, 1"/></transform>
+<film type="hdrfilm"><integer name="width" value="4"/><integer name="height" value="4"/><rfilter type="box"/></film></sensor>
+<bsdf type="diffuse" id="white"><rgb name="reflectance" value="1, 1, 1"/></bsdf>
+<bsdf type="twosided" id="black"><bsdf type="diffuse"><rgb name="reflectance" value="0, 0, 0"/></bsdf></bsdf>
+<shape type="rectangle"><transform name="to_world"><scale value="0.05"/></transform><ref id="white"/></shape>
+<shape type="rectangle"><transform name="to_world"><rotate x="1" angle="180"/><translate z="2"/></transform><ref id="white"/></shape>
+<shape type="rectangle"><transform name="to_world"><scale value="0.2"/><rotate y="1" angle="$turn"/><translate x="0.25" y="0.05" z="1"/><translate x="$x" z="$z"/></transform><ref id="black"/></shape>
+<emitter type="directional"><vector name="direction" x="2" y="0" z="1"/><rgb name="irradiance" value="1, 1, 1"/></emitter></scene>)");
+    const double ceiling = 1 / (pi_double * std::sqrt(5.0));  // its radiance
+    const auto seen = [&](double x, double z, double turn) {
+        const auto corner = [&](double a, double b) {
+            const double c = std::cos(turn * pi_double / 180), s = std::sin(turn * pi_double / 180);
+            return Vector3<double>{0.25 + x + 0.2 * a * c, 0.05 + 0.2 * b, 1 + z - 0.2 * a * s};
+        };
+        return ceiling / pi_double *
+               (lambert({{-1, -1, 2}, {1, -1, 2}, {1, 1, 2}, {-1, 1, 2}}) -
+                lambert({corner(-1, -1), corner(1, -1), corner(1, 1), corner(-1, 1)}));
+    };
+    constexpr double h = 1e-4;
+    const std::array<double, 3> exact = {(seen(h, 0, 30) - seen(-h, 0, 30)) / (2 * h),
+                                         (seen(0, h, 30) - seen(0, -h, 30)) / (2 * h),
+                                         (seen(0, 0, 30 + h) - seen(0, 0, 30 - h)) / (2 * h)};
+    const DerivableScene scene(text.file, {"x", "z", "turn"});
+    std::array<std::vector<double>, 3> rates;
+    std::vector<double> value;
+    for (int i = 0; i < 16; ++i) {
+        const PathGraph graph = trace_derivable(*scene.scene, full_run() ? 32768 : 4096, std::uint64_t(40 + i));
+        const Derivative d = differentiate(graph, scene, std::uint64_t(80 + i));
+        for (std::size_t p = 0; p < 3; ++p) {
+            const DerivedBins bins = bins_of(graph, &d, one_bin(), p);
+            rates[p].push_back(mean_of(bins.steady));
+            if (p == 0) value.push_back(mean_of(bins.steady_value));
+        }
+    }
+    const Estimate v = estimate_of(value);
+    EXPECT_LT(std::abs(v.mean - seen(0, 0, 30)), 4 * v.se);
+    for (std::size_t p = 0; p < 3; ++p) {
+        const Estimate e = estimate_of(rates[p]);
+        std::printf("    %-5s %+.5g +- %.2g of %+.5g (%+.1f SE; a tenth is %.0f SE)\n",
+                    scene.tangents.parameters[p].name.c_str(), e.mean, e.se, exact[p], (e.mean - exact[p]) / e.se,
+                    0.1 * std::abs(exact[p]) / e.se);
+        EXPECT_LT(std::abs(e.mean - exact[p]), 4 * e.se);
+        // By x, two edges nearly cancel.
+        EXPECT_GT(0.1 * std::abs(exact[p]), (p == 0 ? 2 : 10) * e.se);
     }
 }
 

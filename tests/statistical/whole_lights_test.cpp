@@ -74,7 +74,8 @@ TEST(WholeLights, PointsAreSeenAndBringTheLightOfNextEventSamples) {
         if (LightTechnique(g.light_edges.technique[k]) != LightTechnique::next_event) continue;
         const ShadingPoint at = reader.vertex(j);
         const auto points = [&](std::uint64_t vertex) {
-            return whole.points(vertex, at, emitter, g.light_edges.pdf_bsdf_w[k], reader.light_direction(at.p, k));
+            return whole.points(vertex, g.vertices.shape[j], at, emitter, g.light_edges.pdf_bsdf_w[k],
+                                reader.light_direction(at.p, k));
         };
         if (points(j).empty()) continue;
         ++n_vertices;

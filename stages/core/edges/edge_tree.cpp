@@ -226,6 +226,45 @@ std::size_t EdgeTree::collect_some(const Shaft& shaft, double n_blocks, double e
     return n_visited;
 }
 
+bool EdgeTree::any_inside(std::span<const HalfSpace> region, std::size_t most) const {
+    if (blocks_.empty()) return false;
+    const auto apart = [&](const Node& node, std::size_t child) {
+        return std::any_of(region.begin(), region.end(), [&](const HalfSpace& h) {
+            double farthest = h.offset;
+            for (std::size_t c = 0; c < 3; ++c)
+                farthest +=
+                    h.n[int(c)] * double(node.center[c][child]) + std::abs(h.n[int(c)]) * double(node.half[c][child]);
+            return farthest < 0;
+        });
+    };
+    const auto is_inside = [&](const Edge& edge) {
+        double s0 = 0, s1 = 1;
+        for (const HalfSpace& h : region) {
+            const double at_a = dot(h.n, Vector3d(edge.a)) + h.offset, at_b = dot(h.n, Vector3d(edge.b)) + h.offset;
+            if (at_a < 0 && at_b < 0) return false;
+            if (at_a < 0) s0 = std::max(s0, at_a / (at_a - at_b));
+            if (at_b < 0) s1 = std::min(s1, at_a / (at_a - at_b));
+        }
+        return s1 >= s0;
+    };
+    std::array<std::uint32_t, stack_size> stack{root_};
+    std::size_t n_visited = 0;
+    for (std::size_t n_waiting = 1; n_waiting > 0;) {
+        const std::uint32_t at = stack[--n_waiting];
+        if (++n_visited > most) return true;
+        if (at & is_block) {
+            const auto begin = set_.edges.begin() + std::ptrdiff_t(width * std::size_t(at & ~is_block));
+            const auto end = begin + std::min<std::ptrdiff_t>(width, set_.edges.end() - begin);
+            if (std::any_of(begin, end, is_inside)) return true;
+            continue;
+        }
+        const Node& node = nodes_[at];
+        for (std::size_t child = 0; child < std::size_t(node.n_children); ++child)
+            if (!apart(node, child)) stack[n_waiting++] = node.child[child];
+    }
+    return false;
+}
+
 struct EdgeTree::Builder {
     EdgeTree& tree;
     std::vector<Edge> edges;           // of the set, in its order

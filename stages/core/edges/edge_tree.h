@@ -11,6 +11,12 @@
 
 namespace loom {
 
+/// All p with n . p + offset >= 0.
+struct HalfSpace {
+    Vector3<double> n;
+    double offset = 0;
+};
+
 /// Part of a silhouette within a shaft.
 struct EdgeSegment {
     double s0 = 0, s1 = 0;  // by the parameter of the edge, s0 < s1
@@ -50,6 +56,10 @@ class EdgeTree {
     /// out:     as collect(); EdgeSegment::share is set, and sums of values / share are unbiased
     std::size_t collect_some(const Shaft& shaft, double n_blocks, double end_speed, std::uint64_t seed,
                              std::vector<EdgeSegment>& found) const;
+
+    /// Whether a part of any edge, silhouette or not, lies in all of some half-spaces. Also true where that is not known
+    /// after as many nodes and blocks as `most`.
+    bool any_inside(std::span<const HalfSpace> region, std::size_t most) const;
 
     static constexpr int width = 4;
 
