@@ -13,7 +13,8 @@
 #include "stages/core/sampling/streams.h"
 #include "stages/core/scene/build.h"
 #include "stages/residual/chain_of_edits.h"
-#include "stages/residual/stored/old_graph.h"
+#include "stages/residual/edit_job.h"
+#include "stages/residual/frames.h"
 
 namespace loom::residual {
 namespace {
@@ -103,6 +104,8 @@ Image read_residual(const std::string& file, const Scene& new_scene, const std::
     return image;
 }
 
+}  // namespace
+
 void check_endings(const Options& options) {
     const auto check = [](const std::string& flag, const std::string& file, const char* ending) {
         if (file.empty()) return;
@@ -139,6 +142,8 @@ void check_endings(const Options& options) {
     if (!options.new_picture.empty() && options.residual.empty() && options.old_graph.empty() && options.spp < 2)
         throw InputError("--spp 1: one sample has no variance, which --new must store; give at least 2");
 }
+
+namespace {
 
 /// in:      old_picture  null, or the control variate of the new image
 ///          plan         distribution of the effort of the added samples
@@ -197,6 +202,12 @@ void declare(app::Command& command, Options& options) {
     command.option("-D,--define", options.defines, "NAME=VALUE of a scene parameter $NAME, in both scenes");
     command.option("--old-define", options.old_defines, "NAME=VALUE in the old scene only, after -D");
     command.option("--new-define", options.new_defines, "NAME=VALUE in the new scene only, after -D");
+    command.file(
+        "--frames", options.frames,
+        "table of frames (.tsv: `frame` and names of $parameters, a row per frame). The old scene is what they "
+        "share, as loom-trace --static makes it; each frame is a new scene, and % in the names of outputs its "
+        "number, with four digits");
+    command.option("--only", options.only, "with --frames: FIRST:END, the frames from FIRST on below END");
     command.option("--sensor", options.sensor,
                    "sensor of both scenes, by id or by number from 0 in the order of the file (default: the first)");
     command.file("--old", options.old_picture,
@@ -242,6 +253,9 @@ void declare(app::Command& command, Options& options) {
     command.threads(options.threads);
     command.flag("--plan", options.plan, "print the edit and the plan, and stop");
     command.example("loom-residual old.xml new.xml --old old.exr --spp 8 -o residual.exr --new new.exr");
+    command.example(
+        "loom-residual scene.xml --frames frames.tsv --old static.exr --old-graph graph.h5 -o residual-%.exr --new "
+        "frame-%.exr");
 }
 
 std::string plan_of(Method method, const Edit& edit) {
@@ -339,9 +353,9 @@ void report_edit(const Edit& edit, app::Report& report) {
     for (const std::string& line : edit.changes) report.info("edit: {}", line);
 }
 
-/// The two scenes of a run with their file names.
+/// The two scenes of an edit with their file names.
 struct Scenes {
-    std::unique_ptr<Scene> old_scene, new_scene;
+    std::shared_ptr<const Scene> old_scene, new_scene;
     std::string old_name, new_name;
 
     ScenePair pair() const { return {*old_scene, *new_scene}; }
@@ -360,9 +374,9 @@ struct Residual {
     Image image;
     bool existed = false;  // read from --residual
     PathOptions path;
-    OldGraph graph;                               // read from --old-graph
     bool same_samples = false;                    // the old image has the graph's samples
     GraphResidual of_graph;                       // only with a graph
+    double load_s = 0;                            // CPU time of reading the new scene
     std::optional<ControlledPicture> controlled;  // only with --method auto
     Counts counts;
     std::string plan;
@@ -376,22 +390,10 @@ PathOptions path_options(const Options& options, const Scene& new_scene, const L
     return path;
 }
 
-/// Reads the old graph; its seed is the residual's.
-void read_graph(const Options& options, const Scenes& scenes, const Image& old_picture, Residual& residual) {
-    residual.graph = read_old_graph(options.old_graph, *scenes.old_scene, scenes.old_name, residual.path.max_depth);
-    residual.path.seed = residual.graph.path.seed;
-    if (!options.new_picture.empty() && residual.graph.spp < 2)
-        throw InputError(
-            fmt::format("{}: one sample per pixel has no variance, which --new must store; at least 2 are needed",
-                        options.old_graph[0]));
-    residual.same_samples = !options.old_picture.empty() && old_picture.ledger.empty() &&
-                            same_samples(old_picture, options.old_picture, residual.graph);
-}
-
-void render_by_graph(const Options& options, const Scenes& scenes, const Edit& edit, const Image& old_picture,
+void render_by_graph(const Options& options, const Scenes& scenes, const Edit& edit, const Base& base,
                      app::Report& report, Residual& residual) {
-    residual.of_graph = render_residual(scenes.pair(), edit, residual.graph, options.threads,
-                                        residual.same_samples ? &old_picture : nullptr, report);
+    residual.of_graph = render_residual(scenes.pair(), edit, base.graph, options.threads,
+                                        residual.same_samples ? &base.picture : nullptr, report);
     residual.image = residual.of_graph.image;
     residual.counts = residual.of_graph.counts;
     residual.plan += "; old graph: " + residual.of_graph.summary();
@@ -402,27 +404,31 @@ void render_by_graph(const Options& options, const Scenes& scenes, const Edit& e
 }
 
 /// in, out: residual  path and plan are set; the function fills the rest
-void make_residual(const Options& options, const Scenes& scenes, const Edit& edit, const Image& old_picture,
-                   const Ledger& before, app::Report& report, Residual& residual) {
+void make_residual(const Options& options, const Scenes& scenes, const Edit& edit, const Base& base,
+                   app::Report& report, Residual& residual) {
     residual.existed = !options.residual.empty();
     const bool has_graph = !options.old_graph.empty();
-    if (has_graph) read_graph(options, scenes, old_picture, residual);
+    if (has_graph) {
+        residual.path.seed = base.graph.path.seed;
+        residual.same_samples = !options.old_picture.empty() && base.picture.ledger.empty() &&
+                                same_samples(base.picture, options.old_picture, base.graph);
+    }
     if (residual.existed) residual.image = read_residual(options.residual, *scenes.new_scene, scenes.new_name);
 
     // Check that its random streams differ from those of the old image.
     if (residual.existed)
-        check_numbers(before, residual.image.ledger[0].method, residual.image.ledger[0].seed);
+        check_numbers(base.ledger, residual.image.ledger[0].method, residual.image.ledger[0].seed);
     else if (!residual.same_samples)
-        check_numbers(before, has_graph ? old_graph_method : method_name(options.method), residual.path.seed);
+        check_numbers(base.ledger, has_graph ? old_graph_method : method_name(options.method), residual.path.seed);
 
     // Trace it.
     if (has_graph)
-        render_by_graph(options, scenes, edit, old_picture, report, residual);
+        render_by_graph(options, scenes, edit, base, report, residual);
     else if (residual.existed)
         return;
     else if (options.method == Method::automatic || options.method == Method::dynamic)
         residual.image = render_by_dynamic_paths(scenes.pair(), edit, options, residual.path,
-                                                 options.new_picture.empty() ? nullptr : &old_picture, report,
+                                                 options.new_picture.empty() ? nullptr : &base.picture, report,
                                                  residual.counts, residual.plan, residual.controlled);
     else
         residual.image = render_residual(scenes.pair(), options.method, residual.path,
@@ -430,10 +436,10 @@ void make_residual(const Options& options, const Scenes& scenes, const Edit& edi
 }
 
 /// Stores the inputs and settings of the residual in it.
-void label_residual(const Options& options, const Scenes& scenes, const Edit& edit, const app::Report& report,
-                    Residual& residual) {
+/// in:      command  that makes it alone
+void label_residual(const Options& options, const Scenes& scenes, const Edit& edit, const OldGraph& graph,
+                    const std::string& command, const app::Report& report, Residual& residual) {
     Image& image = residual.image;
-    const OldGraph& graph = residual.graph;
     const std::string how = residual.existed ? image.provenance.plan : residual.plan;
     const std::uint64_t seed = residual.existed             ? image.provenance.seed
                                : !options.old_graph.empty() ? residual.path.seed
@@ -444,14 +450,18 @@ void label_residual(const Options& options, const Scenes& scenes, const Edit& ed
         inputs.push_back(identify_by_header(graph.passes[i], graph.files[i]));
     image.provenance = report.provenance(
         seed, std::move(inputs), how.starts_with("edit: ") ? how : fmt::format("edit: {}; {}", text_of(edit), how));
+    image.provenance.command = command;
     image.ledger.back().what = text_of(edit);
     image.ledger.back().scene = image.provenance.inputs[1];
 }
 
+/// in:      loading, before  cost of what all edits of this run share, a share of it for this one, and cost before it
 Cost cost_of(const Options& options, const Scenes& scenes, const Residual& residual, const Cost& loading,
-             const app::Report& report) {
+             const Cost& before, double share, const app::Report& report) {
     Cost cost = report.cost(residual.image.provenance.plan);
-    cost.load_s = loading.cpu_s;
+    cost.wall_s += share * loading.wall_s - before.wall_s;
+    cost.cpu_s += share * loading.cpu_s - before.cpu_s;
+    cost.load_s = share * loading.cpu_s + residual.load_s;
     cost.rays = residual.counts.rays;
     cost.samples = residual.existed             ? 0
                    : !options.old_graph.empty() ? residual.of_graph.touched
@@ -486,7 +496,8 @@ std::string write_outputs(const Options& options, const Image& old_picture, cons
     if (!options.residual_png.empty()) write_png(false_colours(residual.image, "", 0), options.residual_png);
     if (options.new_picture.empty()) return last_output;
     const Image sum = new_image(options, old_picture, residual);
-    if (!sum.ledger.empty()) say_standing(sum.ledger, options, report);
+    // Frames are no chain of edits.
+    if (!sum.ledger.empty() && options.frames.empty()) say_standing(sum.ledger, options, report);
     // The new image carries the cost of this run, whether or not the residual is stored.
     write(sum, options.new_picture, {options.old_picture, options.residual});
     if (!options.png.empty()) write_png(sum, options.png);
@@ -495,51 +506,79 @@ std::string write_outputs(const Options& options, const Image& old_picture, cons
 
 }  // namespace
 
-void run(const Options& options, app::Report& report) {
-    const bool lists_techniques = options.technique == "list";
-    if (!options.plan && !lists_techniques) check_endings(options);
+Base read_base(const Options& options, SceneDescription description, int max_depth, app::Report& report) {
+    Base base;
+    base.description = description;
+    base.scene = build_scene(std::move(description));
+    base.name = file_name(options.old_scene);
+    if (!options.old_picture.empty()) {
+        base.picture = read_old_picture(options.old_picture, *base.scene, base.name, report);
+        base.ledger = ledger_of(base.picture);
+    }
+    if (options.old_graph.empty()) return base;
+    base.graph = read_old_graph(options.old_graph, *base.scene, base.name, max_depth);
+    if (!options.new_picture.empty() && base.graph.spp < 2)
+        throw InputError(
+            fmt::format("{}: one sample per pixel has no variance, which --new must store; at least 2 are needed",
+                        options.old_graph[0]));
+    return base;
+}
 
-    // Find the edit.
-    const std::string& new_file = options.new_scene.empty() ? options.old_scene : options.new_scene;
-    SceneDescription old_description =
-        read_scene(options.old_scene, both(options.defines, options.old_defines), options.sensor);
-    SceneDescription new_description = read_scene(new_file, both(options.defines, options.new_defines), options.sensor);
-    const Edit edit = find_edit(old_description, new_description);
+void render_edit(const Options& options, const Base& base, EditJob job, const Edit& edit, app::Report& report) {
     Residual residual;
     residual.plan = plan_of(options.old_graph.empty() ? options.method : Method::correlated, edit);
-    if (options.plan) {
-        report.answer(answer_of(edit, residual.plan));
-        return;
-    }
     report_edit(edit, report);
     if (options.residual.empty()) report.info("plan: {}", residual.plan);
 
-    // Build the scenes.
-    const Scenes scenes{build_scene(std::move(old_description)), build_scene(std::move(new_description)),
-                        file_name(options.old_scene), file_name(new_file)};
+    const double before_s = report.cost().cpu_s;
+    const Scenes scenes{base.scene, build_scene(std::move(job.description)), base.name, file_name(job.file)};
+    residual.load_s = report.cost().cpu_s - before_s;
     for (const std::string& note : scenes.new_scene->notes) report.info("{}", note);
-    if (lists_techniques) {
+    if (options.technique == "list") {
         report.answer(technique_names(scenes, edit));
         return;
     }
 
-    // Read the old image.
-    Image old_picture;
-    Ledger before;
-    if (!options.old_picture.empty()) {
-        old_picture = read_old_picture(options.old_picture, *scenes.old_scene, scenes.old_name, report);
-        before = ledger_of(old_picture);
-    }
-    const Cost loading = report.cost();
-
     // Make the residual, and add it to the old image.
-    residual.path = path_options(options, *scenes.new_scene, before);
-    make_residual(options, scenes, edit, old_picture, before, report, residual);
-    label_residual(options, scenes, edit, report, residual);
-    const Cost cost = cost_of(options, scenes, residual, loading, report);
-    const std::string last_output = write_outputs(options, old_picture, cost, report, residual);
+    residual.path = path_options(options, *scenes.new_scene, base.ledger);
+    make_residual(options, scenes, edit, base, report, residual);
+    label_residual(options, scenes, edit, base.graph, job.command, report, residual);
+    const Cost cost = cost_of(options, scenes, residual, job.loading, job.before, job.share, report);
+    const std::string last_output = write_outputs(options, base.picture, cost, report, residual);
     report.done("{}: {} pairs of paths, {} vertices, {} rays, {} samples not finite", file_name(last_output),
                 cost.samples, residual.counts.vertices, residual.counts.rays, residual.counts.nonfinite);
+}
+
+int max_depth_of(const Options& options, const SceneDescription& description) {
+    return options.max_depth.value_or(read_view(*description.root).max_depth);
+}
+
+void run(const Options& options, app::Report& report) {
+    if (!options.frames.empty()) {
+        render_frames(options, report);
+        return;
+    }
+    if (!options.only.empty()) throw InputError("--only: needs --frames");
+    if (!options.plan && options.technique != "list") check_endings(options);
+
+    const std::string& new_file = options.new_scene.empty() ? options.old_scene : options.new_scene;
+    SceneDescription old_description =
+        read_scene(options.old_scene, both(options.defines, options.old_defines), options.sensor);
+    EditJob job{read_scene(new_file, both(options.defines, options.new_defines), options.sensor),
+                new_file,
+                report.command(),
+                {},
+                1,
+                {}};
+    const Edit edit = find_edit(old_description, job.description);
+    if (options.plan) {
+        report.answer(answer_of(edit, plan_of(options.old_graph.empty() ? options.method : Method::correlated, edit)));
+        return;
+    }
+    const int max_depth = max_depth_of(options, job.description);
+    const Base base = read_base(options, std::move(old_description), max_depth, report);
+    job.loading = job.before = report.cost();
+    render_edit(options, base, std::move(job), edit, report);
 }
 
 }  // namespace loom::residual

@@ -12,6 +12,7 @@
 #include "formats/path_graph.h"
 #include "stages/core/app/command.h"
 #include "stages/core/compute/parallel.h"
+#include "stages/core/edit/animation.h"
 #include "stages/core/scene/build.h"
 #include "stages/core/scene/nlos.h"
 #include "stages/core/tracing/film.h"
@@ -168,6 +169,10 @@ void declare(app::Command& command, Options& options) {
     command.flag("--media", options.columns.media,
                  "also store the material of each segment's medium (+2 bytes per vertex and edge), for derivatives by "
                  "the index of refraction");
+    command.file(
+        "--static", options.frames,
+        "table of frames (.tsv: `frame` and names of $parameters, a row per frame): trace the static scene that "
+        "they share, for loom-residual --frames");
     command.threads(options.threads);
     command.flag("--plan", options.plan, "print the plan and stop");
     command.option("--replay", options.replay, "X,Y,SAMPLE: trace that path alone and print it");
@@ -300,6 +305,15 @@ void finish_pass(const Passes& of, const std::string& output, const Counts& coun
                 counts.nonfinite);
 }
 
+/// in, out: of_frames  what is added to the plan
+std::unique_ptr<Scene> load(const Options& options, std::string& of_frames) {
+    const Defines defines = parse_defines(options.defines);
+    if (options.frames.empty()) return load_scene(options.scene, defines, options.sensor);
+    Animation animation = find_animation(options.scene, defines, options.sensor, read_frames(options.frames));
+    of_frames = "; " + animation.describe();
+    return build_scene(std::move(animation.still));
+}
+
 }  // namespace
 
 void run(const Options& options, app::Report& report) {
@@ -307,10 +321,11 @@ void run(const Options& options, app::Report& report) {
     if (!options.plan && options.replay.empty()) check_output(options, ending);
 
     // Read the scene.
-    const auto scene = load_scene(options.scene, parse_defines(options.defines), options.sensor);
+    std::string of_frames;
+    const auto scene = load(options, of_frames);
     for (const std::string& note : scene->notes) report.info("{}", note);
     const PathOptions path = path_options(options, *scene);
-    const std::string planned = plan(*scene, path, ending != ".exr" ? &options.columns : nullptr);
+    const std::string planned = plan(*scene, path, ending != ".exr" ? &options.columns : nullptr) + of_frames;
     if (!options.replay.empty()) {
         report.answer(replay(*scene, path, options.replay));
         return;

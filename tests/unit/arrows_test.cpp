@@ -88,7 +88,7 @@ const Arrows& arrows() {
             {"core/graph", {"core/scene"}},
             {"core/clusters", {"core/graph"}},
             {"core/edges", {"core/scene"}},
-            {"core/edit", {"core/scene"}},
+            {"core/edit", {"core/scene", "core/table"}},
             {"stages/residual/stored", {"core/tracing", "core/graph", "core/edit"}},
             {"stages/residual/dynamic", {"core/tracing", "core/edit"}},
             {"stages/residual/effort", {"stages/residual/dynamic"}},

@@ -27,7 +27,7 @@ std::vector<std::string> cells_of(std::string line) {
 Table read_table(const std::string& file) {
     std::ifstream in(file);
     if (!in) throw InputError(fmt::format("{}: cannot be read", file));
-    Table table{file, {}, {}};
+    Table table{file, {}, {}, {}};
     std::size_t number = 0;
     for (std::string line; std::getline(in, line);) {
         ++number;
@@ -40,6 +40,7 @@ Table read_table(const std::string& file) {
                                          table.names.size()));
         } else {
             table.rows.push_back(std::move(cells));
+            table.lines.push_back(number);
         }
     }
     if (table.rows.empty()) throw InputError(fmt::format("{}: has no rows", file));
@@ -80,6 +81,7 @@ Table read_tables(const std::vector<std::string>& files) {
         for (const std::string& name : all.names) order.push_back(table.column(name));
         if (table.names.size() != all.names.size())
             throw InputError(fmt::format("{}: has other columns than {}", file, all.file));
+        all.lines.insert(all.lines.end(), table.lines.begin(), table.lines.end());
         for (const auto& row : table.rows) {
             auto& joined = all.rows.emplace_back();
             for (std::size_t k : order) joined.push_back(row[k]);

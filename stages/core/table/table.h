@@ -10,6 +10,7 @@ struct Table {
     std::string file;
     std::vector<std::string> names;
     std::vector<std::vector<std::string>> rows;
+    std::vector<std::size_t> lines = {};  // [row] of its file, from 1
 
     bool has(const std::string& name) const;
     /// throws:  InputError naming the existing columns

@@ -1,0 +1,149 @@
+#include "stages/core/edit/animation.h"
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include <algorithm>
+#include <charconv>
+#include <set>
+#include <span>
+
+#include "formats/io/content_hash.h"
+#include "formats/io/error.h"
+#include "stages/core/edit/scene_match.h"
+#include "stages/core/table/table.h"
+
+namespace loom {
+namespace {
+
+constexpr std::uint32_t most_frames = 1000000;
+
+std::uint32_t frame_number(const std::string& text, const std::string& where) {
+    std::uint32_t number = 0;
+    const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), number);
+    if (text.empty() || error != std::errc{} || end != text.data() + text.size() || number >= most_frames)
+        throw InputError(fmt::format("{}: frame '{}': expected a number from 0 to {}", where, text, most_frames - 1));
+    return number;
+}
+
+/// Reads the description of a frame; an error also names the frame's line.
+SceneDescription describe_frame(const std::filesystem::path& scene, const Defines& defines, const std::string& sensor,
+                                const Frames& frames, const Frames::Frame& frame) {
+    try {
+        return read_scene(scene, frames.values_of(frame, defines), sensor);
+    } catch (const InputError& bad) {
+        throw InputError(fmt::format("{}:{}: frame {}: {}", frames.file, frame.line, frame.number, bad.what()));
+    }
+}
+
+std::string name_of(const ObjectPtr& o, std::size_t place) {
+    return o->has_own_id ? fmt::format("'{}'", o->id) : fmt::format("number {} ({})", place + 1, o->plugin);
+}
+
+}  // namespace
+
+Defines Frames::values_of(const Frame& frame, Defines others) const {
+    for (std::size_t i = 0; i < parameters.size(); ++i) others.emplace_back(parameters[i], frame.values[i]);
+    return others;
+}
+
+Frames read_frames(const std::string& file) {
+    const Table table = read_tables({file});
+    const std::size_t number_column = table.column("frame");
+    Frames out;
+    out.file = file;
+    for (std::size_t i = 0; i < table.names.size(); ++i) {
+        const std::string& name = table.names[i];
+        if (name.empty()) throw InputError(fmt::format("{}: column {} has no name", file, i + 1));
+        if (std::count(table.names.begin(), table.names.end(), name) > 1)
+            throw InputError(fmt::format("{}: column '{}' is there twice", file, name));
+        if (i != number_column) out.parameters.push_back(name);
+    }
+    std::set<std::uint32_t> known;
+    for (std::size_t row = 0; row < table.rows.size(); ++row) {
+        Frames::Frame frame;
+        frame.line = table.lines[row];
+        const std::string where = fmt::format("{}:{}", file, frame.line);
+        frame.number = frame_number(table.rows[row][number_column], where);
+        if (!known.insert(frame.number).second)
+            throw InputError(fmt::format("{}: frame {} is there twice", where, frame.number));
+        for (std::size_t i = 0; i < table.names.size(); ++i) {
+            if (i == number_column) continue;
+            const std::string& value = table.rows[row][i];
+            if (value.empty())
+                throw InputError(fmt::format("{}: frame {}: '{}' has no value", where, frame.number, table.names[i]));
+            frame.values.push_back(value);
+        }
+        out.frames.push_back(std::move(frame));
+    }
+    return out;
+}
+
+std::string Animation::describe() const {
+    const auto list = [](const char* what, const std::vector<std::string>& names) {
+        return names.empty() ? std::string() : fmt::format("{} {}", what, fmt::join(names, ", "));
+    };
+    const std::string out = list("static: without", moving), lights = list("lights of the first frame:", relit);
+    if (out.empty() && lights.empty()) return "static: nothing differs between the frames";
+    return out + (out.empty() || lights.empty() ? "" : "; ") + lights;
+}
+
+Animation find_animation(const std::filesystem::path& scene, const Defines& defines, const std::string& sensor,
+                         const Frames& frames) {
+    CanonicalTexts texts;  // of objects that must live as long
+    std::vector<SceneDescription> descriptions;
+    for (const Frames::Frame& frame : frames.frames)
+        descriptions.push_back(describe_frame(scene, defines, sensor, frames, frame));
+
+    const Object& first = *descriptions[0].root;
+    const Objects shapes = first.children(Category::shape), emitters = first.children(Category::emitter);
+    std::vector<char> shape_differs(shapes.size()), emitter_differs(emitters.size());
+    for (std::size_t i = 1; i < descriptions.size(); ++i) {
+        const Object& other = *descriptions[i].root;
+        const auto where = [&] {
+            return fmt::format("{}:{}: frame {}", frames.file, frames.frames[i].line, frames.frames[i].number);
+        };
+        for (const Category category : {Category::sensor, Category::integrator})
+            if (texts.text(first.child(category)) != texts.text(other.child(category)))
+                throw InputError(fmt::format(
+                    "{}: has another {} than frame {}; frames need one view of the scene, and one length of paths",
+                    where(), name(category), frames.frames[0].number));
+        const auto compare = [&](const Objects& ours, const Objects& theirs, const SceneMatch& match,
+                                 std::vector<char>& differs, const char* kind) {
+            for (std::size_t k = 0; k < ours.size(); ++k) {
+                const std::uint32_t partner = match.new_of_old[k];
+                differs[k] |= partner == SceneMatch::none || texts.text(ours[k]) != texts.text(theirs[partner]);
+            }
+            for (std::size_t k = 0; k < theirs.size(); ++k)
+                if (match.old_of_new[k] == SceneMatch::none)
+                    throw InputError(fmt::format("{}: has a {} that frame {} lacks: {}", where(), kind,
+                                                 frames.frames[0].number, name_of(theirs[k], k)));
+        };
+        const Objects new_shapes = other.children(Category::shape), new_emitters = other.children(Category::emitter);
+        compare(shapes, new_shapes, match_shapes(shapes, new_shapes, texts), shape_differs, "shape");
+        compare(emitters, new_emitters, match_emitters(emitters, new_emitters, texts), emitter_differs, "light");
+    }
+
+    Animation out;
+    auto root = std::make_shared<Object>(first);
+    for (std::size_t k = 0; k < shapes.size(); ++k) {
+        if (!shape_differs[k]) continue;
+        if (shapes[k]->has_child(Category::emitter)) {
+            out.relit.push_back(name_of(shapes[k], k));
+            continue;
+        }
+        out.moving.push_back(name_of(shapes[k], k));
+        std::erase_if(root->nested, [&](const auto& child) { return child.first == shapes[k]; });
+    }
+    for (std::size_t k = 0; k < emitters.size(); ++k)
+        if (emitter_differs[k]) out.relit.push_back(name_of(emitters[k], k));
+    out.still = std::move(descriptions[0]);
+    // Its content alone identifies it, so that other frames of the same static scene share its files.
+    const std::string text = texts.text(*root);
+    out.still.parameters = {{"static scene", content_hash_text(content_hash(std::as_bytes(std::span(text))))}};
+    out.still.files.clear();
+    out.still.root = std::move(root);
+    return out;
+}
+
+}  // namespace loom

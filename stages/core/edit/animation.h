@@ -1,0 +1,48 @@
+#pragma once
+// Animations: frames of a scene that differ in the values of its $parameters, and the static scene that they share. What
+// moves is found by comparing the descriptions of the frames, not declared.                          [HY] section 3.1
+
+#include <cstdint>
+#include <filesystem>
+#include <string>
+#include <vector>
+
+#include "stages/core/description/description.h"
+
+namespace loom {
+
+/// Values of some parameters of a scene, frame by frame.
+struct Frames {
+    struct Frame {
+        std::uint32_t number = 0;
+        std::vector<std::string> values;  // [parameter]
+        std::size_t line = 0;             // of the file
+    };
+    std::string file;
+    std::vector<std::string> parameters;  // $names
+    std::vector<Frame> frames;            // in the order of the file
+
+    /// Returns the values of a frame after others.
+    Defines values_of(const Frame& frame, Defines others = {}) const;
+};
+
+/// Reads a table of frames, tab-separated: `frame` and the names of parameters in the first line, then a row per frame
+/// with its number and all values. Empty lines count for nothing.
+/// throws:  InputError with file, line and column: no `frame`, a number twice, a cell without value
+Frames read_frames(const std::string& file);
+
+struct Animation {
+    SceneDescription still;           // without the shapes that move; built, its hash depends on what it holds alone
+    std::vector<std::string> moving;  // ids of the shapes that differ between frames and emit nothing
+    std::vector<std::string> relit;   // ids of lights that differ, of which `still` has those of the first frame
+    std::string describe() const;     // in one line
+};
+
+/// Finds what the frames of a scene have in common. A light that differs stays as it is in the first frame, for the choice
+/// of a light among others depends on their number. Shapes and lights are matched as those of an edit (match_shapes()).
+/// throws:  InputError of the scene with the frame's line; where camera, film or integrator differ, for which frames have
+///          no common pixels or paths
+Animation find_animation(const std::filesystem::path& scene, const Defines& defines, const std::string& sensor,
+                         const Frames& frames);
+
+}  // namespace loom

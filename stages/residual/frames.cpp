@@ -1,0 +1,93 @@
+#include "stages/residual/frames.h"
+
+#include <fmt/format.h>
+
+#include "formats/io/error.h"
+#include "stages/core/app/command.h"
+#include "stages/core/edit/animation.h"
+#include "stages/core/scene/build.h"
+#include "stages/residual/edit_job.h"
+
+namespace loom::residual {
+namespace {
+
+void check_frames(const Options& options) {
+    if (!options.new_scene.empty() || !options.old_defines.empty() || !options.new_defines.empty())
+        throw InputError("--frames: its rows are the new scenes; leave out NEW, --old-define and --new-define");
+    if (!options.residual.empty() || !options.technique.empty())
+        throw InputError("--frames: leave out --residual and --technique");
+    for (const auto& [flag, file] :
+         {std::pair("-o", &options.output), std::pair("--new", &options.new_picture), std::pair("--png", &options.png),
+          std::pair("--residual-png", &options.residual_png)})
+        if (!file->empty() && file->find('%') == std::string::npos)
+            throw InputError(fmt::format("{} {}: needs a % for the number of the frame", flag, *file));
+}
+
+/// Returns the frames whose numbers --only names.
+std::vector<Frames::Frame> chosen_frames(const Frames& frames, const std::string& only) {
+    if (only.empty()) return frames.frames;
+    const auto colon = only.find(':');
+    const auto number = [&](const std::string& text) { return app::parse_number<std::uint32_t>(text); };
+    const auto first = number(only.substr(0, colon)),
+               end = colon == std::string::npos ? std::nullopt : number(only.substr(colon + 1));
+    if (!first || !end || *first >= *end)
+        throw InputError(fmt::format("--only {}: expected FIRST:END, two numbers of frames, FIRST below END", only));
+    std::vector<Frames::Frame> chosen;
+    for (const Frames::Frame& frame : frames.frames)
+        if (frame.number >= *first && frame.number < *end) chosen.push_back(frame);
+    if (chosen.empty())
+        throw InputError(fmt::format("--only {}: {} has no frame with such a number", only, frames.file));
+    return chosen;
+}
+
+/// Returns the options and command of a frame alone.
+Options options_of_frame(const Options& options, const Frames::Frame& frame, std::string& command) {
+    Options own = options;
+    own.only = fmt::format("{}:{}", frame.number, frame.number + 1);
+    for (std::string* file : {&own.output, &own.new_picture, &own.png, &own.residual_png})
+        if (const auto at = file->rfind('%'); at != std::string::npos)
+            file->replace(at, 1, fmt::format("{:04}", frame.number));
+    command = options.only.empty()
+                  ? app::command_of_part(std::move(command), {{" --old ", fmt::format(" --only {} --old ", own.only)}})
+                  : app::command_of_part(std::move(command), {{" --only " + options.only, " --only " + own.only}});
+    return own;
+}
+
+}  // namespace
+
+void render_frames(const Options& options, app::Report& report) {
+    check_frames(options);
+    const Frames table = read_frames(options.frames);
+    const std::vector<Frames::Frame> frames = chosen_frames(table, options.only);
+    const Defines defines = parse_defines(options.defines);
+    Animation animation = find_animation(options.old_scene, defines, options.sensor, table);
+    if (options.plan) {
+        report.answer(animation.describe() + "\n");
+        return;
+    }
+    report.info("{}", animation.describe());
+    std::vector<std::string> commands(frames.size(), report.command());
+    std::vector<Options> of_frames;
+    for (std::size_t i = 0; i < frames.size(); ++i) {
+        of_frames.push_back(options_of_frame(options, frames[i], commands[i]));
+        check_endings(of_frames.back());
+    }
+    const int max_depth = max_depth_of(options, animation.still);
+    const Base base = read_base(options, std::move(animation.still), max_depth, report);
+    const Cost loading = report.cost();
+    app::Progress progress(report, "frames", frames.size());
+    for (std::size_t i = 0; i < frames.size(); ++i) {
+        const Cost before = report.cost();
+        EditJob job{read_scene(options.old_scene, table.values_of(frames[i], defines), options.sensor),
+                    options.old_scene,
+                    commands[i],
+                    loading,
+                    1 / double(frames.size()),
+                    before};
+        const Edit edit = find_edit(base.description, job.description);
+        render_edit(of_frames[i], base, std::move(job), edit, report);
+        progress.add(1);
+    }
+}
+
+}  // namespace loom::residual

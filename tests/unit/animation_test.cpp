@@ -1,0 +1,126 @@
+// Frames of an animation: the table, and the static scene that they share.
+#include "stages/core/edit/animation.h"
+
+#include <gtest/gtest.h>
+#include <unistd.h>
+
+#include "formats/io/error.h"
+#include "stages/core/scene/build.h"
+
+namespace loom {
+namespace {
+
+/// A file that is removed with it.
+class TextFile {
+  public:
+    TextFile(const std::string& name, const std::string& text)
+        : path(std::filesystem::temp_directory_path() / (std::to_string(getpid()) + name)) {
+        std::ofstream(path) << text;
+    }
+    ~TextFile() { std::filesystem::remove(path); }
+    const std::filesystem::path path;
+};
+
+std::string error_of(const auto& f) {
+    try {
+        f();
+    } catch (const InputError& e) {
+        return e.what();
+    }
+    return "";
+}
+
+constexpr const char* scene_text = R"(<scene version="3.0.0">
+<default name="x" value="0"/><default name="paint" value="0.5"/><default name="power" value="1"/><default name="fov" value="40"/>
+<sensor type="perspective"><float name="fov" value="$fov"/><film type="hdrfilm"><integer name="width" value="4"/><integer name="height" value="4"/></film></sensor>
+<shape type="rectangle" id="floor"/>
+<shape type="sphere" id="ball"><transform name="to_world"><translate x="$x" z="1"/></transform></shape>
+<shape type="cube" id="box"><bsdf type="diffuse"><rgb name="reflectance" value="$paint, 0.5, 0.5"/></bsdf></shape>
+<shape type="disk" id="lamp"><transform name="to_world"><translate z="3"/></transform><emitter type="area"><rgb name="radiance" value="$power, 1, 1"/></emitter></shape>
+<emitter type="constant"/></scene>)";
+
+struct Case {
+    TextFile scene{".xml", scene_text};
+    TextFile table;
+    explicit Case(const std::string& rows) : table(".tsv", rows) {}
+
+    Frames frames() const { return read_frames(table.path.string()); }
+    Animation animation() const { return find_animation(scene.path, {}, "", frames()); }
+    std::uint64_t hash() const { return build_scene(animation().still)->content_hash; }
+};
+
+TEST(FrameTable, AreReadInTheOrderOfTheFile) {
+    const Case c("x\tframe\tpaint\r\n1\t7\t.2\r\n\n-2\t3\t.4\n");
+    const Frames frames = c.frames();
+    EXPECT_EQ(frames.parameters, (std::vector<std::string>{"x", "paint"}));
+    ASSERT_EQ(frames.frames.size(), 2u);
+    EXPECT_EQ(frames.frames[0].number, 7u);
+    EXPECT_EQ(frames.frames[1].line, 4u);
+    EXPECT_EQ(frames.values_of(frames.frames[1], {{"fov", "9"}}),
+              (Defines{{"fov", "9"}, {"x", "-2"}, {"paint", ".4"}}));
+}
+
+TEST(FrameTable, ErrorsNameLineAndColumn) {
+    const auto error = [](const std::string& text) { return error_of([&] { Case(text).frames(); }); };
+    EXPECT_NE(error("x\n1\n").find("has no column frame"), std::string::npos);
+    EXPECT_NE(error("frame\tx\tx\n0\t1\t1\n").find("column 'x' is there twice"), std::string::npos);
+    EXPECT_NE(error("frame\t\n0\t1\n").find("column 2 has no name"), std::string::npos);
+    EXPECT_NE(error("frame\tx\n").find("has no rows"), std::string::npos);
+    EXPECT_NE(error("").find("has no rows"), std::string::npos);
+    EXPECT_NE(error("frame\tx\n0\n").find(":2: has 1 cells, the first line has 2"), std::string::npos);
+    EXPECT_NE(error("frame\tx\n0\t\n").find(":2: frame 0: 'x' has no value"), std::string::npos);
+    EXPECT_NE(error("frame\tx\n0\t1\n0\t2\n").find(":3: frame 0 is there twice"), std::string::npos);
+    for (const char* number : {"a", "-1", "1.5", "1000000", "0x1", " 1", "../1", ""})
+        EXPECT_NE(error(std::string("frame\tx\n") + number + "\t2\n").find("expected a number from 0"),
+                  std::string::npos)
+            << number;
+}
+
+TEST(Animation, LeavesOutWhatMoves) {
+    const Animation a = Case("frame\tx\n0\t0\n1\t0\n2\t.5\n").animation();
+    EXPECT_EQ(a.moving, std::vector<std::string>{"'ball'"});
+    EXPECT_TRUE(a.relit.empty());
+    EXPECT_EQ(a.describe(), "static: without 'ball'");
+    const auto scene = build_scene(a.still);
+    ASSERT_EQ(scene->shapes.size(), 3u);
+    EXPECT_EQ(scene->shapes[1].id, "box");
+    EXPECT_EQ(scene->emitters.size(), 2u);
+}
+
+TEST(Animation, RepaintedShapesMoveAndLightsStay) {
+    const Animation a = Case("frame\tpaint\tpower\n0\t.5\t3\n1\t.6\t4\n").animation();
+    EXPECT_EQ(a.moving, std::vector<std::string>{"'box'"});
+    EXPECT_EQ(a.relit, std::vector<std::string>{"'lamp'"});
+    EXPECT_EQ(a.describe(), "static: without 'box'; lights of the first frame: 'lamp'");
+    const auto scene = build_scene(a.still);
+    ASSERT_EQ(scene->shapes.size(), 3u);
+    EXPECT_EQ(scene->emitters[0].radiance.r, 3);
+}
+
+TEST(Animation, NothingDiffers) {
+    const Animation a = Case("frame\tx\n0\t1\n1\t1.0\n").animation();
+    EXPECT_EQ(a.describe(), "static: nothing differs between the frames");
+    EXPECT_EQ(build_scene(a.still)->shapes.size(), 4u);
+}
+
+// The same static scene of other frames is the same scene: its files need not be made again.
+TEST(Animation, ItsContentAloneIdentifiesTheStaticScene) {
+    const std::uint64_t hash = Case("frame\tx\n0\t0\n1\t1\n").hash();
+    EXPECT_EQ(Case("frame\tx\n5\t7\n1\t-1\n2\t0\n").hash(), hash);
+    EXPECT_EQ(Case("frame\tx\tpaint\n0\t0\t.5\n1\t1\t.5\n").hash(), hash);
+    EXPECT_NE(Case("frame\tx\tpaint\n0\t0\t.6\n1\t1\t.6\n").hash(), hash);
+    EXPECT_NE(Case("frame\tx\tpaint\n0\t0\t.5\n1\t1\t.6\n").hash(), hash);
+    EXPECT_NE(Case("frame\tx\n0\t0\n1\t0\n").hash(), hash);
+    EXPECT_NE(Case("frame\tx\tpower\n0\t0\t2\n1\t1\t1\n").hash(), hash);
+}
+
+TEST(Animation, ErrorsNameTheFrame) {
+    const auto error = [](const std::string& rows) { return error_of([&] { Case(rows).animation(); }); };
+    EXPECT_NE(error("frame\tfov\n0\t40\n4\t41\n").find(":3: frame 4: has another sensor than frame 0"),
+              std::string::npos);
+    EXPECT_NE(error("frame\tunknown\n0\t1\n").find(":2: frame 0: "), std::string::npos);
+    EXPECT_NE(error("frame\tx\n0\t1\n9\tone\n").find(":3: frame 9: "), std::string::npos);
+}
+
+}  // namespace
+}  // namespace loom

@@ -1,0 +1,154 @@
+// Frames of an animation by loom-residual: each is the image of its scene with the graph's samples, and has the same bytes
+// alone, among others, and with any number of threads.
+#include <gtest/gtest.h>
+#include <unistd.h>
+
+#include "formats/io/error.h"
+#include "formats/io/mapped_file.h"
+#include "stages/core/app/report.h"
+#include "stages/residual/residual.h"
+#include "stages/trace/trace.h"
+
+namespace loom {
+namespace {
+
+constexpr const char* scene_text =
+    R"(<scene version="3.0.0"><default name="x" value="0"/><default name="paint" value="0.5"/>
+<default name="power" value="9"/>
+<integrator type="path"><integer name="max_depth" value="5"/></integrator>
+<sensor type="perspective"><float name="fov" value="40"/><transform name="to_world"><lookat origin="0,-4,1.6" target="0,0,.7" up="0,0,1"/></transform>
+<film type="hdrfilm"><integer name="width" value="12"/><integer name="height" value="12"/><rfilter type="box"/></film></sensor>
+<shape type="rectangle"><transform name="to_world"><scale value="2"/></transform></shape>
+<shape type="sphere" id="ball"><float name="radius" value=".3"/><point name="center" x="$x" y="0" z=".4"/></shape>
+<shape type="cube" id="box"><transform name="to_world"><scale value=".2"/><translate x=".9" y=".3" z=".3"/></transform><bsdf type="diffuse"><rgb name="reflectance" value="$paint, 0.5, 0.5"/></bsdf></shape>
+<shape type="rectangle" id="lamp"><transform name="to_world"><scale value=".4"/><rotate x="1" angle="180"/><translate z="2.6"/></transform><emitter type="area"><rgb name="radiance" value="$power, 9, 9"/></emitter></shape>
+</scene>)";
+
+class ResidualFrames : public ::testing::Test {
+  protected:
+    const std::filesystem::path folder =
+        std::filesystem::temp_directory_path() / fmt::format("loom-frames-{}", getpid());
+    app::Report tracer{"loom-trace"}, report{"loom-residual"};
+
+    ResidualFrames() {
+        std::filesystem::create_directories(folder);
+        tracer.set_quiet(true);
+        tracer.set_command("loom-trace s.xml --spp 8 --first-sample 0");
+        report.set_quiet(true);
+        report.set_command("loom-residual s.xml --frames f.tsv --old static.exr");
+        write("s.xml", scene_text);
+    }
+    ~ResidualFrames() override { std::filesystem::remove_all(folder); }
+
+    void write(const std::string& name, const std::string& text) const { std::ofstream(folder / name) << text; }
+    std::string at(const std::string& name) const { return (folder / name).string(); }
+
+    void trace(const std::string& output, const std::string& frames, const std::vector<std::string>& defines = {}) {
+        trace::Options options;
+        options.scene = at("s.xml");
+        options.output = at(output);
+        options.frames = frames.empty() ? "" : at(frames);
+        options.defines = defines;
+        options.spp = 8;
+        trace::run(options, tracer);
+    }
+    residual::Options options(const std::string& prefix) const {
+        residual::Options options;
+        options.old_scene = at("s.xml");
+        options.frames = at("f.tsv");
+        options.old_picture = at("static.exr");
+        options.old_graph = {at("g.h5")};
+        options.output = at(prefix + "residual-%.exr");
+        options.new_picture = at(prefix + "new-%.exr");
+        return options;
+    }
+    std::string bytes(const std::string& name) const {
+        std::ifstream in(folder / name, std::ios::binary);
+        return {std::istreambuf_iterator<char>(in), {}};
+    }
+    std::string error(const residual::Options& options) {
+        try {
+            residual::run(options, report);
+        } catch (const InputError& e) {
+            return e.what();
+        }
+        return "";
+    }
+};
+
+// The ball and the box's paint change, and the lamp, which stays in the static scene.
+TEST_F(ResidualFrames, AreImagesOfTheirScenes) {
+    write("f.tsv", "frame\tx\tpaint\tpower\n3\t-0.7\t.5\t9\n4\t0\t.5\t9\n10\t.5\t.8\t5\n");
+    trace("static.exr", "f.tsv");
+    trace("g.h5", "f.tsv");
+    residual::run(options(""), report);
+    const std::vector<std::pair<std::string, std::vector<std::string>>> frames = {
+        {"new-0003.exr", {"x=-0.7"}}, {"new-0004.exr", {}}, {"new-0010.exr", {"x=.5", "paint=.8", "power=5"}}};
+    const Image base = read_image(at("static.exr"));
+    for (const auto& [name, defines] : frames) {
+        trace("fresh.exr", "", defines);
+        const Image ours = read_image(at(name)), fresh = read_image(at("fresh.exr"));
+        double difference = 0, moved = 0;
+        for (const char* c : {"R", "G", "B"}) {
+            const auto a = ours.find(c), b = fresh.find(c), old = base.find(c);
+            ASSERT_EQ(a.size(), b.size());
+            for (std::size_t i = 0; i < a.size(); ++i) {
+                difference = std::max(difference, std::abs(double(a[i]) - b[i]));
+                moved = std::max(moved, std::abs(double(a[i]) - old[i]));
+            }
+        }
+        EXPECT_LT(difference, 1e-5) << name;
+        EXPECT_GT(moved, 0.1) << name;
+    }
+}
+
+TEST_F(ResidualFrames, HaveTheSameBytesAloneAndAmongOthers) {
+    write("f.tsv", "frame\tx\n3\t-0.7\n4\t0\n10\t.5\n");
+    trace("static.exr", "f.tsv");
+    trace("g.h5", "f.tsv");
+    residual::run(options("all-"), report);
+    residual::Options one = options("one-");
+    one.only = "4:10";
+    one.threads = 1;
+    report.set_command("loom-residual s.xml --frames f.tsv --only 4:10 --old static.exr");
+    residual::run(one, report);
+    EXPECT_FALSE(std::filesystem::exists(at("one-new-0003.exr")));
+    EXPECT_FALSE(std::filesystem::exists(at("one-new-0010.exr")));
+    ASSERT_FALSE(bytes("all-new-0004.exr").empty());
+    EXPECT_EQ(bytes("one-new-0004.exr"), bytes("all-new-0004.exr"));
+    EXPECT_EQ(bytes("one-residual-0004.exr"), bytes("all-residual-0004.exr"));
+    // Rows before and after, in any order.
+    report.set_command("loom-residual s.xml --frames f.tsv --old static.exr");
+    write("f.tsv", "frame\tx\n12\t.1\n4\t0\n2\t.2\n3\t-0.7\n");
+    residual::run(options("more-"), report);
+    EXPECT_EQ(bytes("more-new-0004.exr"), bytes("all-new-0004.exr"));
+}
+
+TEST_F(ResidualFrames, ErrorsSayWhatIsWrong) {
+    write("f.tsv", "frame\tx\n3\t-0.7\n4\t0\n");
+    trace("static.exr", "f.tsv");
+    trace("g.h5", "f.tsv");
+    residual::Options bad = options("");
+    bad.output = at("residual.exr");
+    EXPECT_NE(error(bad).find("needs a % for the number of the frame"), std::string::npos);
+    bad = options("");
+    bad.new_defines = {"x=1"};
+    EXPECT_NE(error(bad).find("its rows are the new scenes"), std::string::npos);
+    for (const char* only : {"4", "4:", ":4", "5:4", "4:4", "a:b", "-1:3"}) {
+        bad = options("");
+        bad.only = only;
+        EXPECT_NE(error(bad).find("expected FIRST:END"), std::string::npos) << only;
+    }
+    bad.only = "20:30";
+    EXPECT_NE(error(bad).find("has no frame with such a number"), std::string::npos);
+    bad = options("");
+    bad.frames.clear();
+    bad.only = "3:4";
+    EXPECT_NE(error(bad).find("--only: needs --frames"), std::string::npos);
+    // Another static scene than that of image and graph.
+    write("f.tsv", "frame\tx\tpaint\n3\t-0.7\t.1\n4\t0\t.2\n");
+    EXPECT_NE(error(options("")).find("is an image of"), std::string::npos);
+}
+
+}  // namespace
+}  // namespace loom
