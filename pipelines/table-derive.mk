@@ -56,12 +56,12 @@ endif
 # scenes|row|scene|parameter|its unit|values of h|length of a bin and of the pulse|further values
 shadow := scenes/shadow-mover.xml
 edits := \
-	own|occluder_x|$(shadow)|occluder_x|m|0.3+0.1+0.03+0.01|0.1|bins=80 \
-	own|light_x|$(shadow)|light_x|m|1+0.3+0.1+0.01|0.1|bins=80 \
-	own|floor_z|$(shadow)|floor_z|m|0.1+0.03+0.01+0.003|0.1|bins=80 \
-	own|camera_x|$(shadow)|camera_x|m|0.3+0.1+0.03+0.01|0.1|bins=80 \
+	own|occluder_x|$(shadow)|occluder_x|m|0.1+0.03+0.01+0.003|0.1|bins=80 \
+	own|light_x|$(shadow)|light_x|m|0.3+0.1+0.03+0.01|0.1|bins=80 \
+	own|floor_z|$(shadow)|floor_z|m|0.03+0.01+0.003+0.001|0.1|bins=80 \
+	own|camera_x|$(shadow)|camera_x|m|0.1+0.03+0.01+0.003|0.1|bins=80 \
 	own|turn|scenes/tower.xml|turn|degree|10+3+1+0.3|0.1|bins=80 \
-	egg|egg|$(egg)|theta|m|100+30+10+3|71.95019|bins=84
+	egg|egg|$(egg)|theta|m|30+10+3+1|71.95019|bins=84
 here = $(if $(filter egg,$(1)),$(wildcard $(egg)),here)
 needs := $(egg)
 include pipelines/rows.mk
