@@ -5,8 +5,9 @@
 #include <string>
 
 #include "formats/io/cost.h"
+#include "stages/core/assets/texture.h"
 #include "stages/core/description/description.h"
-#include "stages/core/scene/scene.h"
+#include "stages/core/scene/build.h"
 #include "stages/residual/residual.h"
 #include "stages/residual/stored/old_graph.h"
 
@@ -17,6 +18,7 @@ struct Base {
     SceneDescription description;
     std::shared_ptr<const Scene> scene;
     std::string name;
+    std::shared_ptr<TextureCache> images = std::make_shared<TextureCache>();
     Image picture;   // of --old
     Ledger ledger;   // its links
     OldGraph graph;  // of --old-graph
@@ -30,6 +32,7 @@ struct EditJob {
     Cost loading;         // of what all edits share
     double share = 1;     // of that, for this one
     Cost before;          // of the run, before this edit
+    KnownParts known;     // of the old scene
 };
 
 /// throws:  InputError for options that contradict each other, or outputs that cannot be written

@@ -83,7 +83,10 @@ void render_frames(const Options& options, app::Report& report) {
                     commands[i],
                     loading,
                     1 / double(frames.size()),
-                    before};
+                    before,
+                    {}};
+        job.known = known_parts(base.scene, base.description, job.description);
+        job.known.images = base.images;
         const Edit edit = find_edit(base.description, job.description);
         render_edit(of_frames[i], base, std::move(job), edit, report);
         progress.add(1);

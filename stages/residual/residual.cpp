@@ -509,7 +509,7 @@ std::string write_outputs(const Options& options, const Image& old_picture, cons
 Base read_base(const Options& options, SceneDescription description, int max_depth, app::Report& report) {
     Base base;
     base.description = description;
-    base.scene = build_scene(std::move(description));
+    base.scene = build_scene(std::move(description), {{}, {}, base.images});
     base.name = file_name(options.old_scene);
     if (!options.old_picture.empty()) {
         base.picture = read_old_picture(options.old_picture, *base.scene, base.name, report);
@@ -531,7 +531,7 @@ void render_edit(const Options& options, const Base& base, EditJob job, const Ed
     if (options.residual.empty()) report.info("plan: {}", residual.plan);
 
     const double before_s = report.cost().cpu_s;
-    const Scenes scenes{base.scene, build_scene(std::move(job.description)), base.name, file_name(job.file)};
+    const Scenes scenes{base.scene, build_scene(std::move(job.description), job.known), base.name, file_name(job.file)};
     residual.load_s = report.cost().cpu_s - before_s;
     for (const std::string& note : scenes.new_scene->notes) report.info("{}", note);
     if (options.technique == "list") {
@@ -569,6 +569,7 @@ void run(const Options& options, app::Report& report) {
                 report.command(),
                 {},
                 1,
+                {},
                 {}};
     const Edit edit = find_edit(old_description, job.description);
     if (options.plan) {

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "stages/core/description/description.h"
+#include "stages/core/scene/build.h"
 
 namespace loom {
 
@@ -44,5 +45,10 @@ struct Animation {
 ///          no common pixels or paths
 Animation find_animation(const std::filesystem::path& scene, const Defines& defines, const std::string& sensor,
                          const Frames& frames);
+
+/// Finds the shapes of a description that a scene built from another one has already. Nothing is known where one of the
+/// scene's shapes is missing or placed elsewhere, nor in an NLOS capture.
+KnownParts known_parts(std::shared_ptr<const Scene> scene, const SceneDescription& of_scene,
+                       const SceneDescription& wanted);
 
 }  // namespace loom

@@ -426,7 +426,21 @@ std::unique_ptr<Scene> load_scene(const std::filesystem::path& file, const Defin
     return build_scene(read_scene(file, defines, sensor));
 }
 
-std::unique_ptr<Scene> build_scene(SceneDescription description) {
+namespace {
+
+std::shared_ptr<const RayEngine> make_engine(const Scene& scene, const KnownParts& known) {
+    if (!known.scene) return std::make_shared<RayEngine>(scene.shapes);
+    std::vector<std::uint32_t> of_base(known.scene->shapes.size());
+    for (std::size_t i = 0; i < known.shape_idx.size(); ++i)
+        if (known.shape_idx[i] != KnownParts::none) of_base[known.shape_idx[i]] = std::uint32_t(i);
+    // Keeps the whole scene, whose shapes the engine borrows.
+    std::shared_ptr<const RayEngine> base(known.scene, known.scene->rays.get());
+    return std::make_shared<RayEngine>(scene.shapes, std::move(base), std::move(of_base));
+}
+
+}  // namespace
+
+std::unique_ptr<Scene> build_scene(SceneDescription description, const KnownParts& known) {
     const Object& root = *description.root;
     auto scene = std::make_unique<Scene>();
     scene->notes = std::move(description.notes);
@@ -441,7 +455,8 @@ std::unique_ptr<Scene> build_scene(SceneDescription description) {
     scene->hides_emitters = view.hides_emitters;
     note_near_plane(scene->sensor, scene->transient, scene->notes);
 
-    TextureCache cache;
+    TextureCache own_cache;
+    TextureCache& cache = known.images ? *known.images : own_cache;
     MaterialBuilder materials(*scene, cache);
     scene->shapes.resize(shapes.size());
     std::vector<std::vector<std::string>> notes(shapes.size());
@@ -449,6 +464,12 @@ std::unique_ptr<Scene> build_scene(SceneDescription description) {
         // One task reads the textures while the others read meshes.
         if (i == 0) {
             for (const ObjectPtr& o : shapes) materials.decode_images(o->child(Category::bsdf));
+            return;
+        }
+        if (known.scene && known.shape_idx[i - 1] != KnownParts::none) {
+            scene->shapes[i - 1] = known.scene->shapes[known.shape_idx[i - 1]];
+            scene->shapes[i - 1].emitter_idx = -1;
+            for (const Property& property : shapes[i - 1]->properties) property.is_read = true;
             return;
         }
         fill_shape(*shapes[i - 1], scene->shapes[i - 1], notes[i - 1]);
@@ -476,7 +497,7 @@ std::unique_ptr<Scene> build_scene(SceneDescription description) {
     build_choice_of_lights(emitters, *scene);
     find_features(*scene);
     find_bounds(*scene);
-    scene->rays = scene->camera_rays = std::make_shared<RayEngine>(scene->shapes);
+    scene->rays = scene->camera_rays = make_engine(*scene, known);
     const bool has_area_lights =
         std::any_of(scene->shapes.begin(), scene->shapes.end(), [](const Shape& s) { return s.emitter_idx >= 0; });
     if (scene->hides_emitters && has_area_lights)

@@ -256,6 +256,14 @@ RTCRay to_rtc(const Ray& ray) {
 struct RayEngine::Impl {
     RTCDevice device = nullptr;
     RTCScene scene = nullptr;
+    std::shared_ptr<const RayEngine> base;  // null: none
+    std::vector<std::uint32_t> of_base;
+
+    RTCScene base_scene() const { return base->impl_->scene; }
+    /// Turns the index of a shape of the base that was hit into that of all shapes.
+    void rename(unsigned& geom_id) const {
+        if (geom_id != RTC_INVALID_GEOMETRY_ID) geom_id = of_base[geom_id];
+    }
     ~Impl() {
         if (scene) rtcReleaseScene(scene);
         if (device) rtcReleaseDevice(device);
@@ -263,6 +271,22 @@ struct RayEngine::Impl {
 };
 
 RayEngine::RayEngine(const std::vector<Shape>& shapes, Use use) : impl_(std::make_unique<Impl>()) {
+    std::vector<bool> left_out(shapes.size());
+    for (std::size_t i = 0; i < shapes.size(); ++i) left_out[i] = use == Use::camera_rays && shapes[i].emitter_idx >= 0;
+    build(shapes, use, left_out);
+}
+
+RayEngine::RayEngine(const std::vector<Shape>& shapes, std::shared_ptr<const RayEngine> base,
+                     std::vector<std::uint32_t> of_base, Use use)
+    : impl_(std::make_unique<Impl>()) {
+    std::vector<bool> left_out(shapes.size());
+    for (const std::uint32_t shape_idx : of_base) left_out[shape_idx] = true;
+    impl_->base = std::move(base);
+    impl_->of_base = std::move(of_base);
+    build(shapes, use, left_out);
+}
+
+void RayEngine::build(const std::vector<Shape>& shapes, Use use, const std::vector<bool>& left_out) {
     flush_small_numbers();
     impl_->device = rtcNewDevice(nullptr);
     if (!impl_->device) throw std::runtime_error("Embree cannot make a device");
@@ -272,7 +296,7 @@ RayEngine::RayEngine(const std::vector<Shape>& shapes, Use use) : impl_(std::mak
     rtcSetSceneBuildQuality(impl_->scene, RTC_BUILD_QUALITY_HIGH);
     for (std::size_t i = 0; i < shapes.size(); ++i) {
         const Shape& shape = shapes[i];
-        if (use == Use::camera_rays && shape.emitter_idx >= 0) continue;
+        if (left_out[i] || (use == Use::camera_rays && shape.emitter_idx >= 0)) continue;
         RTCGeometry geometry;
         if (shape.kind == ShapeKind::mesh) {
             geometry = rtcNewGeometry(impl_->device, RTC_GEOMETRY_TYPE_TRIANGLE);
@@ -308,6 +332,10 @@ Hit RayEngine::intersect(const Ray& ray) const {
     rh.hit.geomID = RTC_INVALID_GEOMETRY_ID;
     rh.hit.instID[0] = RTC_INVALID_GEOMETRY_ID;
     QueryContext context = make_context();
+    if (impl_->base) {
+        intersect1(impl_->base_scene(), context, rh);
+        impl_->rename(rh.hit.geomID);
+    }
     intersect1(impl_->scene, context, rh);
     Hit hit;
     if (rh.hit.geomID == RTC_INVALID_GEOMETRY_ID) return hit;
@@ -322,7 +350,8 @@ Hit RayEngine::intersect(const Ray& ray) const {
 bool RayEngine::occluded(const Ray& ray) const {
     RTCRay r = to_rtc(ray);
     QueryContext context = make_context();
-    occluded1(impl_->scene, context, r);
+    if (impl_->base) occluded1(impl_->base_scene(), context, r);
+    if (!(r.tfar < 0)) occluded1(impl_->scene, context, r);
     return r.tfar < 0;
 }
 
@@ -330,7 +359,13 @@ void RayEngine::crossings(const Ray& ray, std::vector<Hit>& hits) const {
     hits.clear();
     RTCRay r = to_rtc(ray);
     QueryContext context = make_context(false, &hits);
+    std::vector<Hit> of_base;
+    if (impl_->base) {
+        impl_->base->crossings(ray, of_base);
+        for (Hit& hit : of_base) hit.shape_idx = impl_->of_base[hit.shape_idx];
+    }
     occluded1(impl_->scene, context, r);
+    hits.insert(hits.end(), of_base.begin(), of_base.end());
 }
 
 namespace {
@@ -367,6 +402,10 @@ void RayEngine::intersect(const Ray* const* rays, std::size_t n, Hit* hits, bool
             p.hit.geomID[i] = RTC_INVALID_GEOMETRY_ID;
             p.hit.instID[0][i] = RTC_INVALID_GEOMETRY_ID;
         }
+        if (impl_->base) {
+            intersect16(valid, impl_->base_scene(), context, p);
+            for (std::size_t i = 0; i < count; ++i) impl_->rename(p.hit.geomID[i]);
+        }
         intersect16(valid, impl_->scene, context, p);
         for (std::size_t i = 0; i < count; ++i)
             hits[begin + i] = p.hit.geomID[i] == RTC_INVALID_GEOMETRY_ID
@@ -384,6 +423,10 @@ void RayEngine::occluded(const Ray* const* rays, std::size_t n, bool* blocked) c
         for (std::size_t i = 0; i < packet; ++i) {
             valid[i] = i < count ? -1 : 0;
             set_lane(p, i, *rays[begin + std::min(i, count - 1)]);
+        }
+        if (impl_->base) {
+            occluded16(valid, impl_->base_scene(), context, p);
+            for (std::size_t i = 0; i < count; ++i) valid[i] = p.tfar[i] < 0 ? 0 : -1;
         }
         occluded16(valid, impl_->scene, context, p);
         for (std::size_t i = 0; i < count; ++i) blocked[begin + i] = p.tfar[i] < 0;

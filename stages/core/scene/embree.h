@@ -1,5 +1,6 @@
 #pragma once
 #include <cstddef>
+#include <cstdint>
 #include <memory>
 #include <vector>
 
@@ -18,6 +19,12 @@ class RayEngine {
         camera_rays  // for a scene that hides its emitters: without shapes that emit
     };
     explicit RayEngine(const std::vector<Shape>& shapes, Use use = Use::all_rays);
+    /// The shapes that another engine lacks, beside that engine, whose hits stay the same to the bit. Of two hits at the same
+    /// distance either counts.
+    /// in:      shapes   all, those of `base` included
+    ///          of_base  [shape of base] its index in `shapes`
+    RayEngine(const std::vector<Shape>& shapes, std::shared_ptr<const RayEngine> base,
+              std::vector<std::uint32_t> of_base, Use use = Use::all_rays);
     ~RayEngine();
     RayEngine(const RayEngine&) = delete;
     RayEngine& operator=(const RayEngine&) = delete;
@@ -34,6 +41,9 @@ class RayEngine {
     void occluded(const Ray* const* rays, std::size_t n, bool* blocked) const;
 
   private:
+    /// in:      left_out  [shape]
+    void build(const std::vector<Shape>& shapes, Use use, const std::vector<bool>& left_out);
+
     struct Impl;
     std::unique_ptr<Impl> impl_;
 };
