@@ -4,6 +4,8 @@
 #include <gtest/gtest.h>
 #include <unistd.h>
 
+#include <fstream>
+
 #include "formats/io/error.h"
 #include "stages/core/scene/build.h"
 

@@ -1,7 +1,10 @@
 // Frames of an animation by loom-residual: each is the image of its scene with the graph's samples, and has the same bytes
 // alone, among others, and with any number of threads.
+#include <fmt/format.h>
 #include <gtest/gtest.h>
 #include <unistd.h>
+
+#include <fstream>
 
 #include "formats/io/error.h"
 #include "formats/io/mapped_file.h"
