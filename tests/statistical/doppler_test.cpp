@@ -6,6 +6,7 @@
 // with the other sign; bins a width off.
 
 #include <fmt/format.h>
+#include <gtest/gtest.h>
 #include <unistd.h>
 
 #include <cmath>
