@@ -28,9 +28,8 @@ PathGraph read_graph(const std::string& file) {
     return graph;
 }
 
-std::string output_of(std::string name, const std::string& graph) {
-    const auto at = name.rfind('%');
-    return at == std::string::npos ? name : name.replace(at, 1, std::filesystem::path(graph).stem().string());
+std::string output_of(const std::string& name, const std::string& graph) {
+    return app::name_of_part(name, std::filesystem::path(graph).stem().string());
 }
 
 void check(const Options& options) {

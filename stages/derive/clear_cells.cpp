@@ -61,7 +61,6 @@ std::array<int, 2> across(int axis) {
 
 constexpr double cells_per_radius = 32, thickness_of_cells = 1.0 / 64;
 constexpr std::size_t most_triangles = 64;  // smaller facets are seldom met twice
-constexpr std::size_t most_visits = 256;
 
 }  // namespace
 
@@ -80,8 +79,8 @@ ClearCells::ClearCells(const Scene& scene, const EdgeTree& edges, std::vector<Ro
       size_(double(scene.radius) / cells_per_radius),
       thickness_(size_ * thickness_of_cells) {
     for (const Shape& shape : scene.shapes)
-        flat_.push_back(shape.kind == ShapeKind::mesh && shape.triangles.size() <= most_triangles &&
-                        shape.mesh.normals.empty());
+        has_cells_.push_back(shape.kind == ShapeKind::mesh && shape.triangles.size() <= most_triangles &&
+                             shape.mesh.normals.empty());
 }
 
 std::array<Pt, 8> ClearCells::corners_of(const Cell& cell) const {
@@ -107,15 +106,13 @@ bool ClearCells::look(const Cell& cell, const std::array<Point3f, 4>& light_corn
         light[k] = Pt(light_corners[k]);
         for (int c = 0; c < 3; ++c) largest_coordinate = std::max(largest_coordinate, std::abs(light[k][c]));
     }
-    // Before the light, without what lies in its plane up to rounding, as in Shaft::to_polygon().
+    // Before the light, without what lies in its plane up to rounding.
     Vec normal = normalize(cross(light[1] - light[0], light[2] - light[0]));
     if (dot(normal, corners[0] - light[0]) < 0) normal = -normal;
     double distance = INFINITY, nearest = INFINITY;
     for (const Pt& p : corners) distance = std::min(distance, dot(normal, p - light[0]));
     for (const Pt& p : light) nearest = std::min(nearest, dot(normal, p - light[0]));
-    const double length_bound = std::abs(normal.x) + std::abs(normal.y) + std::abs(normal.z);
-    const double rounding =
-        std::max(double(surface_epsilon) * distance, double(rounding_bound) * largest_coordinate * length_bound);
+    const double rounding = Shaft::rounding_before(normal, distance, largest_coordinate);
     if (!(distance > rounding)) return false;
     Between region(corners, light);
     region.add({normal, -dot(normal, light[0] - Pt{}) - nearest - rounding});
@@ -138,7 +135,7 @@ bool ClearCells::look(const Cell& cell, const std::array<Point3f, 4>& light_corn
 
 bool ClearCells::is_clear(const Point3f& p, const Normal3f& ng, std::uint32_t shape_idx, std::uint32_t light_shape_idx,
                           const std::array<Point3f, 4>& corners) {
-    if (!flat_[shape_idx]) return false;
+    if (!has_cells_[shape_idx]) return false;
     int axis = 0;
     for (int c = 1; c < 3; ++c)
         if (std::abs(ng[c]) > std::abs(ng[axis])) axis = c;

@@ -12,6 +12,9 @@
 
 namespace loom::derive {
 
+/// Nodes and blocks of edges to look at before a light counts as perhaps hidden.
+inline constexpr std::size_t most_visits = 256;
+
 /// A ball around a sphere or disk.
 struct RoundBounds {
     std::uint32_t shape_idx;
@@ -51,7 +54,7 @@ class ClearCells {
 
     const EdgeTree& edges_;
     std::vector<RoundBounds> rounds_;
-    std::vector<char> flat_;  // [shape]
+    std::vector<char> has_cells_;  // [shape]
     double size_, thickness_;
     std::unordered_map<Cell, bool, Hash> known_;
 };

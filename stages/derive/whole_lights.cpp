@@ -205,7 +205,6 @@ bool WholeLights::is_seen(const ShadingPoint& at, std::uint32_t shape_idx, std::
     if (shaft.empty()) return false;
     for (const RoundBounds& round : rounds_)
         if (round.shape_idx != light_idx && may_meet(shaft, round.center, round.radius, Pt(at.p))) return false;
-    constexpr std::size_t most_visits = 256;
     return options_.edges->collect(shaft, found_, most_visits) <= most_visits && found_.empty();
 }
 

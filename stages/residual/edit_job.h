@@ -19,7 +19,7 @@ struct Base {
     std::shared_ptr<const Scene> scene;
     std::string name;
     std::shared_ptr<TextureCache> images = std::make_shared<TextureCache>();
-    Image picture;   // of --old
+    Image image;     // of --old
     Ledger ledger;   // its links
     OldGraph graph;  // of --old-graph
 };

@@ -45,11 +45,12 @@ Options options_of_frame(const Options& options, const Frames::Frame& frame, std
     Options own = options;
     own.only = fmt::format("{}:{}", frame.number, frame.number + 1);
     for (std::string* file : {&own.output, &own.new_picture, &own.png, &own.residual_png})
-        if (const auto at = file->rfind('%'); at != std::string::npos)
-            file->replace(at, 1, fmt::format("{:04}", frame.number));
-    command = options.only.empty()
-                  ? app::command_of_part(std::move(command), {{" --old ", fmt::format(" --only {} --old ", own.only)}})
-                  : app::command_of_part(std::move(command), {{" --only " + options.only, " --only " + own.only}});
+        *file = app::name_of_part(*file, fmt::format("{:04}", frame.number));
+    const std::string only = " --only " + own.only,
+                      frames = " --frames " + app::shell_word(app::base_name(options.frames));
+    command = app::command_of_part(
+        std::move(command),
+        {options.only.empty() ? std::pair(frames, frames + only) : std::pair(" --only " + options.only, only)});
     return own;
 }
 
@@ -85,9 +86,8 @@ void render_frames(const Options& options, app::Report& report) {
                     1 / double(frames.size()),
                     before,
                     {}};
-        job.known = known_parts(base.scene, base.description, job.description);
-        job.known.images = base.images;
         const Edit edit = find_edit(base.description, job.description);
+        job.known = known_parts(base.scene, edit);
         render_edit(of_frames[i], base, std::move(job), edit, report);
         progress.add(1);
     }

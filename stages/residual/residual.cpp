@@ -393,7 +393,7 @@ PathOptions path_options(const Options& options, const Scene& new_scene, const L
 void render_by_graph(const Options& options, const Scenes& scenes, const Edit& edit, const Base& base,
                      app::Report& report, Residual& residual) {
     residual.of_graph = render_residual(scenes.pair(), edit, base.graph, options.threads,
-                                        residual.same_samples ? &base.picture : nullptr, report);
+                                        residual.same_samples ? &base.image : nullptr, report);
     residual.image = residual.of_graph.image;
     residual.counts = residual.of_graph.counts;
     residual.plan += "; old graph: " + residual.of_graph.summary();
@@ -410,8 +410,8 @@ void make_residual(const Options& options, const Scenes& scenes, const Edit& edi
     const bool has_graph = !options.old_graph.empty();
     if (has_graph) {
         residual.path.seed = base.graph.path.seed;
-        residual.same_samples = !options.old_picture.empty() && base.picture.ledger.empty() &&
-                                same_samples(base.picture, options.old_picture, base.graph);
+        residual.same_samples = !options.old_picture.empty() && base.image.ledger.empty() &&
+                                same_samples(base.image, options.old_picture, base.graph);
     }
     if (residual.existed) residual.image = read_residual(options.residual, *scenes.new_scene, scenes.new_name);
 
@@ -428,7 +428,7 @@ void make_residual(const Options& options, const Scenes& scenes, const Edit& edi
         return;
     else if (options.method == Method::automatic || options.method == Method::dynamic)
         residual.image = render_by_dynamic_paths(scenes.pair(), edit, options, residual.path,
-                                                 options.new_picture.empty() ? nullptr : &base.picture, report,
+                                                 options.new_picture.empty() ? nullptr : &base.image, report,
                                                  residual.counts, residual.plan, residual.controlled);
     else
         residual.image = render_residual(scenes.pair(), options.method, residual.path,
@@ -512,8 +512,8 @@ Base read_base(const Options& options, SceneDescription description, int max_dep
     base.scene = build_scene(std::move(description), {{}, {}, base.images});
     base.name = file_name(options.old_scene);
     if (!options.old_picture.empty()) {
-        base.picture = read_old_picture(options.old_picture, *base.scene, base.name, report);
-        base.ledger = ledger_of(base.picture);
+        base.image = read_old_picture(options.old_picture, *base.scene, base.name, report);
+        base.ledger = ledger_of(base.image);
     }
     if (options.old_graph.empty()) return base;
     base.graph = read_old_graph(options.old_graph, *base.scene, base.name, max_depth);
@@ -531,20 +531,17 @@ void render_edit(const Options& options, const Base& base, EditJob job, const Ed
     if (options.residual.empty()) report.info("plan: {}", residual.plan);
 
     const double before_s = report.cost().cpu_s;
+    job.known.images = base.images;
     const Scenes scenes{base.scene, build_scene(std::move(job.description), job.known), base.name, file_name(job.file)};
     residual.load_s = report.cost().cpu_s - before_s;
     for (const std::string& note : scenes.new_scene->notes) report.info("{}", note);
-    if (options.technique == "list") {
-        report.answer(technique_names(scenes, edit));
-        return;
-    }
 
     // Make the residual, and add it to the old image.
     residual.path = path_options(options, *scenes.new_scene, base.ledger);
     make_residual(options, scenes, edit, base, report, residual);
     label_residual(options, scenes, edit, base.graph, job.command, report, residual);
     const Cost cost = cost_of(options, scenes, residual, job.loading, job.before, job.share, report);
-    const std::string last_output = write_outputs(options, base.picture, cost, report, residual);
+    const std::string last_output = write_outputs(options, base.image, cost, report, residual);
     report.done("{}: {} pairs of paths, {} vertices, {} rays, {} samples not finite", file_name(last_output),
                 cost.samples, residual.counts.vertices, residual.counts.rays, residual.counts.nonfinite);
 }
@@ -574,6 +571,12 @@ void run(const Options& options, app::Report& report) {
     const Edit edit = find_edit(old_description, job.description);
     if (options.plan) {
         report.answer(answer_of(edit, plan_of(options.old_graph.empty() ? options.method : Method::correlated, edit)));
+        return;
+    }
+    if (options.technique == "list") {
+        report_edit(edit, report);
+        const Scenes scenes{build_scene(std::move(old_description)), build_scene(std::move(job.description)), {}, {}};
+        report.answer(technique_names(scenes, edit));
         return;
     }
     const int max_depth = max_depth_of(options, job.description);

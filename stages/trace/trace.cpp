@@ -74,9 +74,7 @@ std::uint64_t pass_number(const Options& options, std::uint64_t pass) {
 }
 
 std::string output_of_pass(const Options& options, std::uint64_t pass) {
-    std::string name = options.output;
-    if (options.passes == 1 && name.find('%') == std::string::npos) return name;
-    return name.replace(name.rfind('%'), 1, std::to_string(pass_number(options, pass)));
+    return app::name_of_part(options.output, std::to_string(pass_number(options, pass)));
 }
 
 /// Returns the command that makes this pass alone.

@@ -120,6 +120,17 @@ TEST_F(ResidualFrames, HaveTheSameBytesAloneAndAmongOthers) {
     ASSERT_FALSE(bytes("all-new-0004.exr").empty());
     EXPECT_EQ(bytes("one-new-0004.exr"), bytes("all-new-0004.exr"));
     EXPECT_EQ(bytes("one-residual-0004.exr"), bytes("all-residual-0004.exr"));
+    // Without an image of the static scene.
+    const auto residual_alone = [&](const std::string& prefix, const std::string& only, const std::string& command) {
+        residual::Options of_residual = options(prefix);
+        of_residual.old_picture = of_residual.new_picture = "";
+        of_residual.only = only;
+        report.set_command("loom-residual s.xml --frames f.tsv " + command + "--old-graph g.h5");
+        residual::run(of_residual, report);
+    };
+    residual_alone("all-bare-", "", "");
+    residual_alone("one-bare-", "4:10", "--only 4:10 ");
+    EXPECT_EQ(bytes("one-bare-residual-0004.exr"), bytes("all-bare-residual-0004.exr"));
     // Rows before and after, in any order.
     report.set_command("loom-residual s.xml --frames f.tsv --old static.exr");
     write("f.tsv", "frame\tx\n12\t.1\n4\t0\n2\t.2\n3\t-0.7\n");

@@ -33,6 +33,11 @@ std::string without_place(const std::string& word) {
 
 }  // namespace
 
+std::string name_of_part(std::string name, std::string_view part) {
+    const auto at = name.rfind('%');
+    return at == std::string::npos ? name : name.replace(at, 1, part);
+}
+
 std::string base_name(std::string_view path) {
     return std::filesystem::path(path).filename().string();
 }

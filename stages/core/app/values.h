@@ -57,6 +57,8 @@ std::string number_text(T value) {
 
 /// Returns `path` without its folders, for files whose bytes must not depend on their folder.
 std::string base_name(std::string_view path);
+/// Returns the name of one output of several: its last % is replaced, where it has one.
+std::string name_of_part(std::string name, std::string_view part);
 
 struct Labelled {
     std::string label, file;  // the label is empty when there is none

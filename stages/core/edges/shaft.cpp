@@ -55,12 +55,15 @@ Shaft Shaft::to_polygon(const RayEnd& from, std::span<const Point3f> outline) {
     // Orient all planes inwards.
     const double side = volume < 0 ? -1 : 1;
     for (std::size_t k = 0; k < n; ++k) shaft.add_plane(cross(corner[k], corner[(k + 1) % n]) * side, 0);
-    // End before the light as its shadow rays do; the plane's normal keeps its length, at most the sum of its components.
-    const double length_bound = std::abs(normal.x) + std::abs(normal.y) + std::abs(normal.z);
-    const double rounding = std::max(double(surface_epsilon) * std::abs(volume),
-                                     double(rounding_bound) * largest_coordinate * length_bound);
-    shaft.add_plane(normal * -side, std::abs(volume) - rounding);
+    // End before the light as its shadow rays do; the plane's normal keeps its length.
+    shaft.add_plane(normal * -side, std::abs(volume) - rounding_before(normal, std::abs(volume), largest_coordinate));
     return shaft;
+}
+
+double Shaft::rounding_before(const Vector3d& normal, double distance, double largest_coordinate) {
+    // A length is at most the sum of the components.
+    const double length_bound = std::abs(normal.x) + std::abs(normal.y) + std::abs(normal.z);
+    return std::max(double(surface_epsilon) * distance, double(rounding_bound) * largest_coordinate * length_bound);
 }
 
 Shaft Shaft::to_sphere(const RayEnd& from, const Point3f& center, float radius) {

@@ -24,6 +24,10 @@ class Shaft {
     /// own borders). Empty where the point lies in that plane.
     /// in:      outline  3 or 4 corners, either way round
     static Shaft to_polygon(const RayEnd& from, std::span<const Point3f> outline);
+    /// Returns how far before the plane of a flat light shadow rays end, in lengths of its normal.
+    /// in:      distance            of the rays' start from the plane, in the same lengths
+    ///          largest_coordinate  of the light's corners, m
+    static double rounding_before(const Vector3<double>& normal, double distance, double largest_coordinate);
     /// Cone from a point to a sphere, up to the sphere's surface; inside of a sphere, the sphere.
     static Shaft to_sphere(const RayEnd& from, const Point3f& center, float radius);
     /// All directions, to infinity.

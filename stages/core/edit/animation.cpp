@@ -146,22 +146,15 @@ Animation find_animation(const std::filesystem::path& scene, const Defines& defi
     return out;
 }
 
-KnownParts known_parts(std::shared_ptr<const Scene> scene, const SceneDescription& of_scene,
-                       const SceneDescription& wanted) {
-    if (scene->nlos) return {};
-    CanonicalTexts texts;
-    const Objects known = of_scene.root->children(Category::shape), shapes = wanted.root->children(Category::shape);
-    const SceneMatch match = match_shapes(known, shapes, texts);
+KnownParts known_parts(std::shared_ptr<const Scene> old_scene, const Edit& edit) {
+    if (old_scene->nlos) return {};
     KnownParts out;
-    out.shape_idx.assign(shapes.size(), KnownParts::none);
-    for (std::size_t k = 0; k < known.size(); ++k) {
-        const std::uint32_t partner = match.new_of_old[k];
-        if (partner == SceneMatch::none || texts.form(*known[k]) != texts.form(*shapes[partner]) ||
-            placement(*known[k]).m != placement(*shapes[partner]).m)
-            return {};
-        out.shape_idx[partner] = std::uint32_t(k);
+    out.shape_idx.assign(edit.new_shapes.size(), KnownParts::none);
+    for (std::size_t k = 0; k < edit.old_shapes.size(); ++k) {
+        if (edit.old_shapes[k].dynamic()) return {};
+        out.shape_idx[edit.old_shapes[k].partner_idx] = std::uint32_t(k);
     }
-    out.scene = std::move(scene);
+    out.scene = std::move(old_scene);
     return out;
 }
 

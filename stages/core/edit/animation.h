@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "stages/core/description/description.h"
+#include "stages/core/edit/edit.h"
 #include "stages/core/scene/build.h"
 
 namespace loom {
@@ -46,9 +47,8 @@ struct Animation {
 Animation find_animation(const std::filesystem::path& scene, const Defines& defines, const std::string& sensor,
                          const Frames& frames);
 
-/// Finds the shapes of a description that a scene built from another one has already. Nothing is known where one of the
-/// scene's shapes is missing or placed elsewhere, nor in an NLOS capture.
-KnownParts known_parts(std::shared_ptr<const Scene> scene, const SceneDescription& of_scene,
-                       const SceneDescription& wanted);
+/// Returns the geometry that the new scene of an edit has from the old one. Nothing is known where a shape of the old one is
+/// moved or removed, nor in an NLOS capture.
+KnownParts known_parts(std::shared_ptr<const Scene> old_scene, const Edit& edit);
 
 }  // namespace loom
