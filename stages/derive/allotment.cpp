@@ -15,7 +15,7 @@ using Rows = std::vector<BoundaryRows>;
 using Samples = std::span<std::uint64_t>;
 using ByParameter = std::vector<double>;
 
-/// Sum over all rows of the squares of their derivatives: the variance of their pixels, but for the square of the mean.
+/// Sum of the squares of derivatives: the variance of pixels and bins, but for the square of the mean.
 /// A light in a pulse of one bin spreads over two, whose squares are 2/3 of the light's in the mean.
 ByParameter second_moments(const BoundaryScene& s, const Rows& rows) {
     const double share = s.graph.transient.n_bins.empty() ? 1 : 2.0 / 3;
@@ -25,7 +25,7 @@ ByParameter second_moments(const BoundaryScene& s, const Rows& rows) {
     return sum;
 }
 
-/// Number of rows of equal size with such sums of squares: the least over the parameters that have any.
+/// Number of samples of equal size with such sums of squares: the least over the parameters that have any.
 double effective_number(const Rows& rows) {
     ByParameter square, fourth;
     for (const BoundaryRows& part : rows) {
@@ -69,8 +69,8 @@ class Allotment {
         double total = 0;
         for (std::size_t f = 0; f < families_.size(); ++f) {
             const Family& family = families_[f];
-            // A pilot that found nothing may have been too small.
-            const double least = family.pilot.n_rows > 0 ? family.least : family.pilot.n;
+            // A pilot that does not tell may have been too small.
+            const double least = family.pilot.tells ? family.least : family.pilot.n;
             const double wanted = scale * std::sqrt(variance_[f] / family.pilot.cost);
             const double n = std::min(std::max(wanted, least), family.most);
             rays_ += family.run(n, rows, samples, report_).rays;
@@ -139,14 +139,17 @@ class Allotment {
                                  least_share_,
                                  1,
                                  {}});
-        if (parts_.indirect || environment)
+        if (parts_.indirect || environment) {
+            const IndirectUnits units = indirect_units(s_, parts_.indirect, environment);
             families_.push_back({BoundaryFamily::indirect,
-                                 [this, environment](double share, Rows& rows, Samples samples, app::Report& to) {
-                                     return add_indirect(s_, share, parts_.indirect, environment, rows, samples, to);
+                                 [=, this](double share, Rows& rows, Samples samples, app::Report& to) {
+                                     return add_indirect(s_, share, units, parts_.indirect, environment, rows, samples,
+                                                         to);
                                  },
                                  least_share_,
-                                 1,
+                                 8,
                                  {}});
+        }
     }
 
     /// Samples until some rows are found and a few of them no longer make the variance, or for a hundredth of the cost of

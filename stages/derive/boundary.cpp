@@ -75,10 +75,57 @@ BoundaryScene::BoundaryScene(const PathGraph& g, const Scene& s, const SceneTang
       joined_beyond(0.02 * double(s.radius)) {
     find_speeds();
     find_all_seams();
-    if (!attached.any_slides()) return;
+    find_rounds();
+    if (attached.any_slides()) find_creases();
+}
+
+void BoundaryScene::find_rounds() {
+    for (std::size_t k = 0; k < scene.shapes.size(); ++k) {
+        const Shape& shape = scene.shapes[k];
+        if (shape.kind == ShapeKind::mesh) continue;
+        const double radius = shape.kind == ShapeKind::sphere
+                                  ? double(shape.round.radius)
+                                  : double(std::max(length(shape.round.u_axis), length(shape.round.v_axis))),
+                     around = 2 * pi_double * radius;
+        const double speed = std::accumulate(shape_speed[k].begin(), shape_speed[k].end(), 0.0);
+        round_clusters_.push_back({Pt(shape.round.center), sqr(radius), around, around * speed});
+    }
+    // Of many, one for all.
+    constexpr std::size_t most = 16;
+    if (round_clusters_.size() <= most) return;
+    EdgeCluster all;
+    for (const EdgeCluster& one : round_clusters_) {
+        all.center = all.center + (one.center - Pt()) / double(round_clusters_.size());
+        all.length += one.length, all.motion += one.motion;
+    }
+    for (const EdgeCluster& one : round_clusters_) all.half2 = std::max(all.half2, length2(one.center - all.center));
+    round_clusters_ = {all};
+}
+
+double BoundaryScene::motion_around(const Pt& eye, double end_speed) const {
+    double sum = all_edges.motion_around(eye, end_speed);
+    for (const EdgeCluster& cluster : round_clusters_) sum += cluster.motion_around(eye, end_speed);
+    return sum;
+}
+
+void BoundaryScene::find_creases() {
     for (std::uint32_t i = 0; i < all_edges.n_edges(); ++i)
         if (all_edges.edge(i).kind == EdgeKind::shared && is_crease(all_edges.set(), all_edges.edge(i)))
             creases.push_back(i);
+    // The order of the tree is one of space.
+    constexpr std::size_t most_groups = 32;
+    const std::size_t per_group = (creases.size() + most_groups - 1) / most_groups;
+    for (std::size_t begin = 0; begin < creases.size(); begin += per_group) {
+        CreaseGroup group{begin, std::min(begin + per_group, creases.size()), {}, 0};
+        for (std::size_t i = begin; i < group.end; ++i) {
+            const Edge& edge = all_edges.edge(creases[i]);
+            group.box.add(edge.a);
+            group.box.add(edge.b);
+            group.reach = std::max(
+                group.reach, slide_share(edge.shape_idx, INFINITY) > 0 ? INFINITY : attached.reach[edge.shape_idx]);
+        }
+        crease_groups.push_back(group);
+    }
 }
 
 void BoundaryScene::find_speeds() {
@@ -211,8 +258,7 @@ void BoundaryScene::far_velocity(std::uint32_t shape, std::uint32_t primitive, s
                                  Velocities out) const {
     shape_velocity(shape, primitive, p, out);
     const Vec d = p - from;
-    const double r = length(d),
-                 share = has_delta_lobe(scene.materials[material].model.kind) ? 1 : attached.share(shape, r);
+    const double r = length(d), share = slide_share(shape, material, r);
     if (share == 0) return;
     const Vec u = d / r;
     const double cosine = dot(ng, u);

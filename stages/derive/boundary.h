@@ -29,11 +29,13 @@ using ConstVelocities = std::span<const Vector3<double>>;  // [parameter]
 /// Rows of boundary samples, in the order in which they were made; with weights of a loss only their contraction.
 struct BoundaryRows {
     BoundaryRows() = default;
-    explicit BoundaryRows(const Adjoint* adjoint_) : adjoint(adjoint_) {}
+    /// in:      bin_width_  rows of a sample that are nearer in time add up before they are squared, m
+    BoundaryRows(const Adjoint* adjoint_, double bin_width_) : adjoint(adjoint_), bin_width(bin_width_) {}
 
     const Adjoint* adjoint = nullptr;  // null: rows are stored
-    std::vector<double> gradient;      // of the loss, by parameter
-    // [parameter]: sums over rows of the squares of their derivatives, and of the squares of these squares
+    double bin_width = INFINITY;
+    std::vector<double> gradient;  // of the loss, by parameter
+    // [parameter]: sums over samples, pixels and bins of the squares of their derivatives, and of the squares of these
     std::vector<double> square, fourth;
     std::uint64_t n_rows = 0;
 
@@ -48,38 +50,58 @@ struct BoundaryRows {
     void add(std::uint64_t pixel_, double opl_, double camera_opl_, const Rgb<double>& light,
              std::span<const double> rates, BoundaryFamily family_, std::uint64_t sample_) {
         ++n_rows;
-        square.resize(rates.size());
-        fourth.resize(rates.size());
         if (adjoint) {
             const Rgb<double> weight = adjoint->value_at(pixel_, opl_);
             const double by_rate = light.r * weight.r + light.g * weight.g + light.b * weight.b;
             gradient.resize(rates.size());
-            for (std::size_t p = 0; p < rates.size(); ++p) {
-                gradient[p] += by_rate * rates[p];
-                add_square(p, sqr(by_rate * rates[p]));
-            }
+            for (std::size_t p = 0; p < rates.size(); ++p) gradient[p] += by_rate * rates[p];
+            add_squares({0, 0, sample_}, Rgb<double>(by_rate, 0, 0), rates);
             return;
         }
         pixel.push_back(std::uint32_t(pixel_));
         opl.push_back(opl_);
         camera_opl.push_back(camera_opl_);
-        for (std::size_t p = 0; p < rates.size(); ++p) {
-            double of_row = 0;
-            for (int c = 0; c < 3; ++c) {
-                dL.push_back(float(light[c] * rates[p]));
-                of_row += sqr(double(dL.back()));
-            }
-            add_square(p, of_row);
-        }
+        for (const double rate : rates)
+            for (int c = 0; c < 3; ++c) dL.push_back(float(light[c] * rate));
         family.push_back(std::uint8_t(family_));
         sample.push_back(sample_);
+        add_squares({pixel_, std::int64_t(std::floor(opl_ / bin_width)), sample_}, light, rates);
     }
 
   private:
-    void add_square(std::size_t p, double of_row) {
-        square[p] += of_row;
-        fourth[p] += sqr(of_row);
+    /// What adds up before it is squared.
+    struct Place {
+        std::uint64_t pixel = 0;
+        std::int64_t bin = 0;
+        std::uint64_t sample = 0;
+        bool operator==(const Place&) const = default;
+    };
+    void add_squares(const Place& place, const Rgb<double>& light, std::span<const double> rates) {
+        const std::size_t n = rates.size();
+        square.resize(n), fourth.resize(n);
+        if (!places_.empty() && places_[0].sample != place.sample) places_.clear();
+        std::size_t i = 0;
+        while (i < places_.size() && !(places_[i] == place)) ++i;
+        if (i == places_.size()) {
+            if (i == most_places) places_.clear(), i = 0;
+            places_.push_back(place);
+            sums_.resize(most_places * n);
+            std::fill_n(sums_.begin() + std::ptrdiff_t(i * n), n, Rgb<double>());
+        }
+        for (std::size_t p = 0; p < n; ++p) {
+            Rgb<double>& sum = sums_[i * n + p];
+            const double before = length2(sum);
+            sum += light * Rgb<double>(rates[p]);
+            const double after = length2(sum);
+            square[p] += after - before;
+            fourth[p] += sqr(after) - sqr(before);
+        }
     }
+    static double length2(const Rgb<double>& x) { return sqr(x.r) + sqr(x.g) + sqr(x.b); }
+
+    static constexpr std::size_t most_places = 64;
+    std::vector<Place> places_;      // of the last sample, some of many
+    std::vector<Rgb<double>> sums_;  // [place, parameter]
 };
 
 /// A curve that is no straight edge: the rim of a disk, or the outline of a sphere as seen from a point.
@@ -115,9 +137,19 @@ class BoundaryScene {
     std::vector<std::vector<double>> shape_speed;  // [shape, parameter] largest, m per unit
     EdgeTree all_edges, moving_edges;              // of all shapes, and of those that move
     Attached attached;
+    /// Below this share of slide_share() the points of a surface that pass its own edges are sampled with as much less
+    /// probability.
+    double always_passes_from = 0.25;
     /// A vertex near a shadow point would make light per distance squared without bound, m.
     double joined_beyond = 0;
     std::vector<std::uint32_t> creases;  // of all_edges; empty where all vertices stay on their surfaces
+    /// A range of creases that lie near to each other.
+    struct CreaseGroup {
+        std::size_t begin, end;
+        Box3f box;
+        double reach;  // largest Attached::reach; infinite where a surface has a delta lobe
+    };
+    std::vector<CreaseGroup> crease_groups;
     /// Lines where surfaces cut each other: first those of surfaces that move relative to each other, then, where points
     /// slide over surfaces or the camera moves, the others.
     std::vector<Seam> seams;
@@ -126,6 +158,11 @@ class BoundaryScene {
     bool all_seams = true;       // false: the search took too long and ended
 
     std::size_t n() const { return tangents.n(); }
+    /// Of the film's bins, m; infinite where it has none.
+    double bin_width() const {
+        const auto& width = graph.transient.bin_width_opl;
+        return !width.empty() && width[0] > 0 ? width[0] : INFINITY;
+    }
     /// Numbers of sample i of a stream, of the kind of the graph's.
     Sampler sampler(std::uint64_t stream, std::uint64_t i) const {
         const bool sobol = graph.tracing.sampler == "sobol";
@@ -146,6 +183,19 @@ class BoundaryScene {
     /// in:      from, d  origin and unit direction of the ray
     void film_velocity(const SurfacePoint& at, const Point3<double>& from, const Vector3<double>& d,
                        Velocities out) const;
+    /// Share of a ray's motion in that of its end on a surface: 1 where it slides with the ray, 0 where it keeps its place.
+    /// in:      r  length of the ray, m
+    double slide_share(std::uint32_t shape, std::uint32_t material, double r) const {
+        return has_delta_lobe(scene.materials[material].model.kind) ? 1 : attached.share(shape, r);
+    }
+    /// The larger one of the two sides of a shape.
+    double slide_share(std::uint32_t shape, double r) const {
+        const std::uint32_t material = scene.shapes[shape].material_idx;
+        const int back = scene.materials[material].back_idx;
+        return std::max(slide_share(shape, material, r), back < 0 ? 0 : slide_share(shape, std::uint32_t(back), r));
+    }
+    /// Probability to sample the points of a surface that pass its own edges: they do so by as much as they slide.
+    double passing_share(double slide) const { return slide < always_passes_from ? slide / always_passes_from : 1; }
     /// Velocity of the end of a scattered ray: of its material point, of the ray, or between, as InteriorWalker has it.
     /// in:      from, v_from, turn  start of the ray, its velocity and the angular velocity of its frame
     void far_velocity(std::uint32_t shape, std::uint32_t primitive, std::uint32_t material, const Vector3<double>& ng,
@@ -164,6 +214,9 @@ class BoundaryScene {
     std::vector<Round> rounds_from(const Point3<double>& eye, bool ends_move) const;
     /// The same along a unit direction towards the eye.
     std::vector<Round> rounds_along(const Vector3<double>& direction, bool ends_move) const;
+
+    /// EdgeCluster::motion_around() of all edges and rounds.
+    double motion_around(const Point3<double>& eye, double end_speed) const;
 
     /// Surfaces that end at a point of an edge, on the two sides of it: front, against `out`, and back. Of two faces on one
     /// side the nearer one counts.
@@ -187,7 +240,11 @@ class BoundaryScene {
     double clearance(const Point3<double>& x, double distance) const;
 
   private:
+    std::vector<EdgeCluster> round_clusters_;
+
     void find_speeds();
+    void find_rounds();
+    void find_creases();
     void find_all_seams();
 };
 
@@ -230,7 +287,7 @@ template <class Workers, class Work>
 void sample_in_chunks(const BoundaryScene& s, std::uint64_t n, std::uint64_t chunk, const char* title, Workers& workers,
                       std::vector<BoundaryRows>& rows, app::Report& report, const Work& work) {
     const std::size_t first = rows.size();
-    rows.resize(first + (n + chunk - 1) / chunk, BoundaryRows(s.options.adjoint));
+    rows.resize(first + (n + chunk - 1) / chunk, BoundaryRows(s.options.adjoint, s.bin_width()));
     app::Progress progress(report, title, n);
     parallel_chunks(n, chunk, s.options.threads, [&](std::uint64_t i, std::uint64_t begin, std::uint64_t end) {
         work(workers.local(), rows[first + i], begin, end);
@@ -259,8 +316,17 @@ Effort add_edge_light(const BoundaryScene& s, std::uint64_t n_samples, const std
 /// in:      wanted  by emitter
 Effort add_joined_light(const BoundaryScene& s, double share, const std::vector<char>& wanted,
                         std::vector<BoundaryRows>& rows, std::span<std::uint64_t> samples, app::Report& report);
-/// in:      surfaces, environment  whether light of surfaces, and that of an environment, is wanted
-Effort add_indirect(const BoundaryScene& s, double share, bool surfaces, bool environment,
+/// Importance of vertices for add_indirect(), in units of its own: how much the edges around one may bring.
+struct IndirectUnits {
+    double around =
+        0;  // by a coarse view of all edges: one that deserves to list what it sees; less, with that probability
+    double outline = 0;  // by what it sees: one that deserves one point of it; more have up to eight
+};
+/// Finds the units by a look at some vertices.
+IndirectUnits indirect_units(const BoundaryScene& s, bool surfaces, bool environment);
+/// in:      share  above 1: of all paths, with as many times the points
+///          surfaces, environment  whether light of surfaces, and that of an environment, is wanted
+Effort add_indirect(const BoundaryScene& s, double share, const IndirectUnits& units, bool surfaces, bool environment,
                     std::vector<BoundaryRows>& rows, std::span<std::uint64_t> samples, app::Report& report);
 
 /// Samples all boundary terms that `parts` requires.

@@ -8,6 +8,8 @@
 #include <tbb/enumerable_thread_specific.h>
 
 #include <algorithm>
+#include <functional>
+#include <numeric>
 
 #include "stages/core/edges/boundary.h"
 #include "stages/core/sampling/streams.h"
@@ -36,17 +38,20 @@ struct Pending {
 /// A ray of a sample.
 struct Side {
     std::uint32_t pending_idx;
-    double sign;  // -1: the surface in front
-    Hit at_edge;  // the surface that ends at the edge; none: any that the ray hits
+    double factor;  // negative: the surface in front
+    Hit at_edge;    // the surface that ends at the edge; none: any that the ray hits
 };
 
 class Sampling {
   public:
-    Sampling(const BoundaryScene& s, double share, bool surfaces, bool environment)
+    /// in:      share  above 1: of all paths, with as many times the points
+    Sampling(const BoundaryScene& s, double share, const IndirectUnits& units, bool surfaces, bool environment)
         : s_(s),
-          share_(share),
+          share_(std::min(share, 1.0)),
+          units_{units.around / std::max(share, 1.0), units.outline / std::max(share, 1.0)},
           surfaces_(surfaces),
           environment_(environment),
+          slide_(s.attached.any_slides()),
           outline_(s),
           walker_(s.graph, s.scene, s.tangents, s.attached),
           light_(s, streams::family(s.seed, 3)),
@@ -59,26 +64,22 @@ class Sampling {
         for (std::size_t p = 0; p < s.n(); ++p) far_speed_[p] = std::max(far_speed_[p], turns[p]);
     }
 
-    std::uint64_t n_samples = 0, n_walked = 0;
+    std::uint64_t n_samples = 0, n_walked = 0, n_looks = 0;
     std::uint64_t n_rays() const { return light_.n_rays + n_checks_; }
     std::uint64_t n_listed() const { return outline_.n_found(); }
 
     void sample_path(std::size_t path, BoundaryRows& rows) {
-        const std::uint64_t seed = streams::family(s_.seed, 5);
-        if (!(streams::selection(seed, path) < share_)) return;
-        const std::size_t first = s_.graph.paths.first_vertex[path];
-        MediumStack media;
-        if (s_.scene.features.dielectric) media = s_.scene.sensor_media.at(s_.scene, camera_origin(s_.graph, path));
-        walker_.walk_vertices(path, [&](const VertexState& x) {
-            ++n_walked;
-            const auto flags = s_.graph.vertices.flags[x.vertex];
-            if ((flags & vertex_flag::attempted_bsdf) && has_smooth_lobe(x.at->bsdf)) {
-                ++n_samples;
-                sample_vertex(x, path, int(x.vertex - first), media,
-                              Sampler(SamplerKind::independent, seed, x.vertex, 0));
-                if (rays_.size() + 2 > PathBatch::capacity) finish(rows);
-            }
-            if (s_.scene.features.dielectric && (flags & vertex_flag::continued)) follow(x, media);
+        for_vertices(path, [&](const VertexState& x, int depth, const MediumStack& media, const Sampler& sampler) {
+            ++n_samples;
+            sample_vertex(x, path, depth, media, sampler);
+            if (rays_.size() + 2 * most_points > PathBatch::capacity) finish(rows);
+        });
+    }
+    /// Adds the importance of the vertices of a path.
+    void add_importance(std::size_t path, std::vector<double>& around, std::vector<double>& outline) {
+        for_vertices(path, [&](const VertexState& x, int depth, const MediumStack&, const Sampler& sampler) {
+            around.push_back(importance_around(x));
+            outline.push_back(look(x, depth + 2, sampler) ? importance(x) : 0);
         });
     }
 
@@ -86,7 +87,7 @@ class Sampling {
     void finish(BoundaryRows& rows) {
         light_.trace(rays_, [&](std::size_t i, const PathGraph& g, std::size_t& edge) {
             const Pending& p = pending_[sides_[i].pending_idx];
-            const double sign = sides_[i].sign;
+            const double factor = sides_[i].factor;
             const std::size_t begin = g.paths.first_vertex[i], end = g.paths.first_vertex[i + 1];
             if (begin == end) {
                 // Light of an environment keeps its direction, or turns with its emitter.
@@ -116,7 +117,7 @@ class Sampling {
             }
             if (s_.scene.nlos) {
                 light_.walk_from_laser(i, edge, [&](const Spectrum& L, double opl, double laser_opl) {
-                    if (counts) add(p, Rgb<double>(L) * Rgb<double>(sign), opl, rates_, rows, laser_opl);
+                    if (counts) add(p, Rgb<double>(L) * Rgb<double>(factor), opl, rates_, rows, laser_opl);
                 });
                 return;
             }
@@ -125,7 +126,7 @@ class Sampling {
                 if (std::exchange(emitted_first, false))
                     add_emission(p, sides_[i], L, opl, rows);
                 else if (counts)
-                    add(p, Rgb<double>(L) * Rgb<double>(sign), opl, rates_, rows);
+                    add(p, Rgb<double>(L) * Rgb<double>(factor), opl, rates_, rows);
             });
         });
         pending_.clear();
@@ -134,74 +135,138 @@ class Sampling {
     }
 
   private:
-    void sample_vertex(const VertexState& x, std::size_t path, int depth, const MediumStack& arriving,
-                       const Sampler& sampler) {
-        const ShadingPoint& at = *x.at;
+    static constexpr int most_points = 16;  // of an outline
+
+    /// Calls on_vertex(vertex, depth, media, sampler) for the vertices of a path, if it is chosen.
+    template <class OnVertex>
+    void for_vertices(std::size_t path, OnVertex&& on_vertex) {
+        const std::uint64_t seed = streams::family(s_.seed, 5);
+        if (!(streams::selection(seed, path) < share_)) return;
+        const std::size_t first = s_.graph.paths.first_vertex[path];
+        MediumStack media;
+        if (s_.scene.features.dielectric) media = s_.scene.sensor_media.at(s_.scene, camera_origin(s_.graph, path));
+        walker_.walk_vertices(path, [&](const VertexState& x) {
+            ++n_walked;
+            const auto flags = s_.graph.vertices.flags[x.vertex];
+            if ((flags & vertex_flag::attempted_bsdf) && has_smooth_lobe(x.at->bsdf))
+                on_vertex(x, int(x.vertex - first), media, Sampler(SamplerKind::independent, seed, x.vertex, 0));
+            if (s_.scene.features.dielectric && (flags & vertex_flag::continued)) follow(x, media);
+        });
+    }
+
+    /// Lists the edges that a vertex sees.
+    /// in:      edge_number  of the path's edge that starts there
+    /// out:     whether there are any
+    bool look(const VertexState& x, int edge_number, const Sampler& sampler) {
+        ++n_looks;
         const int max_depth = s_.graph.tracing.max_depth;
-        const int edge_number = depth + 2;
         // The last edge reaches emitters alone: an environment, or an area light beside a seam.
-        const bool is_last = edge_number == max_depth, seams_alone = is_last && !environment_;
-        if (max_depth >= 0 && (edge_number > max_depth || (seams_alone && !s_.emitter_seams))) return;
-        const bool interface = is_interface(*at.bsdf.model);
-        const float hit_error = s_.scene.shapes[s_.graph.vertices.shape[x.vertex]].hit_error;
-        const RayEnd from{at.p, interface ? Normal3f{} : facing(at.ng, at.wo), hit_error};
-        Pending p;
-        p.x_s = Pt(at.p);
+        const bool seams_alone = edge_number == max_depth && !environment_;
+        if (max_depth >= 0 && (edge_number > max_depth || (seams_alone && !s_.emitter_seams))) return false;
+        RayEnd from = end_of(x);
+        from.n = is_interface(*x.at->bsdf.model) ? Normal3f{} : facing(x.at->ng, x.at->wo);
         const Shaft shaft = Shaft::to_infinity(from);
         const auto moving = [](std::span<const Vec> v) {
             return std::any_of(v.begin(), v.end(), [](const Vec& x) { return !(x == Vec{}); });
         };
         // Rays cross the creases of what moves, and attached to surfaces, what lies behind an edge may move although
         // neither the edge nor the vertex does.
-        const bool ends_move = moving(x.velocity) || moving(x.turn), slide = s_.attached.any_slides();
-        const bool all = !s_.attached.all_to_rays() || !s_.creases.empty() || ends_move;
+        const bool ends_move = moving(x.velocity) || moving(x.turn);
+        all_ = !s_.attached.all_to_rays() || !s_.creases.empty() || ends_move;
         static const EdgeTree no_edges;
-        bool any = outline_.collect(shaft, p.x_s, false, x.velocity, far_speed_, seams_alone ? no_edges : s_.edges(all),
-                                    all, 1, sampler.pair(2).y);
-        if (all && !seams_alone && !s_.creases.empty())
+        bool any = outline_.collect(shaft, Pt(from.p), false, x.velocity, far_speed_,
+                                    seams_alone ? no_edges : s_.edges(all_), all_, 1, sampler.pair(2).y);
+        if (all_ && !seams_alone && !s_.creases.empty())
             any = outline_.add_creases(shaft, far_speed_, sampler.pair(2).x);
-        if (surfaces_ && !s_.seams.empty()) any = outline_.add_seams(shaft, far_speed_, slide, sampler.pair(3).x);
-        if (!any || !outline_.sample(sampler.pair(1), p.b)) return;
+        if (surfaces_ && !s_.seams.empty()) any = outline_.add_seams(shaft, far_speed_, slide_, sampler.pair(3).x);
+        return any;
+    }
+
+    RayEnd end_of(const VertexState& x) const {
+        return {x.at->p, x.at->ng, s_.scene.shapes[s_.graph.vertices.shape[x.vertex]].hit_error};
+    }
+
+    static double largest(const Rgb<double>& beta) { return std::max({beta.r, beta.g, beta.b}); }
+    double importance_around(const VertexState& x) const {
+        double speed = 0;
+        for (const Vec& v : x.velocity) speed += length(v);
+        for (const double v : far_speed_) speed += Outline::part_of_behind * v;
+        return largest(x.beta) * s_.motion_around(Pt(x.at->p), speed);
+    }
+    /// The same of what look() found.
+    double importance(const VertexState& x) const { return largest(x.beta) * outline_.importance(); }
+
+    void sample_vertex(const VertexState& x, std::size_t path, int depth, const MediumStack& arriving,
+                       const Sampler& sampler) {
+        const int edge_number = depth + 2;
+        // A part of the looks does not depend on what is known from afar.
+        constexpr double least = 1.0 / 32;
+        const double known = importance_around(x),
+                     looks = known < units_.around ? std::max(known / units_.around, least) : 1;
+        const Point2f chosen = sampler.pair(4);
+        if (!(double(chosen.y) < looks) || !look(x, edge_number, sampler)) return;
+        // Points of the outline in proportion to what they may bring.
+        const double wanted = std::min(importance(x) / (units_.outline * looks), double(most_points));
+        const int n_points = int(wanted + double(chosen.x));
+        const double weight = 1 / (wanted * looks * share_ * double(s_.graph.tracing.samples_per_pixel));
+        for (int k = 0; k < n_points; ++k) {
+            const Point2f u = sampler.pair(std::uint32_t(5 + 2 * k));
+            Pending p;
+            if (!outline_.sample({(float(k) + u.x) / float(n_points), u.y}, p.b)) continue;
+            p.path = path;
+            p.value = x.beta * Rgb<double>(weight);
+            sample_point(x, p, k, edge_number, arriving, double(sampler.pair(std::uint32_t(6 + 2 * k)).x));
+        }
+    }
+
+    /// Adds the rays of a point of the outline.
+    /// in:      p  its point, and the value without the point's part;  k  its number;  u  uniform
+    void sample_point(const VertexState& x, Pending& p, int k, int edge_number, const MediumStack& arriving, double u) {
+        const ShadingPoint& at = *x.at;
         const Vector3f wi(p.b.omega);
         const Spectrum f_cos = f_cos_pdf(at, wi).f_cos;
         if (is_black(f_cos)) return;
-        p.path = path;
-        p.vertex = x.vertex;
-        p.opl = x.opl;
-        p.camera_opl = x.camera_opl;
-        p.value = x.beta * Rgb<double>(f_cos) *
-                  Rgb<double>(1 / (p.b.r * p.b.r * p.b.density * share_ * double(s_.graph.tracing.samples_per_pixel)));
-        p.v_s.assign(x.velocity.begin(), x.velocity.end());
-        p.v_b.assign(outline_.velocity().begin(), outline_.velocity().end());
-        p.turn.assign(x.turn.begin(), x.turn.end());
-        MediumStack media = arriving;
-        if (interface && dot(at.n_side, wi) * dot(at.n_side, at.wo) < 0)
-            media.pass(surface(x.vertex), dot(at.n_side, wi) < 0, *at.bsdf.model);
-        const RayEnd end{at.p, at.ng, hit_error};
+        const RayEnd end = end_of(x);
         const double clearance = s_.clearance(p.b.p, p.b.r);
-        const auto pending_idx = std::uint32_t(pending_.size());
         // Nothing may lie between: to the open space beside a silhouette or above a crease.
         const Vec lift = p.b.seam        ? p.b.seam->lifted(p.b.omega)
                          : p.b.is_crease ? lifted(*p.b.edge, p.b.omega)
                                          : p.b.out / length(p.b.out);
         ++n_checks_;
         if (s_.scene.occluded(spawn_segment(end, {Point3f(p.b.p + lift * clearance)}))) return;
+
+        p.vertex = x.vertex;
+        p.opl = x.opl;
+        p.camera_opl = x.camera_opl;
+        p.value = p.value * Rgb<double>(f_cos) * Rgb<double>(1 / (p.b.r * p.b.r * p.b.density));
+        p.x_s = Pt(at.p);
+        p.v_s.assign(x.velocity.begin(), x.velocity.end());
+        p.v_b.assign(outline_.velocity().begin(), outline_.velocity().end());
+        p.turn.assign(x.turn.begin(), x.turn.end());
+        MediumStack media = arriving;
+        if (is_interface(*at.bsdf.model) && dot(at.n_side, wi) * dot(at.n_side, at.wo) < 0)
+            media.pass(surface(x.vertex), dot(at.n_side, wi) < 0, *at.bsdf.model);
         BoundaryScene::Sides sides;
         if (p.b.seam) {
             sides = s_.sides_of(*p.b.seam, p.b.p, p.b.omega, p.b.out);
         } else if (p.b.edge) {
-            sides = s_.sides_of(s_.edges(all).set(), *p.b.edge, p.b.p, p.b.omega, p.b.out);
+            sides = s_.sides_of(s_.edges(all_).set(), *p.b.edge, p.b.p, p.b.omega, p.b.out);
         } else {
             sides.front.shape_idx = p.b.shape_idx;
             sides.front.u = float(std::cos(p.b.phi)), sides.front.v = float(std::sin(p.b.phi));
         }
-        if (slide || p.b.seam) push(end, p, sides.front, media, edge_number, pending_idx, -1);
+        const auto pending_idx = std::uint32_t(pending_.size());
+        const GivenRay from_vertex{
+            Ray{at.p, {}, 0, INFINITY}, {x.vertex, std::uint64_t(k)}, media, edge_number, {}, pixel_of(p)};
+        // Points in front pass an edge of their own surface by as much as they slide. Creases were chosen by that.
+        const double passes = p.b.is_crease ? 1 : s_.passing_share(s_.slide_share(p.b.shape_idx, p.b.r));
+        if ((slide_ || p.b.seam) && u < passes) push(from_vertex, p, sides.front, pending_idx, -1 / passes);
         if (p.b.is_crease) {
-            push(end, p, sides.back, media, edge_number, pending_idx, 1);
+            push(from_vertex, p, sides.back, pending_idx, 1);
         } else {
             const Vec beside = p.b.omega + p.b.out * (clearance / (length(p.b.out) * p.b.r));
-            rays_.push_back(
-                {spawn_ray(end, Vector3f(normalize(beside))), {x.vertex, 0}, media, edge_number, {}, pixel_of(p)});
+            rays_.push_back(from_vertex);
+            rays_.back().ray = spawn_ray(end, Vector3f(normalize(beside)));
             sides_.push_back({pending_idx, 1, {}});
         }
         pending_.push_back(std::move(p));
@@ -213,15 +278,15 @@ class Sampling {
     }
 
     /// Adds a ray that hits a known surface at the edge point.
-    void push(const RayEnd& from, const Pending& p, Hit hit, const MediumStack& media, int edge_number,
-              std::uint32_t pending_idx, double sign) {
+    void push(const GivenRay& from_vertex, const Pending& p, Hit hit, std::uint32_t pending_idx, double factor) {
         if (!hit) return;
         const bool round = !p.b.edge && !p.b.seam;
         const Vec d = (round ? s_.front_of_round(p.b.shape_idx, p.b.p, p.b.omega) : p.b.p) - p.x_s;
         hit.t = float(length(d));
-        rays_.push_back(
-            {Ray{from.p, Vector3f(normalize(d)), 0, INFINITY}, {p.vertex, 0}, media, edge_number, hit, pixel_of(p)});
-        sides_.push_back({pending_idx, sign, hit});
+        rays_.push_back(from_vertex);
+        rays_.back().ray.d = Vector3f(normalize(d));
+        rays_.back().hit = hit;
+        sides_.push_back({pending_idx, factor, hit});
     }
 
     SurfaceIdx surface(std::size_t vertex) const {
@@ -241,7 +306,7 @@ class Sampling {
         if (!p.b.seam) return;
         s_.shape_velocity(side.at_edge.shape_idx, side.at_edge.primitive_idx, p.b.p, v_light_);
         for (std::size_t k = 0; k < s_.n(); ++k) emission_rates_[k] = swept(p.b.out, p.v_b[k] - v_light_[k]);
-        add(p, Rgb<double>(L) * Rgb<double>(side.sign), opl, emission_rates_, rows);
+        add(p, Rgb<double>(L) * Rgb<double>(side.factor), opl, emission_rates_, rows);
     }
 
     std::uint64_t pixel_of(const Pending& p) const { return p.path % s_.graph.n_pixels(); }
@@ -257,7 +322,9 @@ class Sampling {
 
     const BoundaryScene& s_;
     double share_;
-    bool surfaces_, environment_;
+    IndirectUnits units_;
+    bool surfaces_, environment_, slide_;
+    bool all_ = true;  // edges at rest were looked for, too
     Outline outline_;
     InteriorWalker walker_;
     RayLight light_;
@@ -271,23 +338,52 @@ class Sampling {
 
 }  // namespace
 
-Effort add_indirect(const BoundaryScene& s, double share, bool surfaces, bool environment,
+namespace {
+
+/// Returns the unit of which so many values are at least one, or with that probability where they are less.
+double unit_of(std::vector<double> values, double share) {
+    std::sort(values.begin(), values.end(), std::greater<>());
+    double rest = std::accumulate(values.begin(), values.end(), 0.0);
+    const double wanted = share * double(values.size());
+    for (std::size_t k = 0; double(k) < wanted; ++k) {
+        const double unit = rest / (wanted - double(k));
+        if (values[k] <= unit) return unit;
+        rest -= values[k];
+    }
+    return values.empty() ? 0 : values[std::size_t(wanted)];
+}
+
+}  // namespace
+
+IndirectUnits indirect_units(const BoundaryScene& s, bool surfaces, bool environment) {
+    // To look from a vertex costs ten times as much as to pass it, and few vertices have most of the variance. The optimum
+    // is flat.
+    constexpr double look_from = 0.25, points = 0.4;
+    constexpr std::uint64_t most_paths = 1024;
+    const std::uint64_t n_paths = s.graph.n_paths(), n = std::min(n_paths, most_paths);
+    Sampling sampling(s, 1, {}, surfaces, environment);
+    std::vector<double> around, outline;
+    // Evenly spaced: over all pixels, and over all samples of them.
+    for (std::uint64_t i = 0; i < n; ++i) sampling.add_importance(i * n_paths / n, around, outline);
+    return {unit_of(std::move(around), look_from), unit_of(std::move(outline), points)};
+}
+
+Effort add_indirect(const BoundaryScene& s, double share, const IndirectUnits& units, bool surfaces, bool environment,
                     std::vector<BoundaryRows>& rows, std::span<std::uint64_t> samples, app::Report& report) {
-    tbb::enumerable_thread_specific<Sampling> workers(
-        [&] { return Sampling(s, std::min(share, 1.0), surfaces, environment); });
+    tbb::enumerable_thread_specific<Sampling> workers([&] { return Sampling(s, share, units, surfaces, environment); });
     sample_in_chunks(s, s.graph.n_paths(), 16384, "edges in front of surfaces", workers, rows, report,
                      [](Sampling& worker, BoundaryRows& out, std::uint64_t begin, std::uint64_t end) {
                          for (std::size_t path = begin; path < end; ++path) worker.sample_path(path, out);
                          worker.finish(out);
                      });
     Effort effort;
-    std::uint64_t n_walked = 0, n_listed = 0;
+    std::uint64_t n_walked = 0, n_looks = 0, n_listed = 0;
     for (const Sampling& worker : workers) {
         effort.rays += worker.n_rays();
-        n_walked += worker.n_walked, n_listed += worker.n_listed();
+        n_walked += worker.n_walked, n_looks += worker.n_looks, n_listed += worker.n_listed();
         samples[std::size_t(BoundaryFamily::indirect)] += worker.n_samples;
     }
-    effort.steps = 2 * n_walked + n_listed / 5;
+    effort.steps = 2 * n_walked / 5 + n_looks + n_listed / 5;
     return effort;
 }
 

@@ -82,6 +82,7 @@ void Outline::combine_weights(std::span<const double> far_speed) {
     for (const double w : extent_) extent += w;
     cumulative_.clear();
     total_known_ = known;
+    total_importance_ = known + part_of_behind * speed * extent;
     double total = 0;
     for (std::size_t i = 0; i < known_.size(); ++i) {
         if (known > 0) total += known_[i] / known;
@@ -118,7 +119,7 @@ bool Outline::collect(const Shaft& shaft, const Pt& eye, bool at_infinity, Const
     seams_.clear();
     OutlinePoint point;
     n_found_ += segments_.size() + n_visited / 4;
-    for (const EdgeSegment& segment : segments_) add_segment(segment);
+    for (const EdgeSegment& segment : segments_) add_segment(segment, [](double) { return 1.0; });
     rounds_ = at_infinity ? s_.rounds_along(Vec(eye), all) : s_.rounds_from(eye, all);
     for (const Round& round : rounds_) {
         constexpr int looked_at = 8;
@@ -143,25 +144,38 @@ bool Outline::collect(const Shaft& shaft, const Pt& eye, bool at_infinity, Const
 }
 
 bool Outline::add_creases(const Shaft& shaft, std::span<const double> far_speed, float u) {
-    constexpr std::size_t most = 32;
-    const std::size_t n = s_.creases.size(), n_listed = std::min(n, most);
-    const double crease_share = n > 0 ? double(n_listed) / double(n) : 1;
-    n_found_ += n_listed;
-    for (std::size_t k = 0; k < n_listed; ++k) {
-        // Evenly spaced, from a random start.
-        const std::size_t i = n <= most ? k : std::size_t((double(k) + double(u)) * double(n) / double(most));
-        const std::uint32_t edge_idx = s_.creases[std::min(i, n - 1)];
-        const Edge& edge = s_.all_edges.edge(edge_idx);
-        std::array<EdgeInterval, 2> inside;
-        if (shaft.is_silhouette(edge) || shaft.clip(edge, inside) == 0) continue;
-        const EdgeSegment segment{inside[0].s0, inside[0].s1, edge_idx,
-                                  float(edge.length() * (inside[0].s1 - inside[0].s0)), float(crease_share)};
-        add_segment(segment);
-        creases_.push_back(segment);
+    constexpr double most = 32;
+    std::array<double, 32> shares;
+    double wanted = 0;
+    for (std::size_t i = 0; i < s_.crease_groups.size(); ++i) {
+        const BoundaryScene::CreaseGroup& group = s_.crease_groups[i];
+        shares[i] = s_.passing_share(Attached::share_of(group.reach, distance(group.box, eye_)));
+        wanted += shares[i] * double(group.end - group.begin);
+    }
+    const double scale = wanted > most ? most / wanted : 1;
+    double before = 0, target = double(u);  // evenly spaced from a random start
+    for (std::size_t i = 0; i < s_.crease_groups.size(); ++i) {
+        const BoundaryScene::CreaseGroup& group = s_.crease_groups[i];
+        const double share = shares[i] * scale, after = before + share * double(group.end - group.begin);
+        for (; target < after; ++target)
+            add_crease(s_.creases[std::min(group.begin + std::size_t((target - before) / share), group.end - 1)], share,
+                       shaft);
+        before = after;
     }
     first_seam_ = arcs_.size();
     combine_weights(far_speed);
     return !cumulative_.empty() && cumulative_.back() > 0;
+}
+
+void Outline::add_crease(std::uint32_t edge_idx, double share, const Shaft& shaft) {
+    ++n_found_;
+    const Edge& edge = s_.all_edges.edge(edge_idx);
+    std::array<EdgeInterval, 2> inside;
+    if (shaft.is_silhouette(edge) || shaft.clip(edge, inside) == 0) return;
+    const EdgeSegment segment{inside[0].s0, inside[0].s1, edge_idx,
+                              float(edge.length() * (inside[0].s1 - inside[0].s0)), float(share)};
+    add_segment(segment, [&](double r) { return s_.slide_share(edge.shape_idx, r); });
+    creases_.push_back(segment);
 }
 
 bool Outline::add_seams(const Shaft& shaft, std::span<const double> far_speed, bool all, float u) {
@@ -222,7 +236,9 @@ void Outline::add_seam(std::size_t seam_idx, const EdgeInterval& inside, double 
         for (const Vec& of_face : {velocity_[p], v_face_[p]}) speed += std::abs(dot(point.out, v - of_face)) / point.r;
         velocity_[p] = v;
     }
-    if (s_.attached.any_slides()) speed += importance(point.p, point.out);
+    const double slides =
+        std::max(s_.slide_share(seam.faces[0].shape_idx, point.r), s_.slide_share(seam.faces[1].shape_idx, point.r));
+    if (s_.attached.any_slides()) speed += slides * importance(point.p, point.out);
     const double extent = arc.height > 0 ? arc.end - arc.begin : 0;
     const double sine = std::max(length(point.out), 1e-6);
     seams_.push_back({inside, seam_idx, share});
@@ -231,7 +247,8 @@ void Outline::add_seam(std::size_t seam_idx, const EdgeInterval& inside, double 
     extent_.push_back((at_infinity_ ? extent : extent / point.r) / share);
 }
 
-void Outline::add_segment(const EdgeSegment& segment) {
+template <class ShareAt>
+void Outline::add_segment(const EdgeSegment& segment, ShareAt&& share_at) {
     const Edge& edge = tree_->edge(segment.edge_idx);
     const Pt ends[2] = {edge.point(segment.s0), edge.point(segment.s1)};
     // Weights need no exact angles, which take most of the time. Light per angle falls with the distance; the sine of the
@@ -274,8 +291,9 @@ void Outline::add_segment(const EdgeSegment& segment) {
         for (std::size_t k = 0; k < 3; ++k) arc.importance[k] = speed[k] / r[k];
     }
     arcs_.push_back(arc);
-    known_.push_back(size > 0 ? angle * arc.mean() / double(segment.share) : 0);
-    extent_.push_back(size > 0 ? angle / (r[1] * double(segment.share)) : 0);
+    const double weight = size > 0 ? angle * share_at(r[1]) / double(segment.share) : 0;
+    known_.push_back(weight * arc.mean());
+    extent_.push_back(weight / r[1]);
 }
 
 bool Outline::place_on_edge(std::size_t i, double t, OutlinePoint& point) {

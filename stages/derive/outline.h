@@ -48,6 +48,10 @@ class Outline {
     ///          u    uniform: which part
     bool add_seams(const Shaft& shaft, std::span<const double> far_speed, bool all, float u);
 
+    /// Share of the largest speed of what lies behind that counts for importance(): little of it moves.
+    static constexpr double part_of_behind = 0.05;
+    /// How fast light may appear beside all that is listed, in units of its own: to compare eyes.
+    double importance() const { return total_importance_; }
     /// Draws a point. Its velocity is in velocity().
     /// in:      u  uniform: the choice, and the place along it
     /// out:     false where rounding leaves nothing
@@ -80,7 +84,10 @@ class Outline {
     bool place_on_seam(std::size_t i, double t, OutlinePoint& point);
     bool place_on_round(std::size_t i, double t, OutlinePoint& point);
     void look(OutlinePoint& point) const;
-    void add_segment(const EdgeSegment& segment);
+    /// in:      share_at  share of the motion that counts, by the distance of the middle
+    template <class ShareAt>
+    void add_segment(const EdgeSegment& segment, ShareAt&& share_at);
+    void add_crease(std::uint32_t edge_idx, double share, const Shaft& shaft);
     void add_seam(std::size_t seam_idx, const EdgeInterval& inside, double share);
 
     const BoundaryScene& s_;
@@ -104,7 +111,7 @@ class Outline {
     std::vector<Vector3<double>> v_face_;
     std::vector<Arc> arcs_;               // [segment, round, crease, seam]
     std::vector<double> known_, extent_;  // weights by the velocities of edge and eye, and by angle alone
-    double total_known_ = 0;
+    double total_known_ = 0, total_importance_ = 0;
     std::vector<double> cumulative_;  // of the weights
 };
 

@@ -93,7 +93,8 @@ inline bool has_delta_lobe(BsdfKind kind) {
 struct Attached {
     std::vector<double> reach;  // [shape], m; 0: all to the surface, infinite: all to the ray. Empty: 0 for all
 
-    double share(std::uint32_t shape, double r) const { return slides(shape) ? 1 / (1 + sqr(r / reach[shape])) : 0; }
+    static double share_of(double reach, double r) { return reach > 0 ? 1 / (1 + sqr(r / reach)) : 0; }
+    double share(std::uint32_t shape, double r) const { return reach.empty() ? 0 : share_of(reach[shape], r); }
     /// dw/dr
     double slope(std::uint32_t shape, double r) const {
         return slides(shape) ? -2 * r / sqr(reach[shape]) * sqr(share(shape, r)) : 0;

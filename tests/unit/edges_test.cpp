@@ -612,6 +612,28 @@ TEST(EdgeTree, ListsARandomPartWithKnownProbabilities) {
     }
 }
 
+// From a few clusters: of all edges where they are few, and the closer the farther away.
+TEST(EdgeTree, KnowsAboutHowMuchMovesAroundAPoint) {
+    EXPECT_EQ(EdgeTree().motion_around({0, 0, 0}, 1), 0);
+    for (const int n : {1, 4, 5, 40, 4000}) {
+        EdgeSet set = edges_of(soup(n, 0.1f, 9));
+        std::vector<float> speeds;
+        for (const Edge& edge : set.edges) speeds.push_back(edge.a.x > 0 ? 3.0f : 0.0f);
+        const EdgeTree tree(set, speeds), at_rest(set);
+        Numbers numbers(3);
+        for (int query = 0; query < 32; ++query) {
+            const double distance = query % 2 ? 3 : 30, end_speed = query % 3;
+            const auto eye = Point3<double>(Vector3<double>(numbers.direction()) * distance);
+            double exact = 0;
+            for (std::size_t i = 0; i < set.edges.size(); ++i)
+                exact +=
+                    set.edges[i].length() * (double(speeds[i]) + end_speed) / length2(set.edges[i].point(0.5) - eye);
+            EXPECT_NEAR(tree.motion_around(eye, end_speed), exact, (distance > 10 ? 0.15 : 0.5) * exact) << n;
+            EXPECT_EQ(at_rest.motion_around(eye, 0), 0);
+        }
+    }
+}
+
 TEST(EdgeTree, IsTheSameEachTimeAndHoldsEachEdgeOnce) {
     for (int n : {1, 2, 3, 5, 7, 11, 40}) {
         const EdgeSet set = edges_of(soup(n, 0.2f, 9));

@@ -472,7 +472,8 @@ TEST(Reverse, BoundaryRowsAreContractedAsTheyAreMade) {
         if (family == BoundaryFamily::primary) add_primary(s, 4000, rows, samples, report);
         if (family == BoundaryFamily::vertex_light) add_vertex_light(s, 1, all, rows, samples, report);
         if (family == BoundaryFamily::edge_light) add_edge_light(s, 1000, all, rows, samples, report);
-        if (family == BoundaryFamily::indirect) add_indirect(s, 0.5, true, true, rows, samples, report);
+        if (family == BoundaryFamily::indirect)
+            add_indirect(s, 0.5, indirect_units(s, true, true), true, true, rows, samples, report);
         if (family == BoundaryFamily::joined_light) add_joined_light(s, 1, all, rows, samples, report);
         return rows;
     };

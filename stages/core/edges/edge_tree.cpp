@@ -226,6 +226,45 @@ std::size_t EdgeTree::collect_some(const Shaft& shaft, double n_blocks, double e
     return n_visited;
 }
 
+void EdgeTree::split_part(std::uint32_t node_idx) {
+    const Node& node = nodes_[node_idx];
+    for (std::size_t i = 0; i < std::size_t(node.n_children); ++i) {
+        Part part;
+        for (std::size_t c = 0; c < 3; ++c) {
+            part.edges.center[int(c)] = double(node.center[c][i]);
+            part.edges.half2 += sqr(double(node.half[c][i]));
+        }
+        part.edges.length = double(node.edge_length[i]), part.edges.motion = double(node.edge_motion[i]);
+        part.at = node.child[i];
+        parts_.push_back(part);
+    }
+}
+
+void EdgeTree::find_parts() {
+    constexpr std::size_t most = 16;
+    split_part(root_);
+    // Split what moves most and is largest; at rest, what is longest and largest.
+    const bool at_rest =
+        std::none_of(parts_.begin(), parts_.end(), [](const Part& part) { return part.edges.motion > 0; });
+    const auto size = [&](const Part& part) {
+        return part.at & is_block ? -1 : (at_rest ? part.edges.length : part.edges.motion) * part.edges.half2;
+    };
+    while (parts_.size() + width <= most + 1) {
+        const auto largest = std::max_element(parts_.begin(), parts_.end(),
+                                              [&](const Part& a, const Part& b) { return size(a) < size(b); });
+        if (!(size(*largest) > 0)) return;
+        const std::uint32_t at = largest->at;
+        parts_.erase(largest);
+        split_part(at);
+    }
+}
+
+double EdgeTree::motion_around(const Point3d& eye, double end_speed) const {
+    double sum = 0;
+    for (const Part& part : parts_) sum += part.edges.motion_around(eye, end_speed);
+    return sum;
+}
+
 bool EdgeTree::any_inside(std::span<const HalfSpace> region, std::size_t most) const {
     if (blocks_.empty()) return false;
     const auto apart = [&](const Node& node, std::size_t child) {
@@ -435,6 +474,20 @@ struct EdgeTree::Builder {
         node.below[lane] = rounded_up(below + slack * std::abs(below));
     }
 
+    EdgeCluster cluster(Range range) const {
+        const Box3f box = bounds(range);
+        EdgeCluster all;
+        for (int c = 0; c < 3; ++c) {
+            all.center[c] = 0.5 * (double(box.lo[c]) + box.hi[c]);
+            all.half2 += sqr(double(box.hi[c]) - all.center[c]);
+        }
+        for (std::size_t i = range.begin; i < range.end; ++i) {
+            all.length += edges[order[i]].length();
+            all.motion += edges[order[i]].length() * double(speeds[order[i]]);
+        }
+        return all;
+    }
+
     void finish() {
         tree.set_.edges.reserve(edges.size());
         for (std::uint32_t i : order) tree.set_.edges.push_back(edges[i]);
@@ -458,6 +511,10 @@ EdgeTree::EdgeTree(EdgeSet set, std::span<const float> speeds) : set_(std::move(
     Builder builder(*this, speeds);
     root_ = builder.build({0, builder.edges.size()});
     builder.finish();
+    if (root_ & is_block)
+        parts_ = {{builder.cluster({0, builder.edges.size()}), root_}};
+    else
+        find_parts();
 }
 
 }  // namespace loom

@@ -1,6 +1,7 @@
 #pragma once
 // A tree over edges that lists the silhouettes within a shaft.
 
+#include <algorithm>
 #include <array>
 #include <cstdint>
 #include <span>
@@ -15,6 +16,20 @@ namespace loom {
 struct HalfSpace {
     Vector3<double> n;
     double offset = 0;
+};
+
+/// Some edges, seen from afar.
+struct EdgeCluster {
+    Point3<double> center;
+    double half2 = 0;               // square of half the diagonal of their box, m^2
+    double length = 0, motion = 0;  // sums of length, m, and of length times speed
+
+    /// Returns about the sum of length times speed over squared distance.
+    /// in:      end_speed  added to the speed of each edge
+    double motion_around(const Point3<double>& eye, double end_speed) const {
+        const double sum = motion + end_speed * length;
+        return sum > 0 ? sum / std::max(length2(center - eye), half2) : 0;
+    }
 };
 
 /// Part of a silhouette within a shaft.
@@ -57,6 +72,9 @@ class EdgeTree {
     std::size_t collect_some(const Shaft& shaft, double n_blocks, double end_speed, std::uint64_t seed,
                              std::vector<EdgeSegment>& found) const;
 
+    /// EdgeCluster::motion_around() of all edges, from a few clusters.
+    double motion_around(const Point3<double>& eye, double end_speed) const;
+
     /// Whether a part of any edge, silhouette or not, lies in all of some half-spaces. Also true where that is not known
     /// after as many nodes and blocks as `most`.
     bool any_inside(std::span<const HalfSpace> region, std::size_t most) const;
@@ -79,8 +97,16 @@ class EdgeTree {
     struct Block {
         alignas(16) std::array<Lanes, 3> a, b, n0, n1;
     };
+    /// A child of a node, or all edges.
+    struct Part {
+        EdgeCluster edges;
+        std::uint32_t at = 0;
+    };
     struct Query;
     struct Builder;
+
+    void split_part(std::uint32_t node_idx);
+    void find_parts();
 
     static unsigned open_children(const Node& node, const Query& query);
     static unsigned possible_silhouettes(const Block& block, const Query& query);
@@ -94,6 +120,7 @@ class EdgeTree {
     std::vector<Node> nodes_;  // a child: an index, or that of a block with the bit is_block
     std::vector<Block> blocks_;
     std::uint32_t root_ = 0;
+    std::vector<Part> parts_;  // a few that hold all edges
 };
 
 }  // namespace loom

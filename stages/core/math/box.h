@@ -40,4 +40,11 @@ struct Box3f {
     }
 };
 
+/// Returns the distance of a point from a box, 0 inside.
+inline double distance(const Box3f& box, const Point3<double>& p) {
+    double sum = 0;
+    for (int c = 0; c < 3; ++c) sum += sqr(std::max({double(box.lo[c]) - p[c], p[c] - double(box.hi[c]), 0.0}));
+    return std::sqrt(sum);
+}
+
 }  // namespace loom
