@@ -59,42 +59,64 @@ LightPiece choose_piece(const Scene& scene, const Emitter& e, float& u) {
 
 class Sampling {
   public:
-    explicit Sampling(const BoundaryScene& s)
-        : s_(s), v_light_(s.n()), rates_(s.n()), outline_(s), walker_(s.graph, s.scene, s.tangents, s.attached) {}
+    /// in:      sampled_at  by emitter: the vertices (reached_by) that sample it
+    Sampling(const BoundaryScene& s, const std::vector<char>& sampled_at)
+        : s_(s),
+          sampled_at_(sampled_at),
+          v_light_(s.n()),
+          rates_(s.n()),
+          outline_(s),
+          walker_(s.graph, s.scene, s.tangents, s.attached) {
+        for (const char reached : sampled_at) wanted_ |= reached;
+    }
 
-    std::uint64_t n_rays = 0, n_samples = 0, n_walked = 0;
+    std::uint64_t n_rays = 0, n_samples = 0, n_walked = 0, n_scanned = 0;
     std::uint64_t n_listed() const { return outline_.n_found(); }
 
-    void sample_path(std::size_t path, double share, const std::vector<char>& sampled_at, BoundaryRows& rows) {
+    void sample_path(std::size_t path, double share, BoundaryRows& rows) {
         const std::uint64_t seed = streams::family(s_.seed, 1);
-        if (!(streams::selection(seed, path) < share)) return;
-        char reached = reached_by::camera;
-        Pt before;
+        if (!(streams::selection(seed, path) < share) || !find_wanted(path)) return;
+        const std::size_t first = s_.graph.paths.first_vertex[path];
         walker_.walk_vertices(path, [&](const VertexState& x) {
             ++n_walked;
-            const Pt p(x.at->p);
-            char here = reached;
-            if (here == reached_by::far && length(p - before) < s_.joined_beyond) here = reached_by::near;
-            const Lobe lobe = Lobe(s_.graph.vertices.lobe[x.vertex]);
-            if (lobe != Lobe::null)
-                reached = is_delta(lobe) ? reached_by::delta : reached_by::far, before = p;
-            else if (here == reached_by::camera)
-                reached = reached_by::delta;
-            if (!(s_.graph.vertices.flags[x.vertex] & vertex_flag::attempted_nee)) return;
+            const char reached = reached_[x.vertex - first];
+            if (!(reached & wanted_)) return;
             const Sampler sampler(SamplerKind::independent, seed, x.vertex, 0);
             ++n_samples;
-            sample_vertex(x, path, share, here, sampled_at, sampler, rows);
+            sample_vertex(x, path, share, reached, sampler, rows);
         });
     }
 
   private:
-    void sample_vertex(const VertexState& x, std::size_t path, double share, char reached,
-                       const std::vector<char>& sampled_at, const Sampler& sampler, BoundaryRows& rows) {
+    /// Finds what the vertices of a path are reached by; 0 where no emitter was sampled. Returns whether any is wanted.
+    bool find_wanted(std::size_t path) {
+        const auto& vertices = s_.graph.vertices;
+        reached_.clear();
+        char next = reached_by::camera, any = 0;
+        Pt before;
+        for (std::size_t j = s_.graph.paths.first_vertex[path]; j < s_.graph.paths.first_vertex[path + 1]; ++j) {
+            ++n_scanned;
+            const Pt p = position<double>(s_.graph, j);
+            char here = next;
+            if (here == reached_by::far && length(p - before) < s_.joined_beyond) here = reached_by::near;
+            const Lobe lobe = Lobe(vertices.lobe[j]);
+            if (lobe != Lobe::null)
+                next = is_delta(lobe) ? reached_by::delta : reached_by::far, before = p;
+            else if (here == reached_by::camera)
+                next = reached_by::delta;
+            reached_.push_back(vertices.flags[j] & vertex_flag::attempted_nee ? here : char(0));
+            any |= reached_.back();
+        }
+        return any & wanted_;
+    }
+
+    void sample_vertex(const VertexState& x, std::size_t path, double share, char reached, const Sampler& sampler,
+                       BoundaryRows& rows) {
         const Scene& scene = s_.scene;
         float u_emitter = sampler.pair(0).x;
         const std::size_t emitter_idx = scene.emitter_pmf.sample(u_emitter);
         const Emitter& e = scene.emitters[emitter_idx];
-        if (e.kind != EmitterKind::area || !(sampled_at[emitter_idx] & reached)) return;
+        if (e.kind != EmitterKind::area || !(sampled_at_[emitter_idx] & reached)) return;
         const LightPiece piece = choose_piece(scene, e, u_emitter);
         const ShadingPoint& at = *x.at;
         if (piece.n_corners > 0 && !(dot(piece.n, at.p - piece.corners[0]) > 0)) return;
@@ -209,6 +231,9 @@ class Sampling {
     }
 
     const BoundaryScene& s_;
+    const std::vector<char>& sampled_at_;
+    char wanted_ = 0;
+    std::vector<char> reached_;  // [vertex of the path]
     std::vector<Vec> v_light_;
     std::vector<double> rates_;
     Outline outline_;
@@ -219,20 +244,20 @@ class Sampling {
 
 Effort add_vertex_light(const BoundaryScene& s, double share, const std::vector<char>& sampled_at,
                         std::vector<BoundaryRows>& rows, std::span<std::uint64_t> samples, app::Report& report) {
-    tbb::enumerable_thread_specific<Sampling> workers([&] { return Sampling(s); });
+    tbb::enumerable_thread_specific<Sampling> workers([&] { return Sampling(s, sampled_at); });
     sample_in_chunks(s, s.graph.n_paths(), 4096, "edges in front of emitters", workers, rows, report,
                      [&](Sampling& worker, BoundaryRows& out, std::uint64_t begin, std::uint64_t end) {
                          for (std::size_t path = begin; path < end; ++path)
-                             worker.sample_path(path, std::min(share, 1.0), sampled_at, out);
+                             worker.sample_path(path, std::min(share, 1.0), out);
                      });
     Effort effort;
-    std::uint64_t n_walked = 0, n_listed = 0;
+    std::uint64_t n_walked = 0, n_scanned = 0, n_listed = 0;
     for (const Sampling& worker : workers) {
         effort.rays += worker.n_rays;
-        n_walked += worker.n_walked, n_listed += worker.n_listed();
+        n_walked += worker.n_walked, n_scanned += worker.n_scanned, n_listed += worker.n_listed();
         samples[std::size_t(BoundaryFamily::vertex_light)] += worker.n_samples;
     }
-    effort.steps = 3 * n_walked / 2 + n_listed / 6;
+    effort.steps = 3 * n_walked / 2 + n_scanned / 20 + n_listed / 6;
     return effort;
 }
 

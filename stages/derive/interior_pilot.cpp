@@ -76,8 +76,11 @@ struct Look {
 
 Look look(const PathGraph& g, const Scene& scene, const SceneTangents& tangents, const Attached& attached,
           const WholeLightOptions& whole) {
-    const std::uint64_t n_pixels = g.n_pixels(), spp = g.tracing.samples_per_pixel;
-    const std::uint64_t n_looked_at = std::min(n_pixels, std::clamp<std::uint64_t>(8192 / spp, 16, 1024));
+    // Pixels differ more than samples of one do: some samples of each of many.
+    const std::uint64_t n_pixels = g.n_pixels(), spp = g.tracing.samples_per_pixel,
+                        n_paths = std::max<std::uint64_t>(8192, g.n_paths() / 200),
+                        n_samples = std::min<std::uint64_t>(spp, 16),
+                        n_looked_at = std::clamp<std::uint64_t>(n_paths / n_samples, 1, n_pixels);
     const InteriorWalker walker(g, scene, tangents, attached, whole);
     const GraphReader reader(g);
     const OpticalLengths lengths(g, Timing{});
@@ -89,8 +92,8 @@ Look look(const PathGraph& g, const Scene& scene, const SceneTangents& tangents,
         // Even steps could stay in one column.
         const double place = (double(i) + 0.5) * golden_ratio;
         const auto pixel = std::uint64_t((place - std::floor(place)) * double(n_pixels));
-        for (std::uint64_t sample = 0; sample < spp; ++sample) {
-            const std::size_t path = sample * n_pixels + pixel;
+        for (std::uint64_t k = 0; k < n_samples; ++k) {
+            const std::size_t path = k * spp / n_samples * n_pixels + pixel;
             if (!walker.touches(path)) continue;
             const std::size_t first = first_light_edge(g, g.paths.first_vertex[path]);
             std::size_t edge = first;
@@ -110,11 +113,11 @@ Look look(const PathGraph& g, const Scene& scene, const SceneTangents& tangents,
                 [&](const InteriorWalker::ExactRow& row) { bins.add(seen_opl, row); });
             bins.end_path();
         }
-        bins.end_pixel(double(spp), out.variance);
+        bins.end_pixel(double(n_samples), out.variance);
     }
-    const double share = double(n_looked_at) / double(n_pixels);
-    for (double& v : out.variance) v /= share * sqr(double(spp));
-    out.n_points /= double(n_looked_at) * double(spp);
+    const double share = double(n_looked_at) / double(n_pixels), n = double(n_samples);
+    for (double& v : out.variance) v /= share * std::max(n - 1, 1.0) * double(spp);
+    out.n_points /= double(n_looked_at) * n;
     return out;
 }
 
