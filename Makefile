@@ -3,7 +3,7 @@
 
 .DEFAULT_GOAL := demo
 .DELETE_ON_ERROR:
-pipelines := demo image edit edit-techniques edit-images transient derive chart chart-all chart-transient chart-edit-graph chart-edit-cost report \
+pipelines := demo image edit edit-techniques edit-images transient derive animation chart chart-all chart-transient chart-edit-graph chart-edit-cost report \
 	table table-edit table-derive choices peers peers-transient peers-derive
 .PHONY: $(pipelines) edit-pictures oidn format lint tools build stages test test-full stability asan bench clean help
 SHELL := /bin/sh
@@ -54,6 +54,9 @@ edit-images: stages ## old, new and residual images of the edits of table-edit, 
 	@$(MAKE) --no-print-directory -f pipelines/table-edit.mk edit-images
 
 edit-pictures: edit-images
+
+animation: stages ## frames of SCENE for the rows of FRAMES, from the image of what they share, and a movie
+	@$(MAKE) --no-print-directory -f pipelines/animation.mk animation
 
 ##@ Transients
 

@@ -15,7 +15,7 @@
 # PULSE=  ## delta, box, gaussian, expgauss, table, sine or square (the film's)
 # LENGTH=  ## box: length of the pulse; gaussian: its standard deviation, in UNIT
 # TRANSIENT=  ## further options of loom-transient: TRANSIENT="--unwarp --group-index 1.5=1.53"
-FRAMES ?= --png  ## further options of loom-frames: FRAMES="--png --exr --row 40 --pixel 30:60 --exposure 1"
+DRAW ?= --png  ## further options of loom-frames: DRAW="--png --exr --row 40 --pixel 30:60 --exposure 1"
 
 bin := $(BUILD)/bin/loom-transient
 merge := $(BUILD)/bin/loom-merge
@@ -52,6 +52,6 @@ $(OUT)/cube.h5: $(cubes) $(OUT)/passes.parameters $(merge)
 	$(LAUNCH) $(merge) $(cubes) -o $@
 endif
 
-$(eval $(call parameter,$(OUT)/frames.parameters,$(strip $(drawn) $(FRAMES))))
+$(eval $(call parameter,$(OUT)/frames.parameters,$(strip $(drawn) $(DRAW))))
 $(OUT)/strip.png: $(OUT)/cube.h5 $(OUT)/frames.parameters $(draw)
-	$(LAUNCH) $(draw) $< -o $@ --movie $(OUT)/movie.mp4$(if $(drawn), $(drawn)) $(FRAMES)
+	$(LAUNCH) $(draw) $< -o $@ --movie $(OUT)/movie.mp4$(if $(drawn), $(drawn)) $(DRAW)

@@ -5,17 +5,15 @@
 #include <algorithm>
 #include <cmath>
 #include <filesystem>
-#include <fstream>
-#include <iterator>
-#include <stdexcept>
 
 #include "formats/image.h"
 #include "formats/io/error.h"
-#include "formats/io/output_file.h"
 #include "stages/core/app/command.h"
 #include "stages/core/plot/false_colours.h"
 #include "stages/core/plot/gnuplot.h"
 #include "stages/frames/doppler.h"
+#include "stages/frames/images.h"
+#include "stages/frames/movie.h"
 #include "stages/frames/pictures.h"
 
 namespace loom::frames {
@@ -55,19 +53,6 @@ Image frame_of(const TransientCube& cube, std::span<const float> values, std::sp
     return image;
 }
 
-/// Creates the folder of single frames, and removes the frames of earlier runs.
-void clear_frames(const fs::path& folder) {
-    fs::create_directories(folder);
-    for (const auto& entry : fs::directory_iterator(folder)) {
-        const std::string name = entry.path().filename();
-        if (name.starts_with("frame-") && (name.ends_with(".png") || name.ends_with(".exr"))) fs::remove(entry.path());
-    }
-}
-
-fs::path frame_path(const fs::path& folder, std::size_t bin, const char* ending) {
-    return folder / fmt::format("frame-{:04}{}", bin, ending);
-}
-
 /// Removes the images of derivatives that an earlier run left in `folder` and this run does not make. Folders with
 /// other files stay.
 void clear_derivatives(const fs::path& folder, const std::vector<std::string>& made, const std::string& strip,
@@ -88,42 +73,6 @@ void clear_derivatives(const fs::path& folder, const std::vector<std::string>& m
         }
         fs::remove(entry.path(), not_empty);
     }
-}
-
-/// Writes all frames, of width x height pixels each, as a movie; only a message where ffmpeg is not installed.
-void write_movie(const Options& options, const fs::path& movie, const TransientCube& cube, const fs::path& frames,
-                 std::size_t width, std::size_t height, app::Report& report) {
-    OutputFile output(movie);
-    const std::size_t zoom = std::max<std::size_t>(1, 480 / std::min(width, height));
-    // Encoders require even sides.
-    const std::string size =
-        fmt::format("scale={}:{}:flags=neighbor", (zoom * width + 1) / 2 * 2, (zoom * height + 1) / 2 * 2);
-    const fs::path log = fs::absolute(output.partial()).native() + ".log";
-    const auto encode = [&](const std::vector<std::string>& codec) {
-        std::vector<std::string> words{
-            "ffmpeg",         "-y",  "-loglevel", "error", "-framerate", fmt::format("{}", options.fps), "-i",
-            "frame-%04d.png", "-vf", size};
-        words.insert(words.end(), codec.begin(), codec.end());
-        for (const char* word : {"-pix_fmt", "yuv420p", "-threads", "1", "-fflags", "+bitexact", "-flags:v",
-                                 "+bitexact", "-movflags", "+faststart", "-f", "mp4"})
-            words.push_back(word);
-        words.push_back(fs::absolute(output.partial()).native());
-        return plot::run_program(fs::absolute(frames), words, log);
-    };
-    std::optional<int> status = encode({"-c:v", "libx264", "-crf", "16"});
-    if (status && *status != 0) status = encode({"-c:v", "mpeg4", "-q:v", "2"});
-    std::ifstream in(log);
-    const std::string said(std::istreambuf_iterator<char>(in), {});
-    fs::remove(log);
-    if (status != 0) fs::remove(movie);  // a movie of another cube
-    if (!status) {
-        report.info("no movie: ffmpeg is not installed (Debian: apt install ffmpeg)");
-        return;
-    }
-    if (*status != 0) throw std::runtime_error(fmt::format("{}: ffmpeg failed:\n{}", movie.native(), said));
-    output.commit();
-    report.info("{}: {} frames; one second shows {:.4g} {}", movie.native(), cube.time.n_bins,
-                options.fps * cube.in_unit(cube.time.bin_width_opl), time_unit(cube));
 }
 
 /// Draws curves, with a derivative below the value, and writes their commands.
@@ -178,7 +127,9 @@ void write_frames(const Options& options, const TransientCube& cube, std::span<c
         if (options.png || !options.movie.empty()) size = write_as(image, frame_path(frames, bin, ".png"));
         progress.add();
     }
-    if (!options.movie.empty()) write_movie(options, output.movie, cube, frames, size.first, size.second, report);
+    if (!options.movie.empty() && write_movie(frames, size.first, size.second, options.fps, output.movie, report))
+        report.info("{}: {} frames; one second shows {:.4g} {}", output.movie.native(), cube.time.n_bins,
+                    options.fps * cube.in_unit(cube.time.bin_width_opl), time_unit(cube));
     if (!options.png && !options.exr) fs::remove_all(frames);
 }
 
@@ -234,11 +185,16 @@ double draw_derivative(const Options& options, const TransientCube& cube, std::s
 
 void declare(app::Command& command, Options& options) {
     command
-        .file("cube", options.cube, "transient cube (.h5), or velocities of loom-derive --doppler, drawn as one image")
+        .file(
+            "cube", options.cube,
+            "transient cube (.h5); velocities of loom-derive --doppler, drawn as one image; or the first image (.exr) "
+            "of an animation")
         .required();
+    command.files("images", options.images, "further images of an animation, in their order");
     command
         .output("-o,--output", options.output,
-                "strip of frames (.png); beside it streak-x, streak-y, peak (.png), curves (.svg .png .tsv .gp); of "
+                "strip of frames (.png); of a cube beside it streak-x, streak-y, peak (.png), curves (.svg .png .tsv "
+                ".gp); of "
                 "velocities their colours, with the spectra in beat (.svg .png .tsv .gp)")
         .required();
     command.option("--exposure", options.exposure_ev, "exposure of frames and strip, on top of --quantile",
@@ -253,15 +209,16 @@ void declare(app::Command& command, Options& options) {
     command.option("--radius", options.radius,
                    "radius of the square of pixels over which a curve is averaged; 0: one pixel",
                    app::Range<std::uint32_t>{0, 1000, "px"});
-    command.flag("--png", options.png, "also write each bin as frames/frame-NNNN.png, all with one exposure");
+    command.flag("--png", options.png, "also write each bin or image as frames/frame-NNNN.png, all with one exposure");
     command.flag("--exr", options.exr, "also write each bin as frames/frame-NNNN.exr, with its variance");
     command.output("--movie", options.movie, "also write a movie (.mp4); needs ffmpeg");
     command.option("--parameter", options.parameter,
                    "draw the derivative by this parameter instead of the value, blue below 0 and red above");
     command.flag("--derivatives", options.derivatives,
                  "also draw the derivative by each parameter of the cube, in derivative-NAME/ beside the strip");
-    command.option("--fps", options.fps, "bins shown per second of the movie", app::Range<double>{0.1, 1000});
+    command.option("--fps", options.fps, "bins or images shown per second of the movie", app::Range<double>{0.1, 1000});
     command.example("loom-frames cube.h5 -o strip.png --row 64 --pixel 40:80 --pixel 90:20 --movie movie.mp4");
+    command.example("loom-frames frame-*.exr -o strip.png --fps 24 --movie movie.mp4");
     command.example("loom-frames cube.h5 -o derivative/strip.png --parameter theta");
 }
 
@@ -272,6 +229,10 @@ void run(const Options& options, app::Report& report) {
     if (options.derivatives && !options.parameter.empty())
         throw InputError("--parameter and --derivatives exclude each other: one derivative, or the value and all");
     check_output_path(given);
+    if (is_images(options)) {
+        draw_images(options, report);
+        return;
+    }
     if (is_doppler(options.cube)) {
         draw_doppler(options, report);
         return;

@@ -17,8 +17,9 @@ class Report;
 namespace loom::frames {
 
 struct Options {
-    std::string cube;    // transient cube (.h5)
-    std::string output;  // the strip of frames (.png); the other images lie beside it
+    std::string cube;                 // transient cube (.h5), or the first image of an animation (.exr)
+    std::vector<std::string> images;  // further images
+    std::string output;               // the strip of frames (.png); the other images lie beside it
     double exposure_ev = 0;
     double quantile = 0.99;                    // of the nonzero bins' luminance; displayed as white or as full colour
     std::uint32_t count = 12;                  // frames of the strip

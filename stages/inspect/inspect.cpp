@@ -2,6 +2,8 @@
 
 #include <fmt/format.h>
 
+#include <map>
+
 #include "formats/documentation.h"
 #include "formats/image.h"
 #include "formats/io/error.h"
@@ -9,6 +11,7 @@
 #include "stages/core/app/command.h"
 #include "stages/core/app/input_stamp.h"
 #include "stages/core/description/description.h"
+#include "stages/core/edit/animation.h"
 #include "stages/core/scene/build.h"
 
 namespace loom::inspect {
@@ -30,7 +33,11 @@ void declare(app::Command& command, Options& options) {
                    "write the content hashes of the given files as a prerequisite for make; a stamp that is up to date "
                    "is not rewritten");
     command.file("--scene", options.scene,
-                 "with --stamp: also hash a scene file (Mitsuba XML) and all files that it names");
+                 "with --stamp: also hash a scene file (Mitsuba XML) and all files that it names; with --frames: the "
+                 "scene of the frames");
+    command.file("--frames", options.frames,
+                 "table of frames (.tsv, as for loom-residual): print a content hash of the static scene that they "
+                 "share, and one of each frame by its number");
     command.option("-D,--define", options.defines, "with --scene: NAME=VALUE of a scene parameter $NAME");
     command.option("--sensor", options.sensor, "with --scene: sensor, as given to loom-trace");
     command.flag("--check", options.check, "with --stamp: compare only; exit with 1 when contents differ");
@@ -46,6 +53,18 @@ std::string iterations_tsv(const Radiance& radiance) {
 }
 
 namespace {
+
+std::string hashes_of_frames(const Options& options) {
+    if (options.scene.empty()) throw InputError("--frames: needs --scene");
+    const Frames frames = read_frames(options.frames);
+    const Animation animation = find_animation(options.scene, parse_defines(options.defines), options.sensor, frames);
+    std::map<std::uint32_t, std::string> by_number;
+    for (std::size_t i = 0; i < frames.frames.size(); ++i)
+        by_number.emplace(frames.frames[i].number, animation.frame_hashes[i]);
+    std::string text = fmt::format("static\t{}\n", animation.still_hash);
+    for (const auto& [number, hash] : by_number) text += fmt::format("{}\t{}\n", number, hash);
+    return text;
+}
 
 int stamp(const Options& options) {
     std::vector<std::string> files;
@@ -65,8 +84,12 @@ int run(const Options& options, app::Report& report) {
         return app::exit_done;
     }
     if (!options.stamp.empty()) return stamp(options);
+    if (!options.frames.empty()) {
+        report.answer(hashes_of_frames(options));
+        return app::exit_done;
+    }
     if (options.check || !options.scene.empty() || !options.defines.empty() || !options.sensor.empty())
-        throw InputError("--scene, --define, --sensor, --check: only with --stamp");
+        throw InputError("--scene, --define, --sensor, --check: only with --stamp or --frames");
     if (options.files.empty()) throw InputError("no input: give a file (loom-inspect FILE); see --help");
     if (options.files.size() > 1)
         throw InputError(fmt::format("{}: second input; only --stamp takes several files", options.files[1]));

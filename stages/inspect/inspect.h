@@ -27,7 +27,8 @@ struct Options {
     std::string graph;                 // path graph of the clusters in `files`, for their radii
     bool iterations = false;           // print the convergence of the refinement in a radiance file, as TSV
     std::string stamp;                 // write the content hashes of the files to this file
-    std::string scene;                 // with stamp: a scene and all files that it names
+    std::string scene;                 // with stamp: a scene and all files that it names; with frames: their scene
+    std::string frames;                // print the content hashes of the static scene and of these frames
     std::vector<std::string> defines;  // of the scene, "NAME=VALUE"
     std::string sensor;                // of the scene, id or index; empty: the first
     bool check = false;                // with stamp: compare only

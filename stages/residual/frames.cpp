@@ -2,6 +2,9 @@
 
 #include <fmt/format.h>
 
+#include <array>
+#include <ranges>
+
 #include "formats/io/error.h"
 #include "stages/core/app/command.h"
 #include "stages/core/edit/animation.h"
@@ -26,15 +29,24 @@ void check_frames(const Options& options) {
 /// Returns the frames whose numbers --only names.
 std::vector<Frames::Frame> chosen_frames(const Frames& frames, const std::string& only) {
     if (only.empty()) return frames.frames;
-    const auto colon = only.find(':');
-    const auto number = [&](const std::string& text) { return app::parse_number<std::uint32_t>(text); };
-    const auto first = number(only.substr(0, colon)),
-               end = colon == std::string::npos ? std::nullopt : number(only.substr(colon + 1));
-    if (!first || !end || *first >= *end)
-        throw InputError(fmt::format("--only {}: expected FIRST:END, two numbers of frames, FIRST below END", only));
+    std::array<std::uint32_t, 3> numbers = {0, 0, 1};  // first, end, step
+    std::size_t n = 0;
+    bool readable = true;
+    for (const auto part : std::views::split(only, ':')) {
+        const auto number = app::parse_number<std::uint32_t>(std::string(part.begin(), part.end()));
+        readable &= n < 3 && number;
+        if (readable) numbers[n] = *number;
+        ++n;
+    }
+    const auto [first, end, step] = numbers;
+    if (!readable || n < 2 || first >= end || step == 0)
+        throw InputError(
+            fmt::format("--only {}: expected FIRST:END or FIRST:END:STEP, numbers of frames, FIRST below END, "
+                        "STEP from 1",
+                        only));
     std::vector<Frames::Frame> chosen;
     for (const Frames::Frame& frame : frames.frames)
-        if (frame.number >= *first && frame.number < *end) chosen.push_back(frame);
+        if (frame.number >= first && frame.number < end && (frame.number - first) % step == 0) chosen.push_back(frame);
     if (chosen.empty())
         throw InputError(fmt::format("--only {}: {} has no frame with such a number", only, frames.file));
     return chosen;

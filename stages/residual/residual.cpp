@@ -207,7 +207,9 @@ void declare(app::Command& command, Options& options) {
         "table of frames (.tsv: `frame` and names of $parameters, a row per frame). The old scene is what they "
         "share, as loom-trace --static makes it; each frame is a new scene, and % in the names of outputs its "
         "number, with four digits");
-    command.option("--only", options.only, "with --frames: FIRST:END, the frames from FIRST on below END");
+    command.option(
+        "--only", options.only,
+        "with --frames: FIRST:END, the frames from FIRST on below END; FIRST:END:STEP, each STEP-th of them");
     command.option("--sensor", options.sensor,
                    "sensor of both scenes, by id or by number from 0 in the order of the file (default: the first)");
     command.file("--old", options.old_picture,

@@ -144,13 +144,13 @@ TEST_F(MakeDerive, remakes_what_depends_on_a_change) {
     // Another pulse or window.
     EXPECT_EQ(names("WRT=x EFFORT=1 PULSE=gaussian LENGTH=1"), "transient frames");
     EXPECT_FALSE(traced);
-    EXPECT_EQ(names("WRT=x EFFORT=1 PULSE=gaussian LENGTH=1 FRAMES="), "frames");
+    EXPECT_EQ(names("WRT=x EFFORT=1 PULSE=gaussian LENGTH=1 DRAW="), "frames");
     // One more pass; a derivative that is gone, as after a killed run; other paths.
-    EXPECT_EQ(names("WRT=x EFFORT=1 PULSE=gaussian LENGTH=1 FRAMES= PASSES=3"), "derive transient frames");
+    EXPECT_EQ(names("WRT=x EFFORT=1 PULSE=gaussian LENGTH=1 DRAW= PASSES=3"), "derive transient frames");
     EXPECT_TRUE(traced);
     fs::remove(folder / "x/passes/pass-1.derivative.h5");
     fs::remove(folder / "x/cube.h5");
-    EXPECT_EQ(names("WRT=x EFFORT=1 PULSE=gaussian LENGTH=1 FRAMES= PASSES=3"), "derive transient frames");
+    EXPECT_EQ(names("WRT=x EFFORT=1 PULSE=gaussian LENGTH=1 DRAW= PASSES=3"), "derive transient frames");
     EXPECT_FALSE(traced);
     EXPECT_EQ(names("WRT=x SEED=1"), all);
     EXPECT_TRUE(traced);

@@ -141,7 +141,7 @@ TEST_F(MakeTransient, clusters_share_the_light_of_the_same_graphs) {
 TEST_F(MakeTransient, wrong_variables_are_refused) {
     for (const char* wrong :
          {"SPP=0", "PASSES=x", "BINS=0", "WIDTH=-1", "UNIT=feet", "PULSE=none", "PULSE=box", "OUT='two words'",
-          "SAMPLER=none", "K=0", "K=8 KEEP=0", "SCENE=missing.xml", "FRAMES='--row 16'", "FRAMES='--pixel 24:0'"}) {
+          "SAMPLER=none", "K=0", "K=8 KEEP=0", "SCENE=missing.xml", "DRAW='--row 16'", "DRAW='--pixel 24:0'"}) {
         const Outcome outcome = sh(make("x", small + std::string(wrong)) + " transient");
         EXPECT_EQ(outcome.code, 2) << wrong << "\n" << outcome.err;
         EXPECT_EQ(outcome.out, "") << wrong;

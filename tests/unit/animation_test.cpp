@@ -116,6 +116,21 @@ TEST(Animation, ItsContentAloneIdentifiesTheStaticScene) {
     EXPECT_NE(Case("frame\tx\tpower\n0\t0\t2\n1\t1\t1\n").hash(), hash);
 }
 
+TEST(Animation, EqualFramesHaveEqualHashes) {
+    const auto hashes = [](const char* rows) {
+        const Animation animation = Case(rows).animation();
+        EXPECT_EQ(animation.still.parameters.at("static scene"), animation.still_hash);
+        return animation.frame_hashes;
+    };
+    const auto one = hashes("frame\tx\n0\t0.1\n1\t0.2\n2\t0.10\n");
+    EXPECT_EQ(one[0], one[2]);
+    EXPECT_NE(one[0], one[1]);
+    // Whatever the other rows and columns: what a value changes in the scene counts.
+    const auto two = hashes("frame\tpaint\tx\n5\t0.6\t0.3\n6\t0.5\t0.2\n");
+    EXPECT_EQ(two[1], one[1]);
+    EXPECT_NE(two[0], one[0]);
+}
+
 TEST(Animation, ErrorsNameTheFrame) {
     const auto error = [](const std::string& rows) { return error_of([&] { Case(rows).animation(); }); };
     EXPECT_NE(error("frame\tfov\n0\t40\n4\t41\n").find(":3: frame 4: has another sensor than frame 0"),

@@ -36,6 +36,10 @@ SceneDescription describe_frame(const std::filesystem::path& scene, const Define
     }
 }
 
+std::string hash_of(const std::string& text) {
+    return content_hash_text(content_hash(std::as_bytes(std::span(text))));
+}
+
 std::string name_of(const ObjectPtr& o, std::size_t place) {
     return o->has_own_id ? fmt::format("'{}'", o->id) : fmt::format("number {} ({})", place + 1, o->plugin);
 }
@@ -125,6 +129,7 @@ Animation find_animation(const std::filesystem::path& scene, const Defines& defi
     }
 
     Animation out;
+    for (const SceneDescription& frame : descriptions) out.frame_hashes.push_back(hash_of(texts.text(*frame.root)));
     auto root = std::make_shared<Object>(first);
     for (std::size_t k = 0; k < shapes.size(); ++k) {
         if (!shape_differs[k]) continue;
@@ -139,8 +144,8 @@ Animation find_animation(const std::filesystem::path& scene, const Defines& defi
         if (emitter_differs[k]) out.relit.push_back(name_of(emitters[k], k));
     out.still = std::move(descriptions[0]);
     // Its content alone identifies it, so that other frames of the same static scene share its files.
-    const std::string text = texts.text(*root);
-    out.still.parameters = {{"static scene", content_hash_text(content_hash(std::as_bytes(std::span(text))))}};
+    out.still_hash = hash_of(texts.text(*root));
+    out.still.parameters = {{"static scene", out.still_hash}};
     out.still.files.clear();
     out.still.root = std::move(root);
     return out;

@@ -37,7 +37,10 @@ struct Animation {
     SceneDescription still;           // without the shapes that move; built, its hash depends on what it holds alone
     std::vector<std::string> moving;  // ids of the shapes that differ between frames and emit nothing
     std::vector<std::string> relit;   // ids of lights that differ, of which `still` has those of the first frame
-    std::string describe() const;     // in one line
+    // Content hashes, whatever the names of files: of `still`, and of each frame's whole scene.
+    std::string still_hash;
+    std::vector<std::string> frame_hashes;
+    std::string describe() const;  // in one line
 };
 
 /// Finds what the frames of a scene have in common. A light that differs stays as it is in the first frame, for the choice

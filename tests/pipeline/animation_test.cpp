@@ -1,0 +1,103 @@
+// `make animation`: which frames a change of the table, of the scene or of a variable remakes.
+#include <fmt/format.h>
+
+#include <regex>
+#include <set>
+
+#include "tests/pipeline/process.h"
+
+namespace loom::pipeline {
+namespace {
+
+using Numbers = std::set<int>;
+
+class MakeAnimation : public PipelineTest {
+  protected:
+    std::string table = "f.tsv";
+
+    static std::string row(int number, const std::string& x) { return fmt::format("{}\t{}\t0.3\n", number, x); }
+    void write(const std::string& rows, const std::string& head = "frame\tx\ty\n") {
+        std::ofstream(folder / table) << head << rows;
+    }
+    Outcome make(const std::string& variables = "", const std::string& out = "x") const {
+        return sh(
+            fmt::format("make -s -f pipelines/animation.mk BUILD='{}' OUT='{}' FRAMES='{}' SPP=2 BASE_SPP=2 "
+                        "DEFINES='resx=12 resy=8' {}",
+                        fs::path(stage("trace")).parent_path().parent_path().string(), (folder / out).string(),
+                        std::regex_replace((folder / table).string(), std::regex("'"), "'\\''"), variables));
+    }
+    /// Makes the frames.
+    /// out:     the numbers of those that were rendered; `traced` says whether the base was made
+    Numbers frames(const std::string& variables = "", const std::string& out = "x") {
+        const Outcome outcome = make(variables, out);
+        EXPECT_EQ(outcome.code, 0) << outcome.err;
+        const fs::path movie = folder / out / "movie.mp4";
+        EXPECT_EQ(outcome.out, (fs::exists(movie) ? movie : folder / out / "frames").string() + "\n");
+        traced = outcome.err.find("loom-trace: done") != std::string::npos;
+        Numbers numbers;
+        const std::regex done("loom-residual: done: frame-([0-9]+)[.]exr");
+        for (std::sregex_iterator m(outcome.err.begin(), outcome.err.end(), done), end; m != end; ++m)
+            EXPECT_TRUE(numbers.insert(std::stoi((*m)[1])).second) << (*m)[0];
+        return numbers;
+    }
+    fs::path image(int number, const std::string& out = "x") const {
+        return folder / out / fmt::format("images/frame-{:04}.exr", number);
+    }
+    bool traced = false;
+};
+
+TEST_F(MakeAnimation, remakes_the_frames_that_change) {
+    const std::string head = row(0, "-0.5") + row(1, "-0.2"), tail = row(3, "0.3") + row(4, "0.5");
+    write(head + row(2, "0") + tail);
+    EXPECT_EQ(frames(), Numbers({0, 1, 2, 3, 4}));
+    EXPECT_TRUE(traced);
+    EXPECT_TRUE(fs::exists(folder / "x/strip.png"));
+    EXPECT_TRUE(fs::exists(folder / "x/frames/frame-0004.png"));
+    EXPECT_EQ(frames(), Numbers());
+    // An edited row, twice; rows in another order; a row that is added, and one that goes.
+    write(head + row(2, "0.1") + tail);
+    EXPECT_EQ(frames(), Numbers({2}));
+    EXPECT_EQ(frames(), Numbers());
+    EXPECT_FALSE(traced);
+    write(tail + "\n" + row(2, "0.1") + head);
+    EXPECT_EQ(frames(), Numbers());
+    write(head + row(2, "0.1") + tail + row(108, "0.4"));
+    EXPECT_EQ(frames(), Numbers({108}));
+    write(head + tail);
+    EXPECT_EQ(frames(), Numbers());
+    EXPECT_FALSE(traced);
+    EXPECT_FALSE(fs::exists(folder / "x/frames/frame-0004.png"));
+    // A frame without its hash, as after a killed run; one that is gone.
+    fs::remove(folder / "x/images/frame-0003.hash");
+    fs::remove(image(4));
+    EXPECT_EQ(frames(), Numbers({3, 4}));
+    // Batches of two graphs, and of one frame, have the same bytes as all made anew.
+    EXPECT_EQ(frames("BATCH=1 THREADS=1", "y"), Numbers({0, 1, 3, 4}));
+    for (const int number : {0, 1, 3, 4}) EXPECT_EQ(bytes_of(image(number)), bytes_of(image(number, "y"))) << number;
+    // Another base, other graphs.
+    EXPECT_EQ(frames("BASE_SPP=3"), Numbers({0, 1, 3, 4}));
+    EXPECT_TRUE(traced);
+    EXPECT_EQ(frames("BASE_SPP=3 GRAPHS=1"), Numbers({0, 1, 3, 4}));
+    EXPECT_EQ(frames("BASE_SPP=3 GRAPHS=1 FPS=12"), Numbers());
+}
+
+TEST_F(MakeAnimation, takes_any_name_of_a_table_and_no_wrong_one) {
+    table = "it's a; touch PWNED.tsv";
+    write(row(0, "0") + row(1, "0.1"));
+    EXPECT_EQ(frames(), Numbers({0, 1}));
+    for (const auto& [rows, said] :
+         {std::pair(row(0, "0") + row(0, "0.1"), "frame 0 is there twice"), std::pair(row(-1, "0"), "frame '-1'"),
+          std::pair(row(0, "$(touch PWNED)"), "x"), std::pair(std::string("0\t1\n"), ":2")}) {
+        write(rows);
+        const Outcome outcome = make();
+        EXPECT_EQ(outcome.code, 2) << rows << outcome.err;
+        EXPECT_NE(outcome.err.find(said), std::string::npos) << outcome.err;
+        EXPECT_EQ(outcome.out, "");
+    }
+    for (const char* wrong : {"GRAPHS=0", "BATCH=0", "FPS=many", "SPP='1;touch PWNED'", "DRAW='`touch PWNED`'"})
+        EXPECT_EQ(make(wrong).code, 2) << wrong;
+    for (const fs::path& place : {folder, fs::path(LOOM_SOURCE_DIR)}) EXPECT_FALSE(fs::exists(place / "PWNED"));
+}
+
+}  // namespace
+}  // namespace loom::pipeline
