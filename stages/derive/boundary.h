@@ -295,6 +295,22 @@ void sample_in_chunks(const BoundaryScene& s, std::uint64_t n, std::uint64_t chu
     });
 }
 
+/// Calls f(i) for numbers of [begin, end), each with the probability `share`: one of each of as many equal parts of all
+/// numbers, by luck one twice. Only they cost time; the ranges of all numbers may be walked in any order.
+template <class F>
+void for_chosen(std::uint64_t seed, double share, std::uint64_t begin, std::uint64_t end, F&& f) {
+    if (share >= 1) {
+        for (std::uint64_t i = begin; i < end; ++i) f(i);
+        return;
+    }
+    // The part before, by rounding, may reach into the range, too.
+    const double first = std::max(double(begin) * share - 1, 0.0), last = double(end) * share;
+    for (auto k = std::uint64_t(first); double(k) < last; ++k) {
+        const auto i = std::uint64_t((double(k) + streams::selection(seed, k)) / share);
+        if (i >= begin && i < end) f(i);
+    }
+}
+
 /// The families. Each adds its samples to `samples[family]`.
 /// in:      n_samples  points of curves, or light points
 ///          share      probability of each path to be sampled, at most 1

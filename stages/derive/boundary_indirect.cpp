@@ -68,12 +68,15 @@ class Sampling {
     std::uint64_t n_rays() const { return light_.n_rays + n_checks_; }
     std::uint64_t n_listed() const { return outline_.n_found(); }
 
-    void sample_path(std::size_t path, BoundaryRows& rows) {
-        for_vertices(path, [&](const VertexState& x, int depth, const MediumStack& media, const Sampler& sampler) {
-            ++n_samples;
-            sample_vertex(x, path, depth, media, sampler);
-            if (rays_.size() + 2 * most_points > PathBatch::capacity) finish(rows);
+    void sample_paths(std::uint64_t begin, std::uint64_t end, BoundaryRows& rows) {
+        for_chosen(streams::family(s_.seed, 5), share_, begin, end, [&](std::size_t path) {
+            for_vertices(path, [&](const VertexState& x, int depth, const MediumStack& media, const Sampler& sampler) {
+                ++n_samples;
+                sample_vertex(x, path, depth, media, sampler);
+                if (rays_.size() + 2 * most_points > PathBatch::capacity) finish(rows);
+            });
         });
+        finish(rows);
     }
     /// Adds the importance of the vertices of a path.
     void add_importance(std::size_t path, std::vector<double>& around, std::vector<double>& outline) {
@@ -137,11 +140,10 @@ class Sampling {
   private:
     static constexpr int most_points = 16;  // of an outline
 
-    /// Calls on_vertex(vertex, depth, media, sampler) for the vertices of a path, if it is chosen.
+    /// Calls on_vertex(vertex, depth, media, sampler) for the vertices of a path.
     template <class OnVertex>
     void for_vertices(std::size_t path, OnVertex&& on_vertex) {
         const std::uint64_t seed = streams::family(s_.seed, 5);
-        if (!(streams::selection(seed, path) < share_)) return;
         const std::size_t first = s_.graph.paths.first_vertex[path];
         MediumStack media;
         if (s_.scene.features.dielectric) media = s_.scene.sensor_media.at(s_.scene, camera_origin(s_.graph, path));
@@ -373,8 +375,7 @@ Effort add_indirect(const BoundaryScene& s, double share, const IndirectUnits& u
     tbb::enumerable_thread_specific<Sampling> workers([&] { return Sampling(s, share, units, surfaces, environment); });
     sample_in_chunks(s, s.graph.n_paths(), 16384, "edges in front of surfaces", workers, rows, report,
                      [](Sampling& worker, BoundaryRows& out, std::uint64_t begin, std::uint64_t end) {
-                         for (std::size_t path = begin; path < end; ++path) worker.sample_path(path, out);
-                         worker.finish(out);
+                         worker.sample_paths(begin, end, out);
                      });
     Effort effort;
     std::uint64_t n_walked = 0, n_looks = 0, n_listed = 0;

@@ -75,7 +75,7 @@ class Sampling {
 
     void sample_path(std::size_t path, double share, BoundaryRows& rows) {
         const std::uint64_t seed = streams::family(s_.seed, 1);
-        if (!(streams::selection(seed, path) < share) || !find_wanted(path)) return;
+        if (!find_wanted(path)) return;
         const std::size_t first = s_.graph.paths.first_vertex[path];
         walker_.walk_vertices(path, [&](const VertexState& x) {
             ++n_walked;
@@ -247,8 +247,8 @@ Effort add_vertex_light(const BoundaryScene& s, double share, const std::vector<
     tbb::enumerable_thread_specific<Sampling> workers([&] { return Sampling(s, sampled_at); });
     sample_in_chunks(s, s.graph.n_paths(), 4096, "edges in front of emitters", workers, rows, report,
                      [&](Sampling& worker, BoundaryRows& out, std::uint64_t begin, std::uint64_t end) {
-                         for (std::size_t path = begin; path < end; ++path)
-                             worker.sample_path(path, std::min(share, 1.0), out);
+                         for_chosen(streams::family(s.seed, 1), share, begin, end,
+                                    [&](std::size_t path) { worker.sample_path(path, std::min(share, 1.0), out); });
                      });
     Effort effort;
     std::uint64_t n_walked = 0, n_scanned = 0, n_listed = 0;
