@@ -2,15 +2,14 @@
 #   static:HASH   frame:NUMBER:HASH, the number with four digits   batch:GRAPH:STATE:NUMBER,NUMBER...
 # Frames of a batch take the same graph, number mod `graphs`, and either all are there with the same content (STATE is there) or none
 # (missing): frames that have to be made do not make others be made again.
-# in: graphs, batch;  OUT from the environment
+# in: graphs, batch;  OUT, and THERE with the numbers of the frames that are there, from the environment
 function is_there(name, hash,    file, was) {
-    file = ENVIRON["OUT"] "/images/frame-" name
+    file = ENVIRON["OUT"] "/images/frame-" name ".hash"
     was = ""
-    if ((getline was <(file ".hash")) > 0) close(file ".hash")
-    if (was != hash || (getline was <(file ".exr")) < 0) return 0
-    close(file ".exr")
-    return 1
+    if ((getline was <file) > 0) close(file)
+    return was == hash && name in there
 }
+BEGIN { for (i = split(ENVIRON["THERE"], names_there, " "); i > 0; --i) there[names_there[i]] = 1 }
 function flush(g) {
     if (n[g] > 0) printf " batch:%d:%s:%s", g, was_there[g] ? "there" : "missing", names[g]
     n[g] = 0

@@ -53,7 +53,7 @@ static_parameters = $(scene_parameters) --static $(call quote,$(FRAMES))$(if $(T
 seeded = $(if $(SEED), --seed $(SEED))
 
 listed := $(shell $(inspect) --quiet --frames $(call quote,$(FRAMES)) --scene $(scene_parameters) \
-	| OUT=$(call quote,$(OUT)) awk -F '\t' -v graphs=$(GRAPHS) -v batch=$(BATCH) -f pipelines/animation.awk)
+	| OUT=$(call quote,$(OUT)) THERE=$(call quote,$(patsubst $(OUT)/images/frame-%.exr,%,$(wildcard $(OUT)/images/frame-*.exr))) awk -F '\t' -v graphs=$(GRAPHS) -v batch=$(BATCH) -f pipelines/animation.awk)
 static_hash := $(patsubst static:%,%,$(filter static:%,$(listed)))
 ifeq ($(static_hash),)
 $(error FRAMES=$(FRAMES): no frames of this scene, see above)
@@ -92,6 +92,6 @@ $(3:%=$(OUT)/images/frame-%.exr) &: $(base)/static.exr $(base)/graph-$(1).h5 $(r
 endef
 $(foreach b,$(filter batch:%,$(listed)),$(eval $(call batch,$(word 2,$(subst :, ,$(b))),$(word 3,$(subst :, ,$(b))),$(subst $(comma), ,$(word 4,$(subst :, ,$(b)))))))
 
-$(eval $(call parameter,$(OUT)/draw.parameters,$(words $(names)) frames --fps $(FPS)$(if $(DRAW), $(DRAW))))
+$(eval $(call parameter,$(OUT)/draw.parameters,$(names) --fps $(FPS)$(if $(DRAW), $(DRAW))))
 $(OUT)/strip.png: $(names:%=$(OUT)/images/frame-%.exr) $(OUT)/draw.parameters $(draw)
 	$(LAUNCH) $(draw) $(names:%=$(OUT)/images/frame-%.exr) -o $@ --png --fps $(FPS) --movie $(OUT)/movie.mp4$(if $(DRAW), $(DRAW))

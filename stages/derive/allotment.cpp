@@ -141,13 +141,14 @@ class Allotment {
                                  {}});
         if (parts_.indirect || environment) {
             const IndirectUnits units = indirect_units(s_, parts_.indirect, environment);
+            constexpr double most = 8;  // shares above 1 are more points of the same paths
             families_.push_back({BoundaryFamily::indirect,
                                  [=, this](double share, Rows& rows, Samples samples, app::Report& to) {
                                      return add_indirect(s_, share, units, parts_.indirect, environment, rows, samples,
                                                          to);
                                  },
                                  least_share_,
-                                 8,
+                                 most,
                                  {}});
         }
     }

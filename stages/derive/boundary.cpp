@@ -113,16 +113,14 @@ void BoundaryScene::find_creases() {
         if (all_edges.edge(i).kind == EdgeKind::shared && is_crease(all_edges.set(), all_edges.edge(i)))
             creases.push_back(i);
     // The order of the tree is one of space.
-    constexpr std::size_t most_groups = 32;
-    const std::size_t per_group = (creases.size() + most_groups - 1) / most_groups;
+    const std::size_t per_group = (creases.size() + most_crease_groups - 1) / most_crease_groups;
     for (std::size_t begin = 0; begin < creases.size(); begin += per_group) {
         CreaseGroup group{begin, std::min(begin + per_group, creases.size()), {}, 0};
         for (std::size_t i = begin; i < group.end; ++i) {
             const Edge& edge = all_edges.edge(creases[i]);
             group.box.add(edge.a);
             group.box.add(edge.b);
-            group.reach = std::max(
-                group.reach, slide_share(edge.shape_idx, INFINITY) > 0 ? INFINITY : attached.reach[edge.shape_idx]);
+            group.reach = std::max(group.reach, reach(edge.shape_idx));
         }
         crease_groups.push_back(group);
     }
@@ -258,7 +256,7 @@ void BoundaryScene::far_velocity(std::uint32_t shape, std::uint32_t primitive, s
                                  Velocities out) const {
     shape_velocity(shape, primitive, p, out);
     const Vec d = p - from;
-    const double r = length(d), share = slide_share(shape, material, r);
+    const double r = length(d), share = Attached::share_of(reach(shape, material), r);
     if (share == 0) return;
     const Vec u = d / r;
     const double cosine = dot(ng, u);

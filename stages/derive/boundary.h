@@ -149,6 +149,7 @@ class BoundaryScene {
         Box3f box;
         double reach;  // largest Attached::reach; infinite where a surface has a delta lobe
     };
+    static constexpr std::size_t most_crease_groups = 32;
     std::vector<CreaseGroup> crease_groups;
     /// Lines where surfaces cut each other: first those of surfaces that move relative to each other, then, where points
     /// slide over surfaces or the camera moves, the others.
@@ -183,17 +184,20 @@ class BoundaryScene {
     /// in:      from, d  origin and unit direction of the ray
     void film_velocity(const SurfacePoint& at, const Point3<double>& from, const Vector3<double>& d,
                        Velocities out) const;
-    /// Share of a ray's motion in that of its end on a surface: 1 where it slides with the ray, 0 where it keeps its place.
-    /// in:      r  length of the ray, m
-    double slide_share(std::uint32_t shape, std::uint32_t material, double r) const {
-        return has_delta_lobe(scene.materials[material].model.kind) ? 1 : attached.share(shape, r);
+    /// Attached::reach of a material on a shape, m; infinite with a delta lobe.
+    double reach(std::uint32_t shape, std::uint32_t material) const {
+        if (has_delta_lobe(scene.materials[material].model.kind)) return INFINITY;
+        return attached.reach.empty() ? 0 : attached.reach[shape];
     }
     /// The larger one of the two sides of a shape.
-    double slide_share(std::uint32_t shape, double r) const {
+    double reach(std::uint32_t shape) const {
         const std::uint32_t material = scene.shapes[shape].material_idx;
         const int back = scene.materials[material].back_idx;
-        return std::max(slide_share(shape, material, r), back < 0 ? 0 : slide_share(shape, std::uint32_t(back), r));
+        return std::max(reach(shape, material), back < 0 ? 0 : reach(shape, std::uint32_t(back)));
     }
+    /// Share of a ray's motion in that of its end on a surface: 1 where it slides with the ray, 0 where it keeps its place.
+    /// in:      r  length of the ray, m
+    double slide_share(std::uint32_t shape, double r) const { return Attached::share_of(reach(shape), r); }
     /// Probability to sample the points of a surface that pass its own edges: they do so by as much as they slide.
     double passing_share(double slide) const { return slide < always_passes_from ? slide / always_passes_from : 1; }
     /// Velocity of the end of a scattered ray: of its material point, of the ray, or between, as InteriorWalker has it.
@@ -334,9 +338,10 @@ Effort add_joined_light(const BoundaryScene& s, double share, const std::vector<
                         std::vector<BoundaryRows>& rows, std::span<std::uint64_t> samples, app::Report& report);
 /// Importance of vertices for add_indirect(), in units of its own: how much the edges around one may bring.
 struct IndirectUnits {
-    double around =
-        0;  // by a coarse view of all edges: one that deserves to list what it sees; less, with that probability
-    double outline = 0;  // by what it sees: one that deserves one point of it; more have up to eight
+    /// From clusters of all edges: a vertex of this importance lists its outline, less important ones with that probability.
+    double around = 0;
+    /// From its outline: a vertex of this importance has one point of it, more important ones up to 16.
+    double outline = 0;
 };
 /// Finds the units by a look at some vertices.
 IndirectUnits indirect_units(const BoundaryScene& s, bool surfaces, bool environment);

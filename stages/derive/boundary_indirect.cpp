@@ -338,10 +338,6 @@ class Sampling {
     std::vector<GivenRay> rays_;
 };
 
-}  // namespace
-
-namespace {
-
 /// Returns the unit of which so many values are at least one, or with that probability where they are less.
 double unit_of(std::vector<double> values, double share) {
     std::sort(values.begin(), values.end(), std::greater<>());
@@ -358,8 +354,8 @@ double unit_of(std::vector<double> values, double share) {
 }  // namespace
 
 IndirectUnits indirect_units(const BoundaryScene& s, bool surfaces, bool environment) {
-    // To look from a vertex costs ten times as much as to pass it, and few vertices have most of the variance. The optimum
-    // is flat.
+    // Listing an outline costs ten times as much as reading its vertex, and few vertices have most of the variance. The
+    // optimum is flat.
     constexpr double look_from = 0.25, points = 0.4;
     constexpr std::uint64_t most_paths = 1024;
     const std::uint64_t n_paths = s.graph.n_paths(), n = std::min(n_paths, most_paths);

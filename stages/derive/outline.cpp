@@ -145,7 +145,7 @@ bool Outline::collect(const Shaft& shaft, const Pt& eye, bool at_infinity, Const
 
 bool Outline::add_creases(const Shaft& shaft, std::span<const double> far_speed, float u) {
     constexpr double most = 32;
-    std::array<double, 32> shares;
+    std::array<double, BoundaryScene::most_crease_groups> shares;
     double wanted = 0;
     for (std::size_t i = 0; i < s_.crease_groups.size(); ++i) {
         const BoundaryScene::CreaseGroup& group = s_.crease_groups[i];

@@ -230,7 +230,7 @@ void run(const Options& options, app::Report& report) {
         throw InputError("--parameter and --derivatives exclude each other: one derivative, or the value and all");
     check_output_path(given);
     if (is_images(options)) {
-        draw_images(options, report);
+        draw_images(options, output.strip, report);
         return;
     }
     if (is_doppler(options.cube)) {

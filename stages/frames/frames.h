@@ -69,6 +69,8 @@ double time_of(const TransientCube& cube, double bin);
 std::string time_words(const TransientCubeHeader& header);
 std::string time_unit(const TransientCubeHeader& header);
 
+/// Value that the fraction `share` of some values do not exceed; 0 without any. Reorders them.
+double quantile_of(std::vector<float>& values, double share);
 /// Luminance that the fraction `share` of the nonzero bins do not exceed; 0 when all bins are zero.
 double luminance_quantile(const TransientCube& cube, double share);
 /// Absolute luminance that the fraction `share` of the nonzero bins of a derivative do not exceed; 0 when all are zero.

@@ -32,10 +32,7 @@ double luminance_quantile(const Image& image, double share) {
         if (const float l = luminance(Rgb<float>(rgb[3 * i], rgb[3 * i + 1], rgb[3 * i + 2]));
             l > 0 && std::isfinite(l))
             lit.push_back(l);
-    if (lit.empty()) return 0;
-    const auto at = lit.begin() + std::ptrdiff_t(std::min(share * double(lit.size()), double(lit.size() - 1)));
-    std::nth_element(lit.begin(), at, lit.end());
-    return *at;
+    return quantile_of(lit, share);
 }
 
 /// Sets one image into a larger one.
@@ -55,7 +52,7 @@ bool is_images(const Options& options) {
     return !options.images.empty() || fs::path(options.cube).extension() == ".exr";
 }
 
-void draw_images(const Options& options, app::Report& report) {
+void draw_images(const Options& options, const fs::path& strip, app::Report& report) {
     if (options.exr || options.derivatives || !options.parameter.empty() || options.row || options.column ||
         !options.pixels.empty())
         throw InputError("--exr, --row, --column, --pixel, --parameter, --derivatives: for cubes, not for images");
@@ -72,8 +69,7 @@ void draw_images(const Options& options, app::Report& report) {
         white = 1;
     }
 
-    const fs::path given = options.output, strip = given.parent_path().empty() ? fs::path(".") / given : given,
-                   frames = strip.parent_path() / "frames";
+    const fs::path frames = strip.parent_path() / "frames";
     const std::size_t n_shown = std::min<std::size_t>(options.count, files.size());
     const auto n_columns = std::size_t(std::ceil(std::sqrt(double(n_shown))));
     Image sheet;

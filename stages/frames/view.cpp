@@ -31,15 +31,14 @@ std::size_t utf8_length(const std::string& text, std::size_t i) {
     return 0;
 }
 
-/// Value that the fraction `share` of `values` do not exceed; 0 when there are none.
+}  // namespace
+
 double quantile_of(std::vector<float>& values, double share) {
     if (values.empty()) return 0;
     const auto at = values.begin() + std::ptrdiff_t(share * double(values.size() - 1));
     std::nth_element(values.begin(), at, values.end());
     return double(*at);
 }
-
-}  // namespace
 
 DerivativeView derivative_view(const TransientCube& cube, std::size_t parameter_idx) {
     const std::size_t pixels = 3 * cube.n_pixels(), bins = pixels * cube.time.n_bins;

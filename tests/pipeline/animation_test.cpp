@@ -67,6 +67,15 @@ TEST_F(MakeAnimation, remakes_the_frames_that_change) {
     EXPECT_EQ(frames(), Numbers());
     EXPECT_FALSE(traced);
     EXPECT_FALSE(fs::exists(folder / "x/frames/frame-0004.png"));
+    // As many frames, of which one is another that is there.
+    write(head + row(2, "0.1") + tail);
+    EXPECT_EQ(frames(), Numbers());
+    const std::string strip = bytes_of(folder / "x/strip.png");
+    write(head + tail + row(108, "0.4"));
+    EXPECT_EQ(frames(), Numbers());
+    EXPECT_NE(bytes_of(folder / "x/strip.png"), strip);
+    write(head + tail);
+    EXPECT_EQ(frames(), Numbers());
     // A frame without its hash, as after a killed run; one that is gone.
     fs::remove(folder / "x/images/frame-0003.hash");
     fs::remove(image(4));

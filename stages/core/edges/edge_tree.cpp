@@ -242,10 +242,8 @@ void EdgeTree::split_part(std::uint32_t node_idx) {
 
 void EdgeTree::find_parts() {
     constexpr std::size_t most = 16;
-    split_part(root_);
     // Split what moves most and is largest; at rest, what is longest and largest.
-    const bool at_rest =
-        std::none_of(parts_.begin(), parts_.end(), [](const Part& part) { return part.edges.motion > 0; });
+    const bool at_rest = !(parts_[0].edges.motion > 0);
     const auto size = [&](const Part& part) {
         return part.at & is_block ? -1 : (at_rest ? part.edges.length : part.edges.motion) * part.edges.half2;
     };
@@ -511,10 +509,8 @@ EdgeTree::EdgeTree(EdgeSet set, std::span<const float> speeds) : set_(std::move(
     Builder builder(*this, speeds);
     root_ = builder.build({0, builder.edges.size()});
     builder.finish();
-    if (root_ & is_block)
-        parts_ = {{builder.cluster({0, builder.edges.size()}), root_}};
-    else
-        find_parts();
+    parts_ = {{builder.cluster({0, builder.edges.size()}), root_}};
+    find_parts();
 }
 
 }  // namespace loom

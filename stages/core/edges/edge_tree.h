@@ -106,6 +106,7 @@ class EdgeTree {
     struct Builder;
 
     void split_part(std::uint32_t node_idx);
+    /// Splits the one part that holds all edges.
     void find_parts();
 
     static unsigned open_children(const Node& node, const Query& query);

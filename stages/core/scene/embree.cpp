@@ -271,9 +271,7 @@ struct RayEngine::Impl {
 };
 
 RayEngine::RayEngine(const std::vector<Shape>& shapes, Use use) : impl_(std::make_unique<Impl>()) {
-    std::vector<bool> left_out(shapes.size());
-    for (std::size_t i = 0; i < shapes.size(); ++i) left_out[i] = use == Use::camera_rays && shapes[i].emitter_idx >= 0;
-    build(shapes, use, left_out);
+    build(shapes, use, std::vector<bool>(shapes.size()));
 }
 
 RayEngine::RayEngine(const std::vector<Shape>& shapes, std::shared_ptr<const RayEngine> base,
