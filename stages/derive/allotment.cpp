@@ -71,7 +71,7 @@ class Allotment {
             const Family& family = families_[f];
             // A pilot that does not tell may have been too small.
             const double least = family.pilot.tells ? family.least : family.pilot.n;
-            const double wanted = scale * std::sqrt(variance_[f] / family.pilot.cost);
+            const double wanted = full_[f] ? family.most : scale * std::sqrt(variance_[f] / family.pilot.cost);
             const double n = std::min(std::max(wanted, least), family.most);
             rays_ += family.run(n, rows, samples, report_).rays;
             const double effort = n * family.pilot.cost / (n_paths_ * path_cost_);
@@ -194,13 +194,30 @@ class Allotment {
             rest += interior[p] / sum;
             for (std::size_t f = 0; f < families_.size(); ++f) variance_[f] += families_[f].pilot.variance[p] / sum;
         }
-        double root = 0;
-        for (std::size_t f = 0; f < families_.size(); ++f) root += std::sqrt(variance_[f] * families_[f].pilot.cost);
-        if (!(root > 0)) return 0;
-        if (!automatic) return effort * traced / root;
+        // Families that are sampled as much as they can be leave their share to the others.
+        full_.assign(families_.size(), 0);
         constexpr double with_interior = 1.3;
-        const double fixed = with_interior * traced, most = fixed / root;
-        return rest > 0 ? std::min(std::sqrt(fixed / rest), most) : most;
+        const double most = automatic ? with_interior * traced : effort * traced;
+        for (;;) {
+            double root = 0, full_cost = 0, full_variance = 0;
+            for (std::size_t f = 0; f < families_.size(); ++f) {
+                const Family& family = families_[f];
+                if (full_[f])
+                    full_cost += family.pilot.cost * family.most, full_variance += variance_[f] / family.most;
+                else
+                    root += std::sqrt(variance_[f] * family.pilot.cost);
+            }
+            if (!(root > 0)) return 0;
+            double scale = std::max(most - full_cost, 0.0) / root;
+            if (automatic && rest + full_variance > 0)
+                scale = std::min(scale, std::sqrt((with_interior * traced + full_cost) / (rest + full_variance)));
+            bool fills = false;
+            for (std::size_t f = 0; f < families_.size(); ++f) {
+                if (full_[f] || scale * std::sqrt(variance_[f] / families_[f].pilot.cost) < families_[f].most) continue;
+                full_[f] = 1, fills = true;
+            }
+            if (!fills) return scale;
+        }
     }
 
     /// Chooses, by emitter, whether light points are the cheaper way: by variance times cost of a few samples of each.
@@ -230,8 +247,8 @@ class Allotment {
                     n_chosen[k] += std::size_t(chosen[k]);
                 }
                 by_light_[e] = chosen[0], by_joining_[e] = chosen[1];
-                by_vertex_[e] = char((chosen[0] ? 0 : reached_by::camera) | (chosen[1] ? 0 : reached_by::far));
-                if (deep) by_vertex_[e] |= reached_by::near;
+                by_vertex_[e] = char((chosen[0] ? 0 : reached_by::camera) | (chosen[1] ? 0 : reached_by::joined));
+                if (deep) by_vertex_[e] |= reached_by::unjoined;
                 if (s_.scene.features.delta_lobes || s_.scene.features.null_lobes) by_vertex_[e] |= reached_by::delta;
             } else if (emitter.is_delta()) {
                 by_light_[e] = !s_.scene.nlos, by_joining_[e] = deep;
@@ -242,7 +259,7 @@ class Allotment {
     /// in:      beyond  at vertices behind the first hits
     char prefers_light_points(std::size_t e, bool beyond) {
         std::vector<char> only(s_.scene.emitters.size());
-        only[e] = beyond ? reached_by::far : reached_by::camera;
+        only[e] = beyond ? reached_by::joined : reached_by::camera;
         const auto at_vertices = [&](double share, Rows& rows, Samples samples, app::Report& to) {
             return add_vertex_light(s_, share, only, rows, samples, to);
         };
@@ -277,7 +294,8 @@ class Allotment {
     std::vector<char> by_joining_;  // by emitter: the same beyond
     std::vector<char> by_vertex_;   // by emitter: the vertices (reached_by) that look for its edges
     std::vector<Family> families_;
-    ByParameter variance_;  // [family], over all parameters
+    ByParameter variance_;    // [family], over all parameters
+    std::vector<char> full_;  // [family] sampled as much as it can be
     std::uint64_t rays_ = 0;
 };
 

@@ -73,6 +73,7 @@ BoundaryScene::BoundaryScene(const PathGraph& g, const Scene& s, const SceneTang
       moving_edges(tree_of(s, shape_speed, moving_shapes(s, t))),
       attached(attached_of(s, o.attachment)),
       joined_beyond(0.02 * double(s.radius)) {
+    for (const Material& material : s.materials) narrow.push_back(has_narrow_lobe(material));
     find_speeds();
     find_all_seams();
     find_rounds();
@@ -152,6 +153,28 @@ void BoundaryScene::find_speeds() {
             else
                 raise(emitter_speed[e][parameter], v.at(Pt(emitter.position)));
     }
+}
+
+bool has_narrow_lobe(const Material& m) {
+    const BsdfModel& b = m.model;
+    const float specular = m.specular_idx >= 0 ? 1 : std::max({b.specular.r, b.specular.g, b.specular.b});
+    float peak = 0;  // times pi
+    switch (b.kind) {
+        case BsdfKind::rough_conductor:
+        case BsdfKind::rough_dielectric:
+        case BsdfKind::ward:
+            peak = specular / (4 * b.alpha_u * b.alpha_v);
+            break;
+        case BsdfKind::rough_plastic:
+            peak = specular * sqr((b.eta() - 1) / (b.eta() + 1)) / (4 * sqr(b.alpha_u));
+            break;
+        case BsdfKind::phong:
+            peak = specular * (b.exponent + 2) / 2;
+            break;
+        default:
+            return false;
+    }
+    return peak > 1 || m.alpha_u_idx >= 0 || m.alpha_v_idx >= 0 || m.exponent_idx >= 0;
 }
 
 bool cuts_emitter(const Scene& scene, const Seam& seam) {

@@ -118,6 +118,8 @@ struct Round {
 
 /// Whether one of the surfaces of a seam is an area light.
 bool cuts_emitter(const Scene& scene, const Seam& seam);
+/// Whether a lobe with a width, at its peak, is brighter than a white diffuse surface; where a texture says how, true.
+bool has_narrow_lobe(const Material& material);
 /// Returns the pairs of shapes that move relative to each other.
 SeamQuery moving_pairs(const Scene& scene, const SceneTangents& tangents);
 
@@ -142,6 +144,12 @@ class BoundaryScene {
     double always_passes_from = 0.25;
     /// A vertex near a shadow point would make light per distance squared without bound, m.
     double joined_beyond = 0;
+    std::vector<char> narrow;  // [material] has_narrow_lobe()
+    /// Whether family 4 joins a vertex to a shadow point of an area light; where it does not, family 1 takes over, from a
+    /// stored vertex in place of the shadow point. Between two narrow lobes hardly any point that is joined has light.
+    bool joins(double distance, std::size_t material, std::size_t material_there) const {
+        return distance >= joined_beyond && !(narrow[material] && narrow[material_there]);
+    }
     std::vector<std::uint32_t> creases;  // of all_edges; empty where all vertices stay on their surfaces
     /// A range of creases that lie near to each other.
     struct CreaseGroup {
@@ -320,10 +328,10 @@ void for_chosen(std::uint64_t seed, double share, std::uint64_t begin, std::uint
 ///          share      probability of each path to be sampled, at most 1
 Effort add_primary(const BoundaryScene& s, std::uint64_t n_samples, std::vector<BoundaryRows>& rows,
                    std::span<std::uint64_t> samples, app::Report& report);
-/// Vertices by what leads to them: the camera; a lobe with a width, from nearer or farther than
-/// BoundaryScene::joined_beyond; or a delta lobe (or the camera through a mask).
+/// Vertices by what leads to them: the camera; a lobe with a width, from a vertex to which BoundaryScene::joins() would
+/// join them or not; or a delta lobe (or the camera through a mask).
 namespace reached_by {
-inline constexpr char camera = 1, near = 2, far = 4, delta = 8, any = 15;
+inline constexpr char camera = 1, unjoined = 2, joined = 4, delta = 8, any = 15;
 }
 /// in:      sampled_at  by emitter: the vertices (reached_by) that sample it
 Effort add_vertex_light(const BoundaryScene& s, double share, const std::vector<char>& sampled_at,
@@ -331,8 +339,8 @@ Effort add_vertex_light(const BoundaryScene& s, double share, const std::vector<
 /// in:      wanted  by emitter
 Effort add_edge_light(const BoundaryScene& s, std::uint64_t n_samples, const std::vector<char>& wanted,
                       std::vector<BoundaryRows>& rows, std::span<std::uint64_t> samples, app::Report& report);
-/// Shadows of lights at points that vertices of paths see by lobes with a width: of those with area,
-/// BoundaryScene::joined_beyond away and more.
+/// Shadows of lights at points that vertices of paths see by lobes with a width: of those with area, where
+/// BoundaryScene::joins() says so.
 /// in:      wanted  by emitter
 Effort add_joined_light(const BoundaryScene& s, double share, const std::vector<char>& wanted,
                         std::vector<BoundaryRows>& rows, std::span<std::uint64_t> samples, app::Report& report);

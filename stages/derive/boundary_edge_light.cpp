@@ -8,6 +8,7 @@
 
 #include <algorithm>
 
+#include "stages/core/sampling/streams.h"
 #include "stages/core/scene/scene.h"
 #include "stages/core/tracing/vertex_rules.h"
 #include "stages/derive/interior.h"
@@ -74,18 +75,19 @@ class Pool {
     explicit Pool(std::size_t n_parameters) : n_(n_parameters) {}
 
     void clear() {
-        points_.clear(), v_edge_.clear(), v_emitter_.clear(), weight_.clear();
+        points_.clear(), v_edge_.clear(), v_emitter_.clear(), weight_.clear(), speed_.clear();
         for (std::vector<float>* column : {&x_, &y_, &z_, &nx_, &ny_, &nz_}) column->clear();
     }
     bool empty() const { return points_.empty(); }
-    /// in:      speed  how fast light appears there, of any unit
-    void add(const ShadowPoint& p, double speed) {
-        const double light = p.light.r + p.light.g + p.light.b;
-        if (!(light * speed > 0) || !std::isfinite(light * speed)) return;
+    /// in:      speed      how fast light appears there, of any unit
+    ///          reflected  share of the light that goes on, times its cosine
+    void add(const ShadowPoint& p, double speed, double reflected) {
+        const double weight = (p.light.r + p.light.g + p.light.b) * speed * reflected;
+        if (!(weight > 0) || !std::isfinite(weight)) return;
         points_.push_back(p);
         v_edge_.insert(v_edge_.end(), p.v_edge.begin(), p.v_edge.end());
         v_emitter_.insert(v_emitter_.end(), p.v_emitter.begin(), p.v_emitter.end());
-        weight_.push_back(float(light * speed));
+        weight_.push_back(float(weight)), speed_.push_back(float(speed));
         x_.push_back(p.at.p.x), y_.push_back(p.at.p.y), z_.push_back(p.at.p.z);
         nx_.push_back(p.at.ng.x), ny_.push_back(p.at.ng.y), nz_.push_back(p.at.ng.z);
     }
@@ -98,10 +100,16 @@ class Pool {
         cumulative_.resize(points_.size());
     }
 
-    /// Chooses a point by its light times both cosines over the square of the distance.
+    /// A point that a vertex may choose.
+    struct Candidate {
+        const ShadowPoint* point;
+        float speed;
+        double probability;
+    };
+    /// Draws candidates by their light times both cosines over the square of the distance.
     /// in:      n  side of the surface at p that scatters; 0: both
-    /// out:     probability  of the point; null: none
-    const ShadowPoint* choose(const Point3f& p, const Normal3f& n, float u, double& probability) {
+    /// out:     none, or out.size()
+    bool draw(const Point3f& p, const Normal3f& n, float u, std::span<Candidate> out) {
         const bool both = n == Normal3f{};
         float total = 0;
         for (std::size_t i = 0; i < points_.size(); ++i) {
@@ -114,26 +122,26 @@ class Pool {
         }
         // Where cosines of shading normals differ from these, a share keeps the weights bounded.
         constexpr float share = 0.1f;
-        if (!(total > 0) || !std::isfinite(total)) return nullptr;
-        std::size_t i;
-        if (u < share) {
-            i = std::min(std::size_t(u / share * float(points_.size())), points_.size() - 1);
-        } else {
-            const float target = (u - share) / (1 - share) * total;
-            i = std::min(
-                std::size_t(std::upper_bound(cumulative_.begin(), cumulative_.end(), target) - cumulative_.begin()),
-                points_.size() - 1);
+        if (!(total > 0) || !std::isfinite(total)) return false;
+        for (std::size_t k = 0; k < out.size(); ++k) {
+            const float v = (float(k) + u) / float(out.size());
+            const auto i = std::min(v < share ? std::size_t(v / share * float(points_.size()))
+                                              : std::size_t(std::upper_bound(cumulative_.begin(), cumulative_.end(),
+                                                                             (v - share) / (1 - share) * total) -
+                                                            cumulative_.begin()),
+                                    points_.size() - 1);
+            const float weight = cumulative_[i] - (i > 0 ? cumulative_[i - 1] : 0);
+            out[k] = {&points_[i], speed_[i],
+                      double(share) / double(points_.size()) + (1 - double(share)) * double(weight) / double(total)};
         }
-        const float weight = cumulative_[i] - (i > 0 ? cumulative_[i - 1] : 0);
-        probability = double(share) / double(points_.size()) + (1 - double(share)) * double(weight) / double(total);
-        return &points_[i];
+        return true;
     }
 
   private:
     std::size_t n_;
     std::vector<ShadowPoint> points_;
-    std::vector<Vec> v_edge_, v_emitter_;                                // [point, parameter]
-    std::vector<float> x_, y_, z_, nx_, ny_, nz_, weight_, cumulative_;  // [point]
+    std::vector<Vec> v_edge_, v_emitter_;                                        // [point, parameter]
+    std::vector<float> x_, y_, z_, nx_, ny_, nz_, weight_, speed_, cumulative_;  // [point]
 };
 
 class Joined {
@@ -159,7 +167,8 @@ class Joined {
     void sample_chunk(std::uint64_t begin, std::uint64_t end, BoundaryRows& rows) {
         const int n = std::max(2, int(std::lround(most_light_points * std::sqrt(share_))));
         fill_pool(begin, 0, n);
-        for (std::size_t path = begin; path < end && !pool_.empty(); ++path) sample_path(path, rows);
+        if (pool_.empty()) return;
+        for_chosen(seed(), share_, begin, end, [&](std::uint64_t path) { sample_path(path, rows); });
     }
     /// Samples the paths of pixels that have laser spots, and so pools, of their own.
     void sample_pixels(std::uint64_t begin, std::uint64_t end, BoundaryRows& rows) {
@@ -169,13 +178,17 @@ class Joined {
         const int n = int(std::clamp(std::round(wanted), 1.0, double(most_light_points)));
         for (std::uint64_t pixel = begin; pixel < end; ++pixel) {
             fill_pool(pixel, pixel, n);
-            for (std::uint64_t sample = 0; sample < spp && !pool_.empty(); ++sample)
-                sample_path(sample * n_pixels + pixel, rows);
+            if (pool_.empty()) continue;
+            for_chosen(seed(), share_, pixel * spp, (pixel + 1) * spp,
+                       [&](std::uint64_t i) { sample_path(i % spp * n_pixels + pixel, rows); });
         }
     }
 
   private:
-    static constexpr int most_light_points = 32;  // of a pool
+    static constexpr int most_light_points = 32;    // of a pool
+    static constexpr std::size_t n_candidates = 4;  // of a vertex
+
+    std::uint64_t seed() const { return streams::family(s_.seed, 7); }
 
     /// Whether the capture or depth limit has paths of this many edges.
     bool has_paths_of(int n_edges) const {
@@ -185,8 +198,6 @@ class Joined {
     }
 
     void sample_path(std::size_t path, BoundaryRows& rows) {
-        const std::uint64_t seed = streams::family(s_.seed, 7);
-        if (!(streams::selection(seed, path) < share_)) return;
         const std::size_t first = s_.graph.paths.first_vertex[path];
         const int further = s_.scene.nlos ? 4 : 3;  // a laser's spot is a vertex, too
         walker_.walk_vertices(path, [&](const VertexState& x) {
@@ -195,7 +206,7 @@ class Joined {
             if (!(s_.graph.vertices.flags[x.vertex] & vertex_flag::attempted_bsdf) || !has_smooth_lobe(x.at->bsdf))
                 return;
             ++n_samples;
-            join(x, path, Sampler(SamplerKind::independent, seed, x.vertex, 0).pair(0).x, rows);
+            join(x, path, Sampler(SamplerKind::independent, seed(), x.vertex, 0).pair(0), rows);
         });
     }
 
@@ -215,51 +226,84 @@ class Joined {
                                p.rates(velocity_, rates_);
                                double speed = 0.05 * slide * length(p.b.out);
                                for (const double rate : rates_) speed += std::abs(rate);
-                               pool_.add(p, speed * reflected(p));
+                               pool_.add(p, speed, reflected(p));
                            });
         pool_.finish();
     }
-    /// Returns f cos of a shadow point as seen along its normal; a share of the cosine where little goes there.
+    /// Returns the share of the light of a shadow point that goes on, times its cosine: where it goes is not known yet.
     double reflected(const ShadowPoint& p) const {
         const Vector3f to_light(-p.b.omega);
-        const ShadingPoint there = shading_point(s_.scene, p.at, Vector3f(facing(p.at.ng, to_light)));
-        const Spectrum f_cos = f_cos_pdf(there, to_light).f_cos;
+        const ShadingPoint there = shading_point(s_.scene, p.at, to_light);
+        const Spectrum all = albedo(there.bsdf, there.wo_local);
         constexpr double least = 0.01;
-        return double(f_cos.r + f_cos.g + f_cos.b) / 3 + least * std::abs(double(dot(p.at.ng, to_light)));
+        return (double(all.r + all.g + all.b) / 3 + least) * std::abs(double(dot(p.at.ng, to_light)));
     }
 
-    void join(const VertexState& x, std::size_t path, float u, BoundaryRows& rows) {
-        const Scene& scene = s_.scene;
+    /// A shadow point as a vertex sees it if nothing is between.
+    struct Join {
+        const ShadowPoint* to = nullptr;
+        Vector3f wi;
+        double r = 0;
+        Rgb<double> value;  // over the throughput of the vertex and the rate
+        double share = 0;   // of being taken, of any unit
+    };
+    Join join_to(const ShadingPoint& at, std::size_t material, const Pool::Candidate& candidate) const {
+        const ShadowPoint& to = *candidate.point;
+        Join join;
+        const Vec d = Pt(to.at.p) - Pt(at.p);
+        const double r2 = length2(d);
+        join.r = std::sqrt(r2);
+        if (!(r2 > 0) || to.is_seen_from_emitter(Pt(at.p))) return {};
+        const bool area = s_.scene.emitters[to.emitter_idx].kind == EmitterKind::area;
+        if (area && !s_.joins(join.r, material, to.at.material_idx)) return {};
+        join.wi = Vector3f(d / join.r);
+        const Spectrum f_here = f_cos_pdf(at, join.wi).f_cos;
+        if (is_black(f_here)) return {};
+        const ShadingPoint there = shading_point(s_.scene, to.at, -join.wi);
+        const Spectrum f_there = f_cos_pdf(there, Vector3f(-to.b.omega)).f_cos;
+        const double cos_there = std::abs(dot(Vec(to.at.ng), Vec(join.wi)));
+        join.value = Rgb<double>(f_here) * Rgb<double>(f_there) * to.light *
+                     Rgb<double>(cos_there / (r2 * candidate.probability));
+        join.share = (join.value.r + join.value.g + join.value.b) * double(candidate.speed);
+        join.to = &to;
+        return join;
+    }
+
+    void join(const VertexState& x, std::size_t path, Point2f u, BoundaryRows& rows) {
         const ShadingPoint& at = *x.at;
-        double probability = 0;
         const Normal3f side = is_interface(*at.bsdf.model) ? Normal3f{} : facing(at.ng, at.wo);
-        const ShadowPoint* found = pool_.choose(at.p, side, u, probability);
-        if (!found) return;
-        const Vec d = Pt(found->at.p) - Pt(at.p);
-        const double r2 = length2(d), r = std::sqrt(r2);
-        if (!(r > 0) || found->is_seen_from_emitter(Pt(at.p))) return;
-        const bool area = scene.emitters[found->emitter_idx].kind == EmitterKind::area;
-        if (area && r < s_.joined_beyond) return;
-        const Vector3f wi(d / r);
-        const Spectrum f_here = f_cos_pdf(at, wi).f_cos;
-        if (is_black(f_here)) return;
-        const ShadingPoint there = shading_point(scene, found->at, -wi);
-        const Vector3f to_light(-found->b.omega);
-        const Spectrum f_there = f_cos_pdf(there, to_light).f_cos;
-        const double cos_there = std::abs(dot(Vec(found->at.ng), Vec(wi)));
-        if (is_black(f_there) || !(cos_there > 0)) return;
-        s_.far_velocity(found->at.shape_idx, found->at.primitive_idx, found->at.material_idx, Vec(found->at.ng),
-                        Pt(found->at.p), Pt(at.p), x.velocity, x.turn, velocity_);
-        if (!found->rates(velocity_, rates_)) return;
-        const float hit_error = scene.shapes[s_.graph.vertices.shape[x.vertex]].hit_error;
+        std::array<Pool::Candidate, n_candidates> candidates;
+        if (!pool_.draw(at.p, side, u.x, candidates)) return;
+        // Which lobes see the light shows only now: of several points one is taken, and stands for all.
+        std::array<Join, n_candidates> joins;
+        double total = 0;
+        for (std::size_t k = 0; k < n_candidates; ++k) {
+            joins[k] = join_to(at, s_.graph.vertices.material[x.vertex], candidates[k]);
+            total += joins[k].share;
+        }
+        if (!(total > 0) || !std::isfinite(total)) return;
+        double left = double(u.y) * total;
+        const Join* join = nullptr;
+        for (const Join& one : joins) {
+            if (!(one.share > 0)) continue;
+            join = &one;
+            if ((left -= one.share) < 0) break;
+        }
+        const ShadowPoint& to = *join->to;
+        s_.far_velocity(to.at.shape_idx, to.at.primitive_idx, to.at.material_idx, Vec(to.at.ng), Pt(to.at.p), Pt(at.p),
+                        x.velocity, x.turn, velocity_);
+        if (!to.rates(velocity_, rates_)) return;
+        const ShadingPoint there = shading_point(s_.scene, to.at, -join->wi);
+        const float hit_error = s_.scene.shapes[s_.graph.vertices.shape[x.vertex]].hit_error;
         ++n_rays;
-        if (scene.occluded(spawn_segment(RayEnd{at.p, at.ng, hit_error}, there.end()))) return;
-        const Rgb<double> value = x.beta * Rgb<double>(f_here) * Rgb<double>(f_there) * found->light *
-                                  Rgb<double>(cos_there / (r2 * probability * share_ * n_light_points_ *
-                                                           double(s_.graph.tracing.samples_per_pixel)));
-        const double eta = index_towards(arriving_index(s_.graph, x.vertex), at, wi),
-                     eta_light = index_towards(eta, there, to_light), laser_opl = eta_light * found->laser_r,
-                     opl = found->infinite ? -1 : x.opl + eta * r + eta_light * found->r + laser_opl;
+        if (s_.scene.occluded(spawn_segment(RayEnd{at.p, at.ng, hit_error}, there.end()))) return;
+        const double taken = double(n_candidates) * join->share / total;
+        const Rgb<double> value =
+            x.beta * join->value *
+            Rgb<double>(1 / (taken * share_ * n_light_points_ * double(s_.graph.tracing.samples_per_pixel)));
+        const double eta = index_towards(arriving_index(s_.graph, x.vertex), at, join->wi),
+                     eta_light = index_towards(eta, there, Vector3f(-to.b.omega)), laser_opl = eta_light * to.laser_r,
+                     opl = to.infinite ? -1 : x.opl + eta * join->r + eta_light * to.r + laser_opl;
         rows.add(path % s_.graph.n_pixels(), opl, x.camera_opl + laser_opl, value, rates_, BoundaryFamily::joined_light,
                  path);
     }

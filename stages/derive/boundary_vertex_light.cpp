@@ -94,14 +94,17 @@ class Sampling {
         reached_.clear();
         char next = reached_by::camera, any = 0;
         Pt before;
+        std::size_t material = 0;  // there
         for (std::size_t j = s_.graph.paths.first_vertex[path]; j < s_.graph.paths.first_vertex[path + 1]; ++j) {
             ++n_scanned;
             const Pt p = position<double>(s_.graph, j);
             char here = next;
-            if (here == reached_by::far && length(p - before) < s_.joined_beyond) here = reached_by::near;
+            if (here == reached_by::joined && !s_.joins(length(p - before), material, vertices.material[j]))
+                here = reached_by::unjoined;
             const Lobe lobe = Lobe(vertices.lobe[j]);
             if (lobe != Lobe::null)
-                next = is_delta(lobe) ? reached_by::delta : reached_by::far, before = p;
+                next = is_delta(lobe) ? reached_by::delta : reached_by::joined, before = p,
+                material = vertices.material[j];
             else if (here == reached_by::camera)
                 next = reached_by::delta;
             reached_.push_back(vertices.flags[j] & vertex_flag::attempted_nee ? here : char(0));

@@ -14,13 +14,15 @@ namespace loom {
 namespace {
 
 constexpr const char* text = R"(<scene version="3.0.0">
-<default name="grow" value="1"/><default name="size" value="0.2"/>
+<default name="grow" value="1"/><default name="size" value="0.2"/><default name="shiny" value="grey"/><default name="plate" value="-0.3"/>
 <integrator type="path"><integer name="max_depth" value="3"/></integrator>
 <sensor type="perspective"><float name="fov" value="45"/><transform name="to_world"><lookat origin="0, -4, 1.5" target="0, 0, 0.8" up="0, 0, 1"/></transform>
 <film type="hdrfilm"><integer name="width" value="8"/><integer name="height" value="8"/><rfilter type="box"/></film></sensor>
 <bsdf type="twosided" id="grey"><bsdf type="diffuse"><rgb name="reflectance" value="0.7, 0.7, 0.7"/></bsdf></bsdf>
+<bsdf type="twosided" id="metal"><bsdf type="roughconductor"><float name="alpha" value="0.3"/></bsdf></bsdf>
 <shape type="rectangle"><transform name="to_world"><scale value="2"/></transform><ref id="grey"/></shape>
-<shape type="rectangle"><transform name="to_world"><scale value="2"/><rotate x="1" angle="90"/><translate y="1.9" z="2"/></transform><ref id="grey"/></shape>
+<shape type="rectangle"><transform name="to_world"><scale value="2"/><rotate x="1" angle="90"/><translate y="1.9" z="2"/></transform><ref id="$shiny"/></shape>
+<shape type="rectangle"><transform name="to_world"><scale value="0.5"/><rotate x="1" angle="15"/><translate x="0.5" y="0.8" z="$plate"/></transform><ref id="$shiny"/></shape>
 <shape type="rectangle"><transform name="to_world"><scale x="0.5" y="0.4"/><scale value="$grow"/><rotate z="1" angle="20"/><translate x="0.1" y="0.4" z="1.1"/></transform><ref id="grey"/></shape>
 <shape type="rectangle"><transform name="to_world"><scale value="$size"/><rotate x="1" angle="180"/><translate x="0.2" y="0.1" z="2.6"/></transform>
 <bsdf type="diffuse"><rgb name="reflectance" value="0, 0, 0"/></bsdf><emitter type="area"><rgb name="radiance" value="10, 10, 10"/></emitter></shape>
@@ -42,14 +44,21 @@ std::vector<double> sums_of(const std::vector<derive::BoundaryRows>& rows) {
     return out;
 }
 
+struct Case {
+    const char* size;
+    const char* shiny = "grey";  // material of the wall and of the plate
+    const char* plate = "-0.3";  // its height: below the floor
+};
+
 // Standard errors of the sums 0.4 to 1.4 % of stored vertices, 0.1 to 0.2 % of joined ones. Detected mutations: near points
-// joined, too, which family 1 takes (p < 1e-90); the cosine of the joined surface left out.
+// joined, too, which family 1 takes (p < 1e-90); metal joined to metal, which it takes as well; the cosine of the joined
+// surface left out; the share of the point that stands for all left out.
 TEST(JoinedLight, AreaLightsHaveTheMeanOfStoredVertices) {
     const auto file = testing::scratch_file(".xml");
     std::ofstream(file) << text;
     const int replicates = 16;
-    for (const char* size : {"0.4", "0.1", "0.03"}) {
-        const DerivableScene scene(file, {"grow"}, {{"size", size}});
+    for (const auto& [size, shiny, plate] : {Case{"0.4"}, {"0.1"}, {"0.03"}, {"0.2", "metal", "0.2"}}) {
+        const DerivableScene scene(file, {"grow"}, {{"size", size}, {"shiny", shiny}, {"plate", plate}});
         Samples of_vertices(std::size_t{replicates}), joined(std::size_t{replicates});
         tbb::parallel_for(0, replicates, [&](int i) {
             app::Report report;
@@ -61,7 +70,7 @@ TEST(JoinedLight, AreaLightsHaveTheMeanOfStoredVertices) {
             s.joined_beyond = 0.3 * double(scene.scene->radius);
             std::vector<derive::BoundaryRows> rows[2];
             std::vector<std::uint64_t> samples(n_boundary_families);
-            derive::add_vertex_light(s, 1, {derive::reached_by::far}, rows[0], samples, report);
+            derive::add_vertex_light(s, 1, {derive::reached_by::joined}, rows[0], samples, report);
             derive::add_joined_light(s, 1, {1}, rows[1], samples, report);
             of_vertices[std::size_t(i)] = sums_of(rows[0]), joined[std::size_t(i)] = sums_of(rows[1]);
         });
@@ -74,8 +83,8 @@ TEST(JoinedLight, AreaLightsHaveTheMeanOfStoredVertices) {
             const Estimate e = estimate_of(sums);
             total[f] = e.mean, noise[f] = e.se;
         }
-        std::printf("    half %-5s n %2d chi^2 %5.1f p %.2g; vertices %+.4e +- %.1e, joined %+.4e +- %.1e\n", size, a.n,
-                    a.chi2, a.p, total[0], noise[0], total[1], noise[1]);
+        std::printf("    half %-4s %-5s n %2d chi^2 %5.1f p %.2g; vertices %+.4e +- %.1e, joined %+.4e +- %.1e\n", size,
+                    shiny, a.n, a.chi2, a.p, total[0], noise[0], total[1], noise[1]);
         EXPECT_GE(a.n, 8) << size;
         EXPECT_GT(a.p, 1e-3) << size;
     }
