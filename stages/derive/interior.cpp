@@ -59,6 +59,8 @@ class Walk {
         : s_(source), g_(source.graph), whole_(source.scene, whole), has_whole_(whole.on()) {
         camera_.still = !s_.tangents.camera_moves();
         camera_.rests = camera_.still;
+        for (const auto& [p, v] : s_.tangents.camera)
+            camera_translates_ &= std::all_of(v.linear.begin(), v.linear.end(), [](double x) { return x == 0; });
         camera_.beta = Rgb<double>(1);
     }
     Walk(const Walk&) = delete;
@@ -104,6 +106,7 @@ class Walk {
     /// A vertex, or the camera. Reused from path to path.
     struct Vertex {
         ShadingPoint at;
+        std::size_t stored = GraphReader::no_vertex;  // in the graph
         SurfacePlace place;
         PointMotion<n> motion;
         Vectors turn;        // angular velocity of the frame
@@ -152,13 +155,14 @@ class Walk {
         a.by_wi = {};
         a.dw = {};
         if (camera_.still) return;
-        const Vec w = begin < end ? normalize(position<double>(g_, begin) - camera_.place.p) : Vec{0, 0, 1};
+        const bool turns = !camera_translates_ || !s_.tangents.lens.empty();
+        const Vec w = turns && begin < end ? normalize(position<double>(g_, begin) - camera_.place.p) : Vec{0, 0, 1};
         camera_.motion.p = {};
         for (const auto& [p, v] : s_.tangents.camera) {
-            const int k = int(p);
-            camera_.motion.p.add(k, v.at(camera_.place.p));
+            camera_.motion.p.add(int(p), v.at(camera_.place.p));
+            if (camera_translates_) continue;
             const Vec turned = v.turned(w);
-            a.dw.add(k, turned - w * loom::dot(w, turned));
+            a.dw.add(int(p), turned - w * loom::dot(w, turned));
         }
         if (!s_.tangents.lens.empty()) {
             const auto& m = s_.scene.sensor.world_from_camera;
@@ -303,7 +307,8 @@ class Walk {
         const Start& a = start_;
         const Vertex& from = *a.from;
         const ShadingPoint& at = b.at;
-        s_.reader.read_vertex(j, b.at);
+        s_.reader.read_vertex(j, b.at, b.stored);
+        b.stored = j;
         b.place = s_.place(j, at);
         b.material_idx = g_.vertices.material[j];
         b.textured.clear();
@@ -561,7 +566,13 @@ class Walk {
         double eta = 1;
         std::uint16_t medium = no_medium;
     };
-    LightEnd stored_light(std::size_t j, std::size_t k) const {
+    /// Keeps the normal of the edge before where it is the same.
+    const Vec& normal_of_light(std::size_t k) {
+        if (normal_edge_ == no_edge || !same_vector(g_.light_edges.n, k, normal_edge_)) normal_ = s_.normal_of_light(k);
+        normal_edge_ = k;
+        return normal_;
+    }
+    LightEnd stored_light(std::size_t j, std::size_t k) {
         const auto& e = g_.light_edges;
         LightEnd end;
         end.emitter = e.emitter[k];
@@ -572,7 +583,7 @@ class Walk {
         const float* y = e.y.data() + 4 * k;
         end.at_infinity = y[3] == 0;
         end.y = Pt{y[0], y[1], y[2]};
-        end.normal = s_.normal_of_light(k);
+        end.normal = normal_of_light(k);
         if (!e.eta.empty()) end.eta = double(e.eta[k]);
         if (s_.media_matter) end.medium = e.medium[k];
         return end;
@@ -781,9 +792,11 @@ class Walk {
     const PathGraph& g_;
     Vertex camera_, vertices_[2];
     Start start_, to_light_;
-    std::size_t path_ = 0;
+    static constexpr std::size_t no_edge = ~std::size_t{0};
+    std::size_t path_ = 0, normal_edge_ = no_edge;
+    Vec normal_;  // of the light of normal_edge_
     WholeLights whole_;
-    bool has_whole_;
+    bool has_whole_, camera_translates_ = true;
 };
 
 constexpr auto nothing = [](const auto&...) {};

@@ -89,15 +89,19 @@ void GraphReader::read_bsdf(std::size_t j, Bsdf<float>& b) const {
     if (textured & textured_parameter::index) b.eta_c = rgb(v.eta_c, j), b.k_c = rgb(v.k_c, j);
 }
 
-void GraphReader::read_vertex(std::size_t j, ShadingPoint& at) const {
+void GraphReader::read_vertex(std::size_t j, ShadingPoint& at, std::size_t before) const {
     const auto& v = graph_.vertices;
     at.p = position(graph_, j);
     at.wo = outgoing(graph_, j);
-    const Normal3f n = shading_normal(graph_, j);
-    at.ng = v.ng.empty() ? n : unit_vector<Normal3f>(v.ng, j);
-    at.n_side = v.n_side.empty() ? n : unit_vector<Normal3f>(v.n_side, j);
-    at.perturbed = !v.n_side.empty() && !(at.n_side == n);
-    at.frame = v.tangent.empty() ? Framef(n) : frame_along(n, unit_vector<Vector3f>(v.tangent, j));
+    const bool same = before != no_vertex && same_vector(v.ns, j, before) && same_vector(v.ng, j, before) &&
+                      same_vector(v.n_side, j, before) && same_vector(v.tangent, j, before);
+    if (!same) {
+        const Normal3f n = shading_normal(graph_, j);
+        at.ng = v.ng.empty() ? n : unit_vector<Normal3f>(v.ng, j);
+        at.n_side = v.n_side.empty() ? n : unit_vector<Normal3f>(v.n_side, j);
+        at.perturbed = !v.n_side.empty() && !(at.n_side == n);
+        at.frame = v.tangent.empty() ? Framef(n) : frame_along(n, unit_vector<Vector3f>(v.tangent, j));
+    }
     at.wo_local = at.frame.to_local(at.wo);
     read_bsdf(j, at.bsdf);
 }

@@ -28,6 +28,11 @@ V unit_vector(const Column<std::int16_t>& column, std::size_t i) {
     return {unit[0], unit[1], unit[2]};
 }
 
+/// Whether rows i and j of a column of octahedral unit vectors, or of an absent one, are the same.
+inline bool same_vector(const Column<std::int16_t>& column, std::size_t i, std::size_t j) {
+    return column.empty() || (column[2 * i] == column[2 * j] && column[2 * i + 1] == column[2 * j + 1]);
+}
+
 /// Returns the stored position of vertex j.
 template <class T = float>
 Point3<T> position(const PathGraph& graph, std::size_t j) {
@@ -78,7 +83,9 @@ class GraphReader {
         return at;
     }
     /// Overwrites all members of a point but hit_error with those of vertex(j).
-    void read_vertex(std::size_t j, ShadingPoint& at) const;
+    /// in:      before  the point already holds this vertex, whose frame is kept where it is the same; no_vertex: none
+    void read_vertex(std::size_t j, ShadingPoint& at, std::size_t before = no_vertex) const;
+    static constexpr std::size_t no_vertex = ~std::size_t{0};
     /// Returns the BSDF of a vertex.
     Bsdf<float> bsdf(std::size_t j) const {
         Bsdf<float> b;
