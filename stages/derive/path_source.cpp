@@ -13,7 +13,10 @@ PathSource::PathSource(const PathGraph& g, const Scene& s, const SceneTangents& 
         depends_on_wo.push_back(kind != BsdfKind::diffuse);
         has_delta.push_back(has_delta_lobe(kind));
     }
-    for (const auto& effects : t.materials) material_matters.push_back(!effects.empty());
+    for (const auto& effects : t.materials) {
+        material_matters.push_back(0);
+        if (!effects.empty()) add_material(material_matters.size() - 1);
+    }
     for (std::size_t e = 0; e < s.emitters.size(); ++e) {
         const bool of_shape = s.emitters[e].kind == EmitterKind::area;
         emitter_matters.push_back(!t.emitters[e].empty() || !t.radiance[e].empty() ||
@@ -40,8 +43,12 @@ bool PathSource::touches(std::size_t path) const {
     if (begin == end) return scene.environment_idx >= 0 && emitter_matters[std::size_t(scene.environment_idx)];
     // Lights that change reach every path that samples them.
     if (any_emitter_matters) return true;
-    for (std::size_t j = begin; j < end; ++j)
-        if (shape_matters[g.vertices.shape[j]] || material_matters[g.vertices.material[j]]) return true;
+    // Without branches: what a vertex is on cannot be foreseen.
+    char any = 0;
+    for (std::size_t j = begin; j < end; ++j) any |= shape_matters[g.vertices.shape[j]];
+    if (!any_material_matters) return any;
+    for (std::size_t j = begin; j < end; ++j) any |= material_matters[g.vertices.material[j]];
+    if (any) return true;
     // Media are materials; a capture's wall is the light of every path.
     if (!g.vertices.medium.empty())
         for (std::size_t j = begin; j < end; ++j)

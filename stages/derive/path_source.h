@@ -43,12 +43,15 @@ struct PathSource {
     std::vector<char> shape_varies;   // [shape] SurfaceMotions::varies()
     std::vector<char> depends_on_wo;  // [material] whether f cos or a delta lobe depends on wo
     std::vector<char> has_delta;      // [material] has_delta_lobe()
-    bool any_emitter_matters = false;
+    bool any_emitter_matters = false, any_material_matters = false;
     bool media_matter = false;  // the index of a stored medium depends on a parameter
 
     Attached attached;
 
     PathSource(const PathGraph& g, const Scene& s, const SceneTangents& t, const Attached& how = {});
+
+    /// Marks a material as one that depends on a parameter.
+    void add_material(std::size_t m) { material_matters[m] = any_material_matters = true; }
 
     /// Whether anything that a path touches depends on a parameter.
     bool touches(std::size_t path) const;

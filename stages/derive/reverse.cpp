@@ -176,7 +176,7 @@ struct ReverseWalker::Impl {
         for (std::size_t m = 0; m < scene.materials.size(); ++m) {
             PartMask mask = 0;
             for (const auto& [p, t] : tangents.materials[m]) mask |= parts_of(t);
-            if (!wanted.image_of.empty() && wanted.image_of[m] >= 0) mask |= 1, source.material_matters[m] = 1;
+            if (!wanted.image_of.empty() && wanted.image_of[m] >= 0) mask |= 1, source.add_material(m);
             parts.push_back(mask);
             sliding_parts.push_back(moves ? textured_parts(scene.materials[m]) : PartMask(0));
         }
