@@ -23,7 +23,9 @@ using Pt = Point3<double>;
 class OnFilm {
   public:
     OnFilm(const BoundaryScene& s, std::uint64_t n, const std::vector<double>& weights)
-        : s_(s), n_(n), points_(s, weights), v_surface_(s.n()), rates_(s.n()) {}
+        : s_(s), n_(n), points_(s, weights, per_light_point), v_surface_(s.n()), rates_(s.n()) {}
+
+    static constexpr int per_light_point = 32;
 
     std::uint64_t n_rays = 0;
     std::uint64_t all_rays() const { return n_rays + points_.n_rays; }
@@ -149,7 +151,7 @@ class Joined {
     Joined(const BoundaryScene& s, double share, const std::vector<double>& weights)
         : s_(s),
           share_(share),
-          points_(s, weights),
+          points_(s, weights, per_light_point),
           pool_(s.n()),
           walker_(s.graph, s.scene, s.tangents, s.attached),
           velocity_(s.n()),
@@ -174,7 +176,7 @@ class Joined {
     void sample_pixels(std::uint64_t begin, std::uint64_t end, BoundaryRows& rows) {
         const std::uint64_t n_pixels = s_.graph.n_pixels(), spp = s_.graph.tracing.samples_per_pixel;
         // About as many shadow points as paths.
-        const double wanted = share_ * double(spp) / ShadowPoints::per_light_point;
+        const double wanted = share_ * double(spp) / per_light_point;
         const int n = int(std::clamp(std::round(wanted), 1.0, double(most_light_points)));
         for (std::uint64_t pixel = begin; pixel < end; ++pixel) {
             fill_pool(pixel, pixel, n);
@@ -185,7 +187,8 @@ class Joined {
     }
 
   private:
-    static constexpr int most_light_points = 32;    // of a pool
+    static constexpr int most_light_points = 32;  // of a pool
+    static constexpr int per_light_point = 16;
     static constexpr std::size_t n_candidates = 4;  // of a vertex
 
     std::uint64_t seed() const { return streams::family(s_.seed, 7); }
@@ -332,7 +335,7 @@ Effort add_edge_light(const BoundaryScene& s, std::uint64_t n_samples, const std
     Effort effort;
     std::uint64_t n_listed = 0;
     for (const OnFilm& worker : workers) effort.rays += worker.all_rays(), n_listed += worker.n_listed();
-    effort.steps = n_samples * ShadowPoints::per_light_point / 2 + n_listed / 8;
+    effort.steps = n_samples * OnFilm::per_light_point / 2 + n_listed / 8;
     return effort;
 }
 

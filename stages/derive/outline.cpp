@@ -98,6 +98,7 @@ bool Outline::collect(const Shaft& shaft, const Pt& eye, bool at_infinity, Const
     at_infinity_ = at_infinity;
     v_eye_.assign(v_eye.begin(), v_eye.end());
     arcs_.clear();
+    exact_arc_ = no_arc;
     known_.clear();
     extent_.clear();
     segments_.clear();
@@ -301,7 +302,9 @@ bool Outline::place_on_edge(std::size_t i, double t, OutlinePoint& point) {
     const EdgeSegment& segment = is_crease ? creases_[i - first_crease_] : segments_[i];
     const Edge& edge = tree_->edge(segment.edge_idx);
     const double len = edge.length();
-    const Arc arc = arc_between(Pt(edge.a), Pt(edge.b), segment.s0 * len, segment.s1 * len);
+    if (i != exact_arc_) exact_ = arc_between(Pt(edge.a), Pt(edge.b), segment.s0 * len, segment.s1 * len);
+    exact_arc_ = i;
+    const Arc& arc = exact_;
     if (!(arc.height > 0) || !(arc.end > arc.begin)) return false;
     point.edge = &edge;
     point.seam = nullptr;

@@ -109,7 +109,11 @@ class Outline {
     std::vector<SeamPart> seams_;
     std::vector<double> seam_share_, seam_sum_;  // [seam] probability to be listed, and its sum over the kind
     std::vector<Vector3<double>> v_face_;
-    std::vector<Arc> arcs_;               // [segment, round, crease, seam]
+    std::vector<Arc> arcs_;  // [segment, round, crease, seam]
+    // The exact angles of the edge that was drawn last: often the next one.
+    static constexpr std::size_t no_arc = ~std::size_t{0};
+    std::size_t exact_arc_ = no_arc;
+    Arc exact_;
     std::vector<double> known_, extent_;  // weights by the velocities of edge and eye, and by angle alone
     double total_known_ = 0, total_importance_ = 0;
     std::vector<double> cumulative_;  // of the weights

@@ -23,8 +23,8 @@ bool ShadowPoint::rates(ConstVelocities v_surface, std::span<double> out) const 
     return any;
 }
 
-ShadowPoints::ShadowPoints(const BoundaryScene& s, const std::vector<double>& weights)
-    : s_(s), choice_(weights), outline_(s), v_emitter_(s.n()) {
+ShadowPoints::ShadowPoints(const BoundaryScene& s, const std::vector<double>& weights, int per_light_point)
+    : s_(s), per_light_point_(per_light_point), choice_(weights), outline_(s), v_emitter_(s.n()) {
     for (std::size_t e = 0; e < weights.size(); ++e) emitters_move_ |= weights[e] > 0 && s.emitter_moves(e);
 }
 
@@ -59,14 +59,14 @@ void ShadowPoints::sample(const Sampler& sampler, std::span<const double> far_sp
     s_.emitter_velocity(point.emitter_idx, point.y, v_emitter_);
     const Shaft shaft = point.infinite ? Shaft::along(Vector3f(point.y))
                                        : Shaft::to_infinity({Point3f(point.y), light.n, light.hit_error});
-    if (!outline_.collect(shaft, point.y, point.infinite, v_emitter_, far_speed, s_.edges(all), all, per_light_point,
-                          sampler.pair(std::uint32_t(2 + per_light_point)).x))
+    if (!outline_.collect(shaft, point.y, point.infinite, v_emitter_, far_speed, s_.edges(all), all, per_light_point_,
+                          sampler.pair(std::uint32_t(2 + per_light_point_)).x))
         return;
     point.v_edge = outline_.velocity();
     point.v_emitter = v_emitter_;
-    for (int k = 0; k < per_light_point; ++k) {
+    for (int k = 0; k < per_light_point_; ++k) {
         const Point2f u = sampler.pair(std::uint32_t(2 + k));
-        if (outline_.sample({(float(k) + u.x) / per_light_point, u.y}, point.b) &&
+        if (outline_.sample({(float(k) + u.x) / per_light_point_, u.y}, point.b) &&
             complete(light, s_.scene.nlos ? &spot : nullptr, density, point))
             found(point);
     }
@@ -113,7 +113,7 @@ bool ShadowPoints::complete(const LightPoint& light, const LitSpot* spot, double
         intensity = Rgb<double>(delta_light(scene, e, EmitterPose<float>(e), point.at.p).Li) *
                     Rgb<double>(point.infinite ? 1 : sqr(point.r));
     const double geometry = point.infinite ? 1 : cos_light / sqr(b.r);
-    point.light = intensity * Rgb<double>(geometry / (cos_surface * b.density * density * per_light_point));
+    point.light = intensity * Rgb<double>(geometry / (cos_surface * b.density * density * per_light_point_));
     return !(point.light == Rgb<double>(0));
 }
 

@@ -43,11 +43,9 @@ struct ShadowPoint {
 /// Samples shadow points. State of one thread.
 class ShadowPoints {
   public:
-    /// Silhouette points per light point.
-    static constexpr int per_light_point = 16;
-
-    /// in:      weights  by emitter, for the choice between them
-    ShadowPoints(const BoundaryScene& s, const std::vector<double>& weights);
+    /// in:      weights          by emitter, for the choice between them
+    ///          per_light_point  silhouette points seen from one point of an emitter
+    ShadowPoints(const BoundaryScene& s, const std::vector<double>& weights, int per_light_point);
 
     /// Calls found(point) for the points, per_light_point at most, seen from one point of an emitter.
     /// in:      sampler    from its pair 0
@@ -69,6 +67,7 @@ class ShadowPoints {
     bool complete(const LightPoint& light, const LitSpot* spot, double density, ShadowPoint& point);
 
     const BoundaryScene& s_;
+    int per_light_point_;
     Distribution1 choice_;
     Outline outline_;
     std::vector<Vector3<double>> v_emitter_;

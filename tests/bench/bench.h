@@ -1,5 +1,5 @@
 #pragma once
-// loom-bench: three tables, for information; no test asserts times.
+// loom-bench: four tables, for information; no test asserts times.
 
 #include <chrono>
 #include <cstdint>
@@ -17,7 +17,7 @@ struct Options {
     std::uint64_t paths = 400'000;    // of one run
     int rounds = 3;
     int threads = 0;  // 0: all
-    enum class Table { all, throughput, kernels, samplers } table = Table::all;
+    enum class Table { all, throughput, kernels, samplers, edges } table = Table::all;
 };
 
 /// Measures paths per second of the bare loop, of image tracing and of graph tracing, in turns on each scene.
@@ -26,6 +26,9 @@ void throughput(const Options& options, app::Report& report);
 void kernels(const Options& options, app::Report& report);
 /// Measures the mean squared error of the samplers at equal numbers of samples.
 void samplers(const Options& options, app::Report& report);
+
+/// Measures variance times CPU time of boundary samples: loom-derive's against guided edge sampling.
+void edge_sampling(const Options& options, app::Report& report);
 
 /// Returns the wall time of body() in seconds.
 template <class Body>
