@@ -9,8 +9,9 @@
 #include "stages/core/compute/parallel.h"
 #include "stages/core/sampling/streams.h"
 #include "stages/core/tracing/film.h"
-#include "stages/residual/control.h"
+#include "stages/residual/control/controlled.h"
 #include "stages/residual/dynamic/camera_paths.h"
+#include "stages/residual/effort/control_weights.h"
 
 namespace loom::residual {
 namespace {
@@ -45,12 +46,6 @@ class Splats {
 /// Image of the samples that start from sites: sums, and sums of squares per sample.
 struct SitePicture {
     std::vector<Radiance> sum, square;
-};
-
-/// Pairs of camera paths with the old image as control variate: moments of f_new - alpha f_old, [pixel].
-struct ControlSums {
-    std::vector<Spectrum> alpha;
-    std::vector<Spectrum> mean, var_mean;
 };
 
 class Estimator {
@@ -235,30 +230,6 @@ Film Estimator::from_camera(std::uint64_t first_sample, ControlSums* control, Dy
 
 constexpr const char* rgb[] = {"R", "G", "B"};
 
-ControlledPicture controlled_picture(const Image& old_picture, const Image& residual, const ControlSums& control) {
-    ControlledPicture out{residual, 1, 0, INFINITY, 0};
-    double before = 0, after = 0;
-    for (int c = 0; c < 3; ++c) {
-        const std::string var_mean = std::string("VarMean.") + rgb[c];
-        const auto L_old = old_picture.find(rgb[c]), V = old_picture.find(var_mean);
-        const auto L = out.image.add(rgb[c]);
-        for (std::size_t p = 0; p < L.size(); ++p)
-            L[p] = float(double(control.alpha[p][c]) * L_old[p] + control.mean[p][c]);
-        const auto var = out.image.add(var_mean);
-        for (std::size_t p = 0; p < var.size(); ++p) {
-            const double alpha = control.alpha[p][c];
-            var[p] = float(sqr(alpha) * V[p] + control.var_mean[p][c]);
-            before += V[p];
-            after += sqr(alpha) * V[p];
-            out.var_mean += double(control.var_mean[p][c]) / (3 * double(var.size()));
-            out.least = std::min(out.least, alpha);
-            out.most = std::max(out.most, alpha);
-        }
-    }
-    if (before > 0) out.old_variance = after / before;
-    return out;
-}
-
 }  // namespace
 
 Image render_dynamic(const ScenePair& pair, const Edit& edit, const DynamicOptions& options,
@@ -298,17 +269,13 @@ Image render_dynamic(const ScenePair& pair, const Edit& edit, const DynamicOptio
     SitePicture sites{std::vector<Radiance>(n_pixels), std::vector<Radiance>(n_pixels)};
     estimator.add_from_sites(double(first_sample) / double(work.spp), sites, counts.counts, counts.n_unrelocated,
                              progress);
-    ControlSums control;
+    std::optional<ControlSums> control;
     const bool controlled = options.old_picture && effort.cameras_alone() && !effort.covariance[0].empty();
-    if (controlled) {
-        control.alpha = control_weights(sensor, effort, *options.old_picture);
-        control.mean.resize(n_pixels);
-        control.var_mean.resize(n_pixels);
-    }
+    if (controlled) control.emplace(control_weights(sensor, effort, *options.old_picture));
     Image image =
-        estimator.from_camera(first_sample, controlled ? &control : nullptr, counts, report, progress).finish({});
+        estimator.from_camera(first_sample, control ? &*control : nullptr, counts, report, progress).finish({});
     image.samples = work.spp;
-    if (controlled) counts.controlled = controlled_picture(*options.old_picture, image, control);
+    if (control) counts.controlled = controlled_picture(*options.old_picture, image, *control);
     for (int c = 0; c < 3; ++c) {
         const auto mean = image.add(rgb[c]);
         for (std::uint64_t i = 0; i < n_pixels; ++i) mean[i] = float(mean[i] + sites.sum[i][c]);

@@ -6,6 +6,7 @@
 #include <string>
 
 #include "formats/image.h"
+#include "stages/residual/control/controlled.h"
 #include "stages/residual/effort/effort.h"
 #include "stages/residual/estimators.h"
 
@@ -23,14 +24,6 @@ struct DynamicOptions {
     /// Only the paths of this family, to examine one technique; weighted or not, but never mapped.
     int only_family = -1;
     bool weighted = true;
-};
-
-/// The new image with the old one as control variate, see control.h. Only with a pilot and camera paths alone.
-struct ControlledPicture {
-    Image image;                 // R, G, B and VarMean of the new image; the other layers of the residual
-    double old_variance = 1;     // remaining share of the old image's variance: sum alpha^2 V / sum V
-    double var_mean = 0;         // of the edit's samples, mean over pixels and channels
-    double least = 1, most = 1;  // smallest and largest weight
 };
 
 struct DynamicCounts {

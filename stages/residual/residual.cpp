@@ -13,6 +13,7 @@
 #include "stages/core/sampling/streams.h"
 #include "stages/core/scene/build.h"
 #include "stages/residual/chain_of_edits.h"
+#include "stages/residual/control/coverage.h"
 #include "stages/residual/edit_job.h"
 #include "stages/residual/frames.h"
 
@@ -243,7 +244,7 @@ void declare(app::Command& command, Options& options) {
     command.flag("--no-map", options.no_map,
                  "auto: spread camera paths evenly over the pixels, not by the pilot's variance");
     command.flag("--no-control", options.no_control,
-                 "auto: make --new the plain sum of --old and the residual, without weights");
+                 "auto, --old-graph: make --new the plain sum of --old and the residual, without weights");
     command.option("--spp", options.spp, "pairs of paths per pixel; auto: their cost is its budget",
                    app::Range<std::uint64_t>{1, 1u << 30});
     command.option("--first-sample", options.first_sample, "index of the first sample of each pixel");
@@ -394,12 +395,26 @@ PathOptions path_options(const Options& options, const Scene& new_scene, const L
 
 void render_by_graph(const Options& options, const Scenes& scenes, const Edit& edit, const Base& base,
                      app::Report& report, Residual& residual) {
-    residual.of_graph = render_residual(scenes.pair(), edit, base.graph, options.threads,
-                                        residual.same_samples ? &base.image : nullptr, report);
+    const EditReach reach(*scenes.old_scene, *scenes.new_scene, edit);
+    std::optional<ControlSums> control;
+    // With the graph's own samples any weight makes the same image.
+    if (!options.new_picture.empty() && !options.no_control && !residual.same_samples && !scenes.new_scene->nlos)
+        control = coverage_control(scenes.pair(), reach, base.graph.path.seed, options.threads);
+    residual.of_graph =
+        render_residual(scenes.pair(), reach, base.graph, options.threads,
+                        residual.same_samples ? &base.image : nullptr, report, control ? &*control : nullptr);
     residual.image = residual.of_graph.image;
     residual.counts = residual.of_graph.counts;
     residual.plan += "; old graph: " + residual.of_graph.summary();
     report.info("old graph: {}", residual.of_graph.summary());
+    if (control) {
+        residual.controlled = controlled_picture(base.image, residual.image, *control);
+        const std::string weights = fmt::format(
+            "weight of the old image below 1 in {} pixels, where first hits differ",
+            std::count_if(control->alpha.begin(), control->alpha.end(), [](const Spectrum& a) { return a.r < 1; }));
+        report.info("{}", weights);
+        residual.plan += "; " + weights;
+    }
     if (residual.same_samples)
         report.info("{}: has the samples of the graph, so the sum is the new scene's image of these samples",
                     options.old_picture);

@@ -32,7 +32,7 @@ struct Options {
     Method method = Method::automatic;
     bool no_mapping = false;  // auto, dynamic: no path mappings
     bool no_map = false;      // auto: spread camera paths evenly
-    bool no_control = false;  // auto: --new is --old plus the residual, without weights
+    bool no_control = false;  // auto, old_graph: --new is --old plus the residual, without weights
     std::string technique;    // dynamic: an image of this family's paths alone; list: its names
     bool as_printed = false;  // dynamic: weights and Jacobian limit of [RP] as printed, biased
     bool raw = false;         // with technique: divide each path by the density of its own technique alone

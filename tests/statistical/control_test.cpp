@@ -1,14 +1,13 @@
 // The old image as control variate of the new one: unbiased, with the variance that it stores, and no worse than either
 // a new image or old plus residual.
 
-#include "stages/residual/control.h"
-
 #include <fmt/format.h>
 #include <gtest/gtest.h>
 #include <tbb/parallel_for.h>
 
 #include "stages/core/stats/chi_square.h"
 #include "stages/core/stats/moments.h"
+#include "stages/residual/control/controlled.h"
 #include "stages/residual/dynamic_estimator.h"
 #include "stages/residual/residual.h"
 #include "tests/statistical/support.h"

@@ -89,7 +89,8 @@ const Arrows& arrows() {
             {"core/clusters", {"core/graph"}},
             {"core/edges", {"core/scene"}},
             {"core/edit", {"core/scene", "core/table"}},
-            {"stages/residual/stored", {"core/tracing", "core/graph", "core/edit"}},
+            {"stages/residual/control", {"core/edit"}},
+            {"stages/residual/stored", {"core/tracing", "core/graph", "stages/residual/control"}},
             {"stages/residual/dynamic", {"core/tracing", "core/edit"}},
             {"stages/residual/effort", {"stages/residual/dynamic"}},
         };

@@ -271,6 +271,7 @@ struct Edited {
         std::filesystem::remove_all(folder);
     }
     ScenePair pair() const { return {*old_scene, *new_scene}; }
+    EditReach reach() const { return {*old_scene, *new_scene, edit}; }
     PathOptions path(SamplerKind sampler = SamplerKind::sobol) const {
         return loom::testing::path_options(*old_scene, seed, sampler);
     }
@@ -312,7 +313,7 @@ TEST_P(OfAnOldGraph, IsTheFullDifferenceBitForBit) {
     const PathOptions path = edited.path();
     Counts counts;
     const Image full = render_residual(edited.pair(), Method::correlated, path, {0, spp, 1}, quiet(), counts);
-    const GraphResidual ours = render_residual(edited.pair(), edited.edit, edited.graph(path), 2, nullptr, quiet());
+    const GraphResidual ours = render_residual(edited.pair(), edited.reach(), edited.graph(path), 2, nullptr, quiet());
     EXPECT_EQ(ours.image.samples, spp);
     for (const char* layer : {"", "VarMean.", "Albedo."})
         for (const char* c : rgb) EXPECT_EQ(n_differing(full, ours.image, std::string(layer) + c), 0u) << layer << c;
@@ -329,7 +330,7 @@ TEST_P(OfAnOldGraph, IsTheFullDifferenceBitForBit) {
 
     // With misses few paths are examined closely, and light samples without a ray are not drawn again.
     const OldGraph graph = edited.graph(path, true);
-    const GraphResidual scanned = render_residual(edited.pair(), edited.edit, graph, 2, nullptr, quiet());
+    const GraphResidual scanned = render_residual(edited.pair(), edited.reach(), graph, 2, nullptr, quiet());
     for (const char* channel : {"R", "G", "B", "VarMean.R", "VarMean.G", "VarMean.B", "Albedo.R", "Albedo.G",
                                 "Albedo.B", "N.X", "N.Y", "N.Z"})
         EXPECT_EQ(n_differing(ours.image, scanned.image, channel), 0u) << channel;
@@ -474,7 +475,7 @@ TEST(OldGraph, IsOfAllKindsOfPaths) {
         const Image full = render_residual(edited.pair(), Method::correlated, path, {0, spp, 2}, quiet(), counts);
         const OldGraph graph = edited.graph(path);
         for (const int threads : {1, 2}) {
-            const GraphResidual ours = render_residual(edited.pair(), edited.edit, graph, threads, nullptr, quiet());
+            const GraphResidual ours = render_residual(edited.pair(), edited.reach(), graph, threads, nullptr, quiet());
             for (const char* c : rgb)
                 EXPECT_EQ(n_differing(full, ours.image, c) + n_differing(full, ours.image, std::string("VarMean.") + c),
                           0u);
@@ -492,7 +493,7 @@ TEST(OldGraph, SumOfTheSameSamplesIsAFreshPicture) {
         Counts counts;
         const Image old = trace::render_image(*edited.old_scene, graph.path, {0, spp, 0}, quiet(), counts);
         const Image fresh = trace::render_image(*edited.new_scene, graph.path, {0, spp, 0}, quiet(), counts);
-        const GraphResidual residual = render_residual(edited.pair(), edited.edit, graph, 0, &old, quiet());
+        const GraphResidual residual = render_residual(edited.pair(), edited.reach(), graph, 0, &old, quiet());
         const Image sum = add_residual_of_same_samples(old, residual.image, residual);
         EXPECT_EQ(sum.samples, spp);
         for (const char* channel : {"R", "G", "B", "VarMean.R", "VarMean.G", "VarMean.B"}) {
@@ -627,7 +628,7 @@ TEST_F(OldGraphFile, ThatDoesNotFitIsRefused) {
 TEST_F(OldGraphFile, OfOtherPathsIsFoundOut) {
     const OldGraph graph = read({write(0, 2, [](PathGraphInPieces& g) { g.provenance.seed = 4; })});
     try {
-        render_residual(edited.pair(), edited.edit, graph, 0, nullptr, quiet());
+        render_residual(edited.pair(), edited.reach(), graph, 0, nullptr, quiet());
         ADD_FAILURE() << "not found out";
     } catch (const InputError& error) {
         EXPECT_NE(std::string(error.what()).find("graph and scene do not belong together"), std::string::npos)

@@ -4,6 +4,7 @@
 #include <tbb/enumerable_thread_specific.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <filesystem>
 #include <optional>
@@ -115,7 +116,7 @@ class Worker {
     /// in:  passes  of the graph
     Worker(const ScenePair& scenes, const OldGraph& graph, const EditReach& reach,
            const std::vector<StoredPaths>& passes, const Image* old_picture, tracing::NonfiniteLog& old_log,
-           tracing::NonfiniteLog& new_log, Film& film, GraphResidual& out)
+           tracing::NonfiniteLog& new_log, Film& film, GraphResidual& out, ControlSums* control)
         : graph_(graph),
           passes_(passes),
           old_batch_(scenes.old_scene, graph.path),
@@ -124,6 +125,7 @@ class Worker {
           new_nonfinite_(new_log),
           film_(film),
           out_(out),
+          control_(control),
           n_pixels_(scenes.old_scene.sensor.n_pixels()) {
         for (const StoredPaths& pass : passes) {
             finders_.emplace_back(pass, reach);
@@ -139,6 +141,7 @@ class Worker {
         probe();
         add(begin);
         for (std::uint64_t pixel = begin; pixel < end; ++pixel) film_.set(pixel, sums_[pixel - begin]);
+        if (control_) set_controlled(begin);
     }
 
   private:
@@ -148,15 +151,20 @@ class Worker {
         flags_.resize(width_ * graph_.spp);
         touched_.clear();
         pairs_.clear();
+        kept_.clear();
         pairs_.reserve(flags_.size());  // their addresses must stay valid
+        if (control_) kept_.reserve(flags_.size());
         std::uint8_t* flags = flags_.data();
         for (std::size_t i = 0; i < passes_.size(); ++i)
             for (std::uint64_t s = 0; s < graph_.passes[i].tracing.samples_per_pixel; ++s, flags += width_) {
                 const std::size_t first = s * n_pixels_ + begin;
                 changes_.clear();
                 finders_[i].find(first, first + width_, flags, changes_);
-                for (std::size_t k = 0; k < width_; ++k)
-                    if (!flags[k]) sums_[k].add(first_hits_[i].of(first + k));
+                for (std::size_t k = 0; k < width_; ++k) {
+                    if (flags[k]) continue;
+                    sums_[k].add(first_hits_[i].of(first + k));
+                    if (weighs_old(begin + k)) keep(i, first + k);
+                }
                 std::span<const std::uint32_t> again(changes_.again);
                 for (const PathChange& change : changes_.paths) {
                     PathPair& pair = pairs_.emplace_back();
@@ -170,6 +178,17 @@ class Worker {
         counts.add(resumed_.counts);
         resumed_.counts = {};
         touched += touched_.size();
+    }
+
+    /// Whether the old image has another weight than 1 in a pixel.
+    bool weighs_old(std::uint64_t pixel) const { return control_ && !(control_->alpha[pixel] == Spectrum(1)); }
+    /// Computes what an untouched path brings, in both scenes.
+    void keep(std::size_t pass, std::size_t path) {
+        const PathGraph& graph = graph_.passes[pass];
+        PathChange none;
+        none.path = path;
+        none.edge = first_row(graph.light_edges.vertex, graph.paths.first_vertex[path]);
+        resumed_.add(passes_[pass], none, {}, kept_.emplace_back());
     }
 
     /// Traces some of the touched paths in the old scene as well; they must equal those of the graph.
@@ -207,13 +226,17 @@ class Worker {
     /// Adds the samples' contributions in their order; zeros before the first nonzero one are only counted.
     void add(std::uint64_t begin) {
         squares_.assign(old_mean_[0].empty() ? 0 : 3 * width_, 0.0);
+        controlled_.assign(control_ ? width_ : 0, {});
         const std::uint8_t* flags = flags_.data();
-        std::size_t t = 0;
+        std::size_t t = 0, n_kept = 0;
         for (std::uint64_t sample = 0; sample < graph_.spp; ++sample, flags += width_)
             for (std::size_t k = 0; k < width_; ++k) {
                 PixelSums& sums = sums_[k];
                 if (!flags[k]) {
                     if (sums.L[0].n > 0) sums.add(Spectrum(0));
+                    if (!weighs_old(begin + k)) continue;
+                    const Spectrum& L = kept_[n_kept++].before;
+                    add_controlled(begin, k, L, L);
                     continue;
                 }
                 const PathPair& pair = pairs_[t];
@@ -223,6 +246,7 @@ class Worker {
                 new_nonfinite_.check(pair.after, id);
                 for (Moments& L : sums.L) L.n = std::max(L.n, sample);
                 sums.add(pair.after - pair.before, pair.first);
+                if (weighs_old(begin + k)) add_controlled(begin, k, pair.before, pair.after);
                 for (std::size_t c = 0; c < 3 && !squares_.empty(); ++c)
                     squares_[3 * k + c] +=
                         (double(pair.after[int(c)]) - pair.before[int(c)]) *
@@ -231,6 +255,19 @@ class Worker {
         for (PixelSums& sums : sums_)
             for (Moments& L : sums.L) L.n = graph_.spp;
         for (std::size_t k = 0; k < squares_.size(); ++k) out_.squares[k % 3][begin + k / 3] = float(squares_[k]);
+    }
+
+    void add_controlled(std::uint64_t begin, std::size_t k, const Spectrum& before, const Spectrum& after) {
+        const Spectrum& alpha = control_->alpha[begin + k];
+        for (int c = 0; c < 3; ++c) controlled_[k][std::size_t(c)].add(double(after[c]) - double(alpha[c]) * before[c]);
+    }
+    void set_controlled(std::uint64_t begin) {
+        for (std::size_t k = 0; k < width_; ++k)
+            for (int c = 0; c < 3; ++c) {
+                const Moments& L = weighs_old(begin + k) ? controlled_[k][std::size_t(c)] : sums_[k].L[c];
+                control_->mean[begin + k][c] = float(L.mean);
+                control_->var_mean[begin + k][c] = float(L.var_mean());
+            }
     }
 
     struct Touched {
@@ -245,6 +282,7 @@ class Worker {
     tracing::NonfiniteLog &old_nonfinite_, &new_nonfinite_;
     Film& film_;
     GraphResidual& out_;
+    ControlSums* control_;
     std::uint64_t n_pixels_;
     std::span<const float> old_mean_[3];
     std::size_t width_ = 0;  // pixels of the chunk
@@ -253,7 +291,9 @@ class Worker {
     std::vector<std::uint8_t> flags_;
     PathChanges changes_;  // of one sample index
     std::vector<Touched> touched_;
-    std::vector<PathPair> pairs_;  // of the touched paths
+    std::vector<PathPair> pairs_;                     // of the touched paths
+    std::vector<PathPair> kept_;                      // of untouched ones where weighs_old()
+    std::vector<std::array<Moments, 3>> controlled_;  // [pixel of the chunk] where weighs_old()
     std::vector<PathId> probes_;
     std::vector<PathResult> probed_;
 };
@@ -312,12 +352,11 @@ std::string GraphResidual::summary() const {
                        why_all.empty() ? "" : ": " + why_all);
 }
 
-GraphResidual render_residual(const ScenePair& scenes, const Edit& edit, const OldGraph& graph, int threads,
-                              const Image* old_picture, app::Report& report) {
+GraphResidual render_residual(const ScenePair& scenes, const EditReach& reach, const OldGraph& graph, int threads,
+                              const Image* old_picture, app::Report& report, ControlSums* control) {
     const Sensor& sensor = scenes.new_scene.sensor;
     const std::uint64_t n_pixels = sensor.n_pixels();
     GraphResidual out;
-    const EditReach reach(scenes.old_scene, scenes.new_scene, edit);
     std::vector<GraphReader> readers;
     out.why_all = reach.everything;
     for (const PathGraph& pass : graph.passes) readers.emplace_back(pass);
@@ -330,7 +369,7 @@ GraphResidual render_residual(const ScenePair& scenes, const Edit& edit, const O
         new_log(report, sensor.width, graph.path.seed, " of the new scene");
     app::Progress progress(report, "tracing", n_pixels * graph.spp);
     tbb::enumerable_thread_specific<Worker> workers(
-        [&] { return Worker(scenes, graph, reach, passes, old_picture, old_log, new_log, film, out); });
+        [&] { return Worker(scenes, graph, reach, passes, old_picture, old_log, new_log, film, out, control); });
     // Large enough for full batches of touched paths where they are rare.
     constexpr std::uint64_t paths_per_chunk = 1 << 15;
     parallel_chunks(n_pixels, std::clamp<std::uint64_t>(paths_per_chunk / graph.spp, 16, paths_per_chunk), threads,

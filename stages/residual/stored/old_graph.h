@@ -7,9 +7,10 @@
 
 #include "formats/image.h"
 #include "formats/path_graph.h"
-#include "stages/core/edit/edit.h"
+#include "stages/core/edit/edit_reach.h"
 #include "stages/core/edit/scene_pair.h"
 #include "stages/core/tracing/pixel_loop.h"
+#include "stages/residual/control/controlled.h"
 
 namespace loom::residual {
 
@@ -50,14 +51,16 @@ struct GraphResidual {
 /// one in 64 is traced in the old scene as well, as a probe. The other paths add zeros, in the order of the samples.
 /// [METHODS 2.3]
 /// in:      old_picture  image of the graph's own samples, for `squares`; null: none
+///          control      with weights alpha of an image of other samples; null: none
 /// out:     image  R, G, B, VarMean, samples: to the last bit those of render_residual() with these seeds; Albedo, N,
 ///          Depth of the new scene up to rounding; ledger: its link, without the edit's text and scene
 /// differs: render_residual() has NaN where a path is not finite in both scenes; this function adds zero if the edit
 ///          does not touch it
+///          control  mean and var_mean of f_new - alpha f_old, of untouched paths, too
 /// throws:  InputError when more than one probe in a hundred has another number of vertices, or another contribution,
 ///          than in the graph
-GraphResidual render_residual(const ScenePair& scenes, const Edit& edit, const OldGraph& graph, int threads,
-                              const Image* old_picture, app::Report& report);
+GraphResidual render_residual(const ScenePair& scenes, const EditReach& reach, const OldGraph& graph, int threads,
+                              const Image* old_picture, app::Report& report, ControlSums* control = nullptr);
 
 /// Adds a residual to an old image of the same samples: returns the image of these samples in the new scene.
 /// in:      residual  paths.image, with its provenance and the scene of its link

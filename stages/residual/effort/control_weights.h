@@ -1,5 +1,5 @@
 #pragma once
-// The old image as a control variate of the new one.
+// Weights of the old image as a control variate, from a pilot.
 
 #include <vector>
 

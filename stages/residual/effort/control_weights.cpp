@@ -1,4 +1,4 @@
-#include "stages/residual/control.h"
+#include "stages/residual/effort/control_weights.h"
 
 #include "stages/residual/effort/blur.h"
 
