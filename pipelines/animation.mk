@@ -4,11 +4,13 @@
 #   render each frame as that image plus the residual of what moves, from the graph's paths that it touches (loom-residual
 #   --frames), BATCH frames by a process;  draw them with one exposure (loom-frames)
 #
-#   OUT/images/frame-NNNN.exr   frames;  frames/frame-NNNN.png, strip.png and movie.mp4 are drawn from them
+#   OUT/images/frame-NNNN.exr   frames;  frames/frame-NNNN.png, strip.png and movie.mp4 are drawn from them, or, with
+#                               DENOISE=1, from denoised/frame-NNNN.exr
 #   OUT/base/                   image and graphs of what the frames share
 #
 # Contents count, not times: a row that changes makes its frame be made again, a row that is added is made, and both leave base
 # as it is unless something else moves. Frame t takes graph t mod GRAPHS: frames of one graph share its noise.
+# METHOD=pt traces every frame by itself, with SPP samples and no base.
 ## make animation SCENE=scenes/animated/ball.xml FRAMES=scenes/animated/ball.tsv SPP=16
 
 .DELETE_ON_ERROR:
@@ -21,6 +23,8 @@ FRAMES ?= scenes/animated/ball.tsv  ## table (.tsv): `frame` and names of $param
 SPP ?= 8  ## samples per pixel of each graph, and so of each frame's residual
 BASE_SPP ?= 256  ## samples per pixel of the image of what the frames share
 GRAPHS ?= 2  ## number of graphs
+METHOD ?= hybrid  ## hybrid: what the frames share plus what moves; pt: path tracing of each frame
+DENOISE ?= 0  ## 1: remove the noise of each frame
 BATCH ?= 24  ## frames rendered by one process
 FPS ?= 24  ## frames per second of the movie
 # SEED=  ## seed of all random numbers (0)
@@ -38,22 +42,29 @@ SPP := $(strip $(SPP))
 BASE_SPP := $(strip $(BASE_SPP))
 GRAPHS := $(strip $(GRAPHS))
 BATCH := $(strip $(BATCH))
+METHOD := $(strip $(METHOD))
+DENOISE := $(strip $(DENOISE))
 include pipelines/words.mk
+ifeq ($(filter hybrid pt,$(METHOD)),)
+$(error METHOD=$(METHOD): expected hybrid or pt)
+endif
 $(foreach v,SCENE FRAMES,$(if $(call exists,$($(v))),,$(error $(v)=$($(v)): no such file)))
 OUT ?= out/$(call scene_name,$(SCENE))/animation
 OUT := $(OUT)
 
 trace := $(BUILD)/bin/loom-trace
 residual := $(BUILD)/bin/loom-residual
+denoise := $(BUILD)/bin/loom-denoise
 draw := $(BUILD)/bin/loom-frames
 base := $(OUT)/base
 threads = $(if $(THREADS), --threads $(THREADS))
+hybrid := $(filter hybrid,$(METHOD))
 scene_parameters = $(call quote,$(SCENE))$(call defines,-D,$(DEFINES))$(sensor)
 static_parameters = $(scene_parameters) --static $(call quote,$(FRAMES))$(if $(TRACE), $(TRACE))
 seeded = $(if $(SEED), --seed $(SEED))
 
 listed := $(shell $(inspect) --quiet --frames $(call quote,$(FRAMES)) --scene $(scene_parameters) \
-	| OUT=$(call quote,$(OUT)) THERE=$(call quote,$(patsubst $(OUT)/images/frame-%.exr,%,$(wildcard $(OUT)/images/frame-*.exr))) awk -F '\t' -v graphs=$(GRAPHS) -v batch=$(BATCH) -f pipelines/animation.awk)
+	| OUT=$(call quote,$(OUT)) THERE=$(call quote,$(patsubst $(OUT)/images/frame-%.exr,%,$(wildcard $(OUT)/images/frame-*.exr))) awk -F '\t' -v graphs=$(if $(hybrid),$(GRAPHS),1) -v batch=$(BATCH) -f pipelines/animation.awk)
 static_hash := $(patsubst static:%,%,$(filter static:%,$(listed)))
 ifeq ($(static_hash),)
 $(error FRAMES=$(FRAMES): no frames of this scene, see above)
@@ -81,17 +92,31 @@ $(graphs:%=$(base)/graph-%.h5) &: $(base)/static.hash $(base)/graphs.parameters 
 	$(LAUNCH) $(trace) $(static_parameters) --spp $(SPP) --passes $(GRAPHS) --seed $(shell echo $$(($(or $(SEED),0) + 1))) --misses$(threads) \
 		-o $(base)/graph-%.h5
 
+# $(call of_hybrid,GRAPH), $(call of_pt,GRAPH): command of a batch, less its frames and its output.
+of_hybrid = $(residual) $(scene_parameters) --old $(base)/static.exr --old-graph $(base)/graph-$(1).h5
+of_pt = $(trace) $(scene_parameters)$(pt_parameters)
+pt_parameters := $(if $(TRACE), $(TRACE)) --spp $(SPP)$(seeded)
+output := $(if $(hybrid),--new,-o)
+# What frames are made of besides their rows: another METHOD, and of pt other samples, make them again.
+$(eval $(call parameter,$(OUT)/method.parameters,$(METHOD)$(if $(hybrid),,$(sensor)$(pt_parameters))))
+
 # $(call batch,GRAPH,STATE,NAMES): the hash of a frame is written when the frame is there.
 define batch
-$(3:%=$(OUT)/images/frame-%.exr) &: $(base)/static.exr $(base)/graph-$(1).h5 $(residual) $(if $(filter missing,$(2)),FORCE)
+$(3:%=$(OUT)/images/frame-%.exr) &: $(if $(hybrid),$(base)/static.exr $(base)/graph-$(1).h5 $(residual),$(trace)) \
+		$(OUT)/method.parameters $(if $(filter missing,$(2)),FORCE)
 	@mkdir -p $(OUT)/images && rm -f $(3:%=$(OUT)/images/frame-%.hash)
-	$(LAUNCH) $(residual) $(scene_parameters) --frames $(call quote,$(FRAMES)) \
-		--only $(call number,$(firstword $(3))):$(shell expr $(lastword $(3)) + 1):$(GRAPHS) \
-		--old $(base)/static.exr --old-graph $(base)/graph-$(1).h5$(threads) --new $(OUT)/images/frame-%.exr
+	$(LAUNCH) $(call of_$(METHOD),$(1)) --frames $(call quote,$(FRAMES)) \
+		--only $(call number,$(firstword $(3))):$(shell expr $(lastword $(3)) + 1):$(if $(hybrid),$(GRAPHS),1)$(threads) \
+		$(output) $(OUT)/images/frame-%.exr
 	@$(foreach n,$(3),echo $(call hash_of,$(n)) >$(OUT)/images/frame-$(n).hash;)
 endef
 $(foreach b,$(filter batch:%,$(listed)),$(eval $(call batch,$(word 2,$(subst :, ,$(b))),$(word 3,$(subst :, ,$(b))),$(subst $(comma), ,$(word 4,$(subst :, ,$(b)))))))
 
-$(eval $(call parameter,$(OUT)/draw.parameters,$(names) --fps $(FPS)$(if $(DRAW), $(DRAW))))
-$(OUT)/strip.png: $(names:%=$(OUT)/images/frame-%.exr) $(OUT)/draw.parameters $(draw)
-	$(LAUNCH) $(draw) $(names:%=$(OUT)/images/frame-%.exr) -o $@ --png --fps $(FPS) --movie $(OUT)/movie.mp4$(if $(DRAW), $(DRAW))
+$(names:%=$(OUT)/denoised/frame-%.exr): $(OUT)/denoised/%.exr: $(OUT)/images/%.exr $(denoise)
+	@mkdir -p $(@D)
+	$(LAUNCH) $(denoise) $<$(threads) -o $@
+
+drawn := $(names:%=$(OUT)/$(if $(filter 1,$(DENOISE)),denoised,images)/frame-%.exr)
+$(eval $(call parameter,$(OUT)/draw.parameters,$(drawn) --fps $(FPS)$(if $(DRAW), $(DRAW))))
+$(OUT)/strip.png: $(drawn) $(OUT)/draw.parameters $(draw)
+	$(LAUNCH) $(draw) $(drawn) -o $@ --png --fps $(FPS) --movie $(OUT)/movie.mp4$(if $(DRAW), $(DRAW))

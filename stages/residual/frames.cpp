@@ -2,9 +2,6 @@
 
 #include <fmt/format.h>
 
-#include <array>
-#include <ranges>
-
 #include "formats/io/error.h"
 #include "stages/core/app/command.h"
 #include "stages/core/edit/animation.h"
@@ -26,43 +23,13 @@ void check_frames(const Options& options) {
             throw InputError(fmt::format("{} {}: needs a % for the number of the frame", flag, *file));
 }
 
-/// Returns the frames whose numbers --only names.
-std::vector<Frames::Frame> chosen_frames(const Frames& frames, const std::string& only) {
-    if (only.empty()) return frames.frames;
-    std::array<std::uint32_t, 3> numbers = {0, 0, 1};  // first, end, step
-    std::size_t n = 0;
-    bool readable = true;
-    for (const auto part : std::views::split(only, ':')) {
-        const auto number = app::parse_number<std::uint32_t>(std::string(part.begin(), part.end()));
-        readable &= n < 3 && number;
-        if (readable) numbers[n] = *number;
-        ++n;
-    }
-    const auto [first, end, step] = numbers;
-    if (!readable || n < 2 || first >= end || step == 0)
-        throw InputError(
-            fmt::format("--only {}: expected FIRST:END or FIRST:END:STEP, numbers of frames, FIRST below END, "
-                        "STEP from 1",
-                        only));
-    std::vector<Frames::Frame> chosen;
-    for (const Frames::Frame& frame : frames.frames)
-        if (frame.number >= first && frame.number < end && (frame.number - first) % step == 0) chosen.push_back(frame);
-    if (chosen.empty())
-        throw InputError(fmt::format("--only {}: {} has no frame with such a number", only, frames.file));
-    return chosen;
-}
-
 /// Returns the options and command of a frame alone.
 Options options_of_frame(const Options& options, const Frames::Frame& frame, std::string& command) {
     Options own = options;
     own.only = fmt::format("{}:{}", frame.number, frame.number + 1);
     for (std::string* file : {&own.output, &own.new_picture, &own.png, &own.residual_png})
         *file = app::name_of_part(*file, fmt::format("{:04}", frame.number));
-    const std::string only = " --only " + own.only,
-                      frames = " --frames " + app::shell_word(app::base_name(options.frames));
-    command = app::command_of_part(
-        std::move(command),
-        {options.only.empty() ? std::pair(frames, frames + only) : std::pair(" --only " + options.only, only)});
+    command = app::command_of_frame(std::move(command), options.frames, options.only, own.only);
     return own;
 }
 
@@ -71,7 +38,7 @@ Options options_of_frame(const Options& options, const Frames::Frame& frame, std
 void render_frames(const Options& options, app::Report& report) {
     check_frames(options);
     const Frames table = read_frames(options.frames);
-    const std::vector<Frames::Frame> frames = chosen_frames(table, options.only);
+    const std::vector<Frames::Frame> frames = frames_of(table, options.only);
     const Defines defines = parse_defines(options.defines);
     Animation animation = find_animation(options.old_scene, defines, options.sensor, table);
     if (options.plan) {

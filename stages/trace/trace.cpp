@@ -168,9 +168,16 @@ void declare(app::Command& command, Options& options) {
                  "also store the material of each segment's medium (+2 bytes per vertex and edge), for derivatives by "
                  "the index of refraction");
     command.file(
-        "--static", options.frames,
+        "--static", options.static_frames,
         "table of frames (.tsv: `frame` and names of $parameters, a row per frame): trace the static scene that "
         "they share, for loom-residual --frames");
+    command.file(
+        "--frames", options.frames,
+        "table of frames: trace each by itself, with random numbers of its own, into an image; % in the output's "
+        "name is its number, with four digits");
+    command.option(
+        "--only", options.only,
+        "with --frames: FIRST:END, the frames from FIRST on below END; FIRST:END:STEP, each STEP-th of them");
     command.threads(options.threads);
     command.flag("--plan", options.plan, "print the plan and stop");
     command.option("--replay", options.replay, "X,Y,SAMPLE: trace that path alone and print it");
@@ -248,6 +255,15 @@ void check_output(const Options& options, const std::string& ending) {
             fmt::format("--first-sample {}: passes are numbered by it, so it must be a multiple of --spp {}",
                         options.first_sample, options.spp));
     check_output_path(options.output);
+    if (options.frames.empty()) {
+        if (!options.only.empty()) throw InputError("--only: needs --frames");
+        return;
+    }
+    if (!options.static_frames.empty()) throw InputError("--frames: traces whole scenes; leave out --static");
+    if (ending != ".exr" || options.passes > 1)
+        throw InputError("--frames: makes one image (.exr) of each frame; leave out --passes");
+    if (options.output.find('%') == std::string::npos)
+        throw InputError(fmt::format("{}: needs a % for the number of the frame", options.output));
 }
 
 /// Parameters that all passes share.
@@ -255,7 +271,7 @@ struct Passes {
     const Options& options;
     const Scene& scene;
     PathOptions path;
-    std::string plan, ending;
+    std::string command, plan, ending;
     Cost loading;                                               // cost of reading the scene
     std::shared_ptr<Arena> memory = std::make_shared<Arena>();  // of a graph, reused by the next pass
 };
@@ -265,7 +281,7 @@ Counts trace_pass(const Passes& of, std::uint64_t pass, const std::string& outpu
     const Options& options = of.options;
     Provenance provenance = report.provenance(
         options.seed, {{app::base_name(options.scene), content_hash_text(of.scene.content_hash)}}, of.plan);
-    provenance.command = command_of_pass(options, report.command(), pass);
+    provenance.command = command_of_pass(options, of.command, pass);
     const Work work{options.first_sample + pass * options.spp, options.spp, options.threads};
     Counts counts;
     if (of.ending == ".exr") {
@@ -306,10 +322,48 @@ void finish_pass(const Passes& of, const std::string& output, const Counts& coun
 /// in, out: of_frames  what is added to the plan
 std::unique_ptr<Scene> load(const Options& options, std::string& of_frames) {
     const Defines defines = parse_defines(options.defines);
-    if (options.frames.empty()) return load_scene(options.scene, defines, options.sensor);
-    Animation animation = find_animation(options.scene, defines, options.sensor, read_frames(options.frames));
+    if (options.static_frames.empty()) return load_scene(options.scene, defines, options.sensor);
+    Animation animation = find_animation(options.scene, defines, options.sensor, read_frames(options.static_frames));
     of_frames = "; " + animation.describe();
     return build_scene(std::move(animation.still));
+}
+
+/// Traces each frame as a scene of its own. A frame has the same bytes alone and among others.
+void trace_frames(const Options& options, app::Report& report) {
+    const Frames table = read_frames(options.frames);
+    const std::vector<Frames::Frame> frames = frames_of(table, options.only);
+    const Defines defines = parse_defines(options.defines);
+    const auto images = std::make_shared<TextureCache>();
+    const auto scene_of = [&](const Frames::Frame& frame) {
+        return build_scene(read_scene(options.scene, table.values_of(frame, defines), options.sensor),
+                           {{}, {}, images});
+    };
+    if (options.plan || !options.replay.empty())
+        throw InputError("--frames: leave out --plan and --replay, or name a frame's values by -D");
+    app::Progress progress(report, "frames", frames.size());
+    Cost before = report.cost();
+    for (const Frames::Frame& frame : frames) {
+        Options own = options;
+        own.only = fmt::format("{}:{}", frame.number, frame.number + 1);
+        own.output = app::name_of_part(options.output, fmt::format("{:04}", frame.number));
+        const auto scene = scene_of(frame);
+        PathOptions path = path_options(options, *scene);
+        path.seed = streams::frame(options.seed, frame.number);
+        const Cost loaded = report.cost();
+        Cost loading;
+        loading.wall_s = loaded.wall_s - before.wall_s, loading.cpu_s = loaded.cpu_s - before.cpu_s;
+        const Passes pass{own,
+                          *scene,
+                          path,
+                          app::command_of_frame(report.command(), options.frames, options.only, own.only),
+                          plan(*scene, path, nullptr),
+                          ".exr",
+                          loading};
+        const Counts counts = trace_pass(pass, 0, own.output, report);
+        finish_pass(pass, own.output, counts, loaded, report);
+        before = report.cost();
+        progress.add(1);
+    }
 }
 
 }  // namespace
@@ -317,6 +371,10 @@ std::unique_ptr<Scene> load(const Options& options, std::string& of_frames) {
 void run(const Options& options, app::Report& report) {
     const std::string ending = std::filesystem::path(options.output).extension();
     if (!options.plan && options.replay.empty()) check_output(options, ending);
+    if (!options.frames.empty()) {
+        trace_frames(options, report);
+        return;
+    }
 
     // Read the scene.
     std::string of_frames;
@@ -337,7 +395,7 @@ void run(const Options& options, app::Report& report) {
     report.info("plan: {}", planned);
 
     // Trace pass by pass.
-    const Passes passes{options, *scene, path, planned, ending, report.cost()};
+    const Passes passes{options, *scene, path, report.command(), planned, ending, report.cost()};
     std::uint64_t n_nonfinite_passes = 0;
     for (std::uint64_t pass = 0; pass < options.passes; ++pass) {
         const Cost before = report.cost();

@@ -23,7 +23,8 @@ struct Options {
     std::string output;                // .h5: path graph; .exr: path-traced image; % stands for the index of the pass
     std::vector<std::string> defines;  // name=value
     std::string sensor;                // id or index, from 0; empty: the first
-    std::string frames;                // table of frames: only what they have in common is traced
+    std::string static_frames;         // table of frames: only what they have in common is traced
+    std::string frames, only;          // table of frames: each is traced by itself, or those that `only` names
     std::uint64_t spp = 1;             // samples per pixel
     std::uint64_t first_sample = 0;    // index of the first sample
     std::uint64_t passes = 1;          // files of spp samples each, traced one after the other

@@ -33,11 +33,11 @@ class MakeAnimation : public PipelineTest {
         EXPECT_EQ(outcome.code, 0) << outcome.err;
         const fs::path movie = folder / out / "movie.mp4";
         EXPECT_EQ(outcome.out, (fs::exists(movie) ? movie : folder / out / "frames").string() + "\n");
-        traced = outcome.err.find("loom-trace: done") != std::string::npos;
+        traced = outcome.err.find("loom-trace: done: static") != std::string::npos;
         Numbers numbers;
-        const std::regex done("loom-residual: done: frame-([0-9]+)[.]exr");
+        const std::regex done("loom-(residual|trace): done: frame-([0-9]+)[.]exr");
         for (std::sregex_iterator m(outcome.err.begin(), outcome.err.end(), done), end; m != end; ++m)
-            EXPECT_TRUE(numbers.insert(std::stoi((*m)[1])).second) << (*m)[0];
+            EXPECT_TRUE(numbers.insert(std::stoi((*m)[2])).second) << (*m)[0];
         return numbers;
     }
     fs::path image(int number, const std::string& out = "x") const {
@@ -88,6 +88,41 @@ TEST_F(MakeAnimation, remakes_the_frames_that_change) {
     EXPECT_TRUE(traced);
     EXPECT_EQ(frames("BASE_SPP=3 GRAPHS=1"), Numbers({0, 1, 3, 4}));
     EXPECT_EQ(frames("BASE_SPP=3 GRAPHS=1 FPS=12"), Numbers());
+}
+
+TEST_F(MakeAnimation, traces_frames_by_themselves_and_denoises) {
+    const std::string head = row(0, "-0.5"), tail = row(3, "0.3");
+    write(head + row(2, "0") + tail);
+    EXPECT_EQ(frames("METHOD=pt"), Numbers({0, 2, 3}));
+    EXPECT_FALSE(traced);
+    EXPECT_EQ(frames("METHOD=pt"), Numbers());
+    write(head + row(2, "0.1") + tail);
+    EXPECT_EQ(frames("METHOD=pt"), Numbers({2}));
+    EXPECT_EQ(frames("METHOD=pt BATCH=1 THREADS=1", "y"), Numbers({0, 2, 3}));
+    for (const int number : {0, 2, 3}) EXPECT_EQ(bytes_of(image(number)), bytes_of(image(number, "y"))) << number;
+    EXPECT_FALSE(fs::exists(folder / "x/base"));
+    const std::string noisy = bytes_of(folder / "x/frames/frame-0002.png");
+    EXPECT_EQ(frames("METHOD=pt DENOISE=1"), Numbers());
+    EXPECT_TRUE(fs::exists(folder / "x/denoised/frame-0003.exr"));
+    EXPECT_NE(bytes_of(folder / "x/frames/frame-0002.png"), noisy);
+    // Other samples, another method.
+    EXPECT_EQ(frames("METHOD=pt SPP=3"), Numbers({0, 2, 3}));
+    EXPECT_EQ(frames(), Numbers({0, 2, 3}));
+    EXPECT_TRUE(traced);
+    const Outcome wrong = make("METHOD=magic");
+    EXPECT_EQ(wrong.code, 2);
+    EXPECT_NE(wrong.err.find("expected hybrid or pt"), std::string::npos) << wrong.err;
+    // By hand: no number in the name, a graph, both tables.
+    const std::string run = "'" + stage("trace") + "' scenes/animated/ball.xml --spp 1 --frames '" +
+                            (folder / table).string() + "' -o '" + folder.string();
+    for (const auto& [rest, said] : {std::pair("/z.exr'", "needs a %"), std::pair("/z-%.h5'", "one image (.exr)"),
+                                     std::pair("/z-%.exr' --passes 2", "one image (.exr)"),
+                                     std::pair("/z-%.exr' --only 9:12", "no frame with such a number"),
+                                     std::pair("/z-%.exr' --static scenes/animated/ball.tsv", "leave out --static")}) {
+        const Outcome outcome = sh(run + rest);
+        EXPECT_EQ(outcome.code, 2) << rest;
+        EXPECT_NE(outcome.err.find(said), std::string::npos) << outcome.err;
+    }
 }
 
 TEST_F(MakeAnimation, takes_any_name_of_a_table_and_no_wrong_one) {

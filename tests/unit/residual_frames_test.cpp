@@ -50,7 +50,7 @@ class ResidualFrames : public ::testing::Test {
         trace::Options options;
         options.scene = at("s.xml");
         options.output = at(output);
-        options.frames = frames.empty() ? "" : at(frames);
+        options.static_frames = frames.empty() ? "" : at(frames);
         options.defines = defines;
         options.spp = 8;
         trace::run(options, tracer);

@@ -201,6 +201,13 @@ std::string command_of_part(std::string command, std::span<const std::pair<std::
     return command;
 }
 
+std::string command_of_frame(std::string command, const std::string& table, const std::string& only,
+                             const std::string& only_this) {
+    const std::string this_one = " --only " + only_this, frames = " --frames " + shell_word(base_name(table));
+    return command_of_part(std::move(command), {only.empty() ? std::pair(frames, frames + this_one)
+                                                             : std::pair(" --only " + only, this_one)});
+}
+
 void Command::check_files() const {
     namespace fs = std::filesystem;
     for (const Declared& option : declared_) {

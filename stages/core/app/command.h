@@ -177,4 +177,9 @@ inline std::string command_of_part(std::string command,
     return command_of_part(std::move(command), std::span(changes.begin(), changes.size()));
 }
 
+/// Returns the command that makes one frame of a table alone.
+/// in:      command  with --frames TABLE, and --only ONLY where that is not empty
+std::string command_of_frame(std::string command, const std::string& table, const std::string& only,
+                             const std::string& only_this);
+
 }  // namespace loom::app

@@ -4,7 +4,9 @@
 #include <fmt/ranges.h>
 
 #include <algorithm>
+#include <array>
 #include <charconv>
+#include <ranges>
 #include <set>
 #include <span>
 
@@ -18,10 +20,14 @@ namespace {
 
 constexpr std::uint32_t most_frames = 1000000;
 
+bool parse(const std::string& text, std::uint32_t& number) {
+    const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), number);
+    return !text.empty() && error == std::errc{} && end == text.data() + text.size();
+}
+
 std::uint32_t frame_number(const std::string& text, const std::string& where) {
     std::uint32_t number = 0;
-    const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), number);
-    if (text.empty() || error != std::errc{} || end != text.data() + text.size() || number >= most_frames)
+    if (!parse(text, number) || number >= most_frames)
         throw InputError(fmt::format("{}: frame '{}': expected a number from 0 to {}", where, text, most_frames - 1));
     return number;
 }
@@ -90,6 +96,30 @@ std::string Animation::describe() const {
     const std::string out = list("static: without", moving), lights = list("lights of the first frame:", relit);
     if (out.empty() && lights.empty()) return "static: nothing differs between the frames";
     return out + (out.empty() || lights.empty() ? "" : "; ") + lights;
+}
+
+std::vector<Frames::Frame> frames_of(const Frames& frames, const std::string& only) {
+    if (only.empty()) return frames.frames;
+    std::array<std::uint32_t, 3> numbers = {0, 0, 1};  // first, end, step
+    std::size_t n = 0;
+    bool readable = true;
+    for (const auto part : std::views::split(only, ':')) {
+        const std::string text(part.begin(), part.end());
+        readable &= n < numbers.size() && parse(text, numbers[n]);
+        ++n;
+    }
+    const auto [first, end, step] = numbers;
+    if (!readable || n < 2 || first >= end || step == 0)
+        throw InputError(
+            fmt::format("--only {}: expected FIRST:END or FIRST:END:STEP, numbers of frames, FIRST below END, "
+                        "STEP from 1",
+                        only));
+    std::vector<Frames::Frame> chosen;
+    for (const Frames::Frame& frame : frames.frames)
+        if (frame.number >= first && frame.number < end && (frame.number - first) % step == 0) chosen.push_back(frame);
+    if (chosen.empty())
+        throw InputError(fmt::format("--only {}: {} has no frame with such a number", only, frames.file));
+    return chosen;
 }
 
 Animation find_animation(const std::filesystem::path& scene, const Defines& defines, const std::string& sensor,

@@ -33,6 +33,10 @@ struct Frames {
 /// throws:  InputError with file, line and column: no `frame`, a number twice, a cell without value
 Frames read_frames(const std::string& file);
 
+/// Returns the frames whose numbers --only names: FIRST:END, or FIRST:END:STEP; all if it is empty.
+/// throws:  InputError
+std::vector<Frames::Frame> frames_of(const Frames& frames, const std::string& only);
+
 struct Animation {
     SceneDescription still;           // without the shapes that move; built, its hash depends on what it holds alone
     std::vector<std::string> moving;  // ids of the shapes that differ between frames and emit nothing

@@ -67,6 +67,10 @@ constexpr std::uint64_t independent_of(std::uint64_t old_scene) {
 constexpr std::uint64_t pass(std::uint64_t seed, std::uint64_t first_sample) {
     return numbered(seed, first_sample + 1);
 }
+/// Paths of a frame of an animation that is traced by itself.
+constexpr std::uint64_t frame(std::uint64_t seed, std::uint64_t number) {
+    return numbered(mix64(seed ^ salt("frame")), number + 1);
+}
 /// Camera rays that look for what an edit shows or hides.
 constexpr std::uint64_t coverage(std::uint64_t seed) {
     return mix64(seed ^ salt("coverage"));
