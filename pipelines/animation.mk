@@ -11,6 +11,9 @@
 # Contents count, not times: a row that changes makes its frame be made again, a row that is added is made, and both leave base
 # as it is unless something else moves. Frame t takes graph t mod GRAPHS: frames of one graph share its noise.
 # METHOD=pt traces every frame by itself, with SPP samples and no base.
+#
+# BASE_SPP=auto asks loom-residual --plan (OUT/plan.txt): as many samples as give the least error for the time of all frames; and where
+# path tracing of equal error would cost less, METHOD=pt.
 ## make animation SCENE=scenes/animated/ball.xml FRAMES=scenes/animated/ball.tsv SPP=16
 
 .DELETE_ON_ERROR:
@@ -21,7 +24,7 @@ include pipelines/variables.mk
 SCENE ?= scenes/animated/ball.xml  ## scene file (Mitsuba XML)
 FRAMES ?= scenes/animated/ball.tsv  ## table (.tsv): `frame` and names of $parameters of the scene, then a row per frame
 SPP ?= 8  ## samples per pixel of each graph, and so of each frame's residual
-BASE_SPP ?= 256  ## samples per pixel of the image of what the frames share
+BASE_SPP ?= auto  ## samples per pixel of the image of what the frames share; auto: by a pilot, see OUT/plan.txt
 GRAPHS ?= 2  ## number of graphs
 METHOD ?= hybrid  ## hybrid: what the frames share plus what moves; pt: path tracing of each frame
 DENOISE ?= 0  ## 1: remove the noise of each frame
@@ -76,6 +79,19 @@ hash_of = $(word 3,$(subst :, ,$(filter frame:$(1):%,$(frames))))
 # $(call number,NNNN): without leading zeros, which a shell takes for octal.
 number = $(shell expr $(1) + 0)
 
+ifeq ($(BASE_SPP)$(hybrid),autohybrid)
+# What the pilot says goes to another make, whose targets depend on it. make -n without a plan ends with the pilot.
+planned = $$(sed -n 's/^$(1): //p' $(OUT)/plan.txt)
+animation: $(OUT)/plan.txt
+	@[ ! -e $< ] || { spp=$(call planned,samples of the static image); method=$(call planned,method); \
+		[ "$$spp" ] && [ "$$method" ] || { echo "$<: says no method and samples; remove it" >&2; exit 1; }; \
+		$(MAKE) --no-print-directory -f pipelines/animation.mk BASE_SPP="$$spp" METHOD="$$method"; }
+
+$(eval $(call parameter,$(OUT)/plan.parameters,$(static_hash) $(frames) --spp $(SPP)$(seeded)))
+$(OUT)/plan.txt: $(OUT)/plan.parameters $(residual)
+	$(LAUNCH) $(residual) $(scene_parameters) --frames $(call quote,$(FRAMES)) --plan --spp $(SPP)$(seeded)$(threads) >$@.partial
+	@mv $@.partial $@
+else
 animation: $(OUT)/strip.png
 	@if [ -e $(OUT)/movie.mp4 ]; then echo $(OUT)/movie.mp4; else echo $(OUT)/frames; fi
 
@@ -120,3 +136,4 @@ drawn := $(names:%=$(OUT)/$(if $(filter 1,$(DENOISE)),denoised,images)/frame-%.e
 $(eval $(call parameter,$(OUT)/draw.parameters,$(drawn) --fps $(FPS)$(if $(DRAW), $(DRAW))))
 $(OUT)/strip.png: $(drawn) $(OUT)/draw.parameters $(draw)
 	$(LAUNCH) $(draw) $(drawn) -o $@ --png --fps $(FPS) --movie $(OUT)/movie.mp4$(if $(DRAW), $(DRAW))
+endif

@@ -7,6 +7,7 @@
 #include "stages/core/edit/animation.h"
 #include "stages/core/scene/build.h"
 #include "stages/residual/edit_job.h"
+#include "stages/residual/frame_plan.h"
 
 namespace loom::residual {
 namespace {
@@ -21,6 +22,28 @@ void check_frames(const Options& options) {
           std::pair("--residual-png", &options.residual_png)})
         if (!file->empty() && file->find('%') == std::string::npos)
             throw InputError(fmt::format("{} {}: needs a % for the number of the frame", flag, *file));
+}
+
+/// Returns the output of --plan, a value per line: what moves, how to render it, and why.
+std::string plan_of_frames(const Options& options, const Animation& animation, const Frames& table,
+                           const std::vector<Frames::Frame>& frames, const Defines& defines) {
+    SceneDescription description = animation.still;
+    const std::shared_ptr<const Scene> still = build_scene(std::move(description));
+    PathOptions path;
+    path.sampler = SamplerKind::independent;
+    path.seed = streams::pilot(options.seed);
+    path.rr_depth = still->rr_depth;
+    path.max_depth = max_depth_of(options, animation.still);
+    const FramePilot pilot =
+        look_at_frames(animation, still, table, frames, options.old_scene, defines, options.sensor, path, options.spp);
+    const FramePlan plan(pilot, options.spp, frames.size());
+    return fmt::format(
+        "{}\nmethod: {}\nsamples of the static image: {}\ngain over path tracing of equal error: {:.3g}\n"
+        "frames from which on it gains: {}\nfor {} frames and graphs of {} samples; variance of a path {:.3g}, of a "
+        "frame's difference {:.3g}; {:.3g} % of the paths traced again\n",
+        animation.describe(), plan.gain >= 1 ? "hybrid" : "pt", plan.still_spp, plan.gain,
+        plan.break_even > 0 ? std::to_string(plan.break_even) : "none", frames.size(), options.spp, pilot.fresh,
+        pilot.difference, 100 * pilot.touched);
 }
 
 /// Returns the options and command of a frame alone.
@@ -42,7 +65,7 @@ void render_frames(const Options& options, app::Report& report) {
     const Defines defines = parse_defines(options.defines);
     Animation animation = find_animation(options.old_scene, defines, options.sensor, table);
     if (options.plan) {
-        report.answer(animation.describe() + "\n");
+        report.answer(plan_of_frames(options, animation, table, frames, defines));
         return;
     }
     report.info("{}", animation.describe());

@@ -254,7 +254,9 @@ void declare(app::Command& command, Options& options) {
     command.option("--max-depth", options.max_depth, "longest path in edges, in both scenes; -1: no limit",
                    app::Range<int>{-1, 1 << 20});
     command.threads(options.threads);
-    command.flag("--plan", options.plan, "print the edit and the plan, and stop");
+    command.flag("--plan", options.plan,
+                 "print the edit and the plan, and stop; with --frames also how many samples of the static image suit "
+                 "graphs of --spp");
     command.example("loom-residual old.xml new.xml --old old.exr --spp 8 -o residual.exr --new new.exr");
     command.example(
         "loom-residual scene.xml --frames frames.tsv --old static.exr --old-graph graph.h5 -o residual-%.exr --new "

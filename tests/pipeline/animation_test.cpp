@@ -125,6 +125,36 @@ TEST_F(MakeAnimation, traces_frames_by_themselves_and_denoises) {
     }
 }
 
+TEST_F(MakeAnimation, plans_the_samples_of_what_frames_share) {
+    const auto plan = [&](const std::string& name) {
+        std::smatch found;
+        const std::string text = bytes_of(folder / "x/plan.txt");
+        return std::regex_search(text, found, std::regex("(?:^|\n)" + name + ": (.*)")) ? found[1].str() : "";
+    };
+    std::string rows;
+    Numbers all;
+    for (int i = 0; i < 40; ++i) rows += row(i, fmt::format("{:.3f}", -0.5 + 0.02 * i)), all.insert(i);
+    write(rows);
+    EXPECT_EQ(frames("BASE_SPP=auto DEFINES='resx=24 resy=18'"), all);
+    EXPECT_TRUE(traced);
+    EXPECT_EQ(plan("method"), "hybrid");
+    EXPECT_GT(std::stoi(plan("samples of the static image")), 2);
+    EXPECT_LE(std::stoi(plan("samples of the static image")), 2 * 40);
+    EXPECT_GT(std::stod(plan("gain over path tracing of equal error")), 2);
+    EXPECT_EQ(frames("BASE_SPP=auto DEFINES='resx=24 resy=18'"), Numbers());
+    // A single frame shares nothing with others.
+    write(row(0, "0"));
+    EXPECT_EQ(frames("BASE_SPP=auto"), Numbers({0}));
+    EXPECT_FALSE(traced);
+    EXPECT_EQ(plan("method"), "pt");
+    // A plan that says nothing, and make -n without one.
+    std::ofstream(folder / "x/plan.txt") << "\n";
+    EXPECT_NE(make("BASE_SPP=auto").err.find("remove it"), std::string::npos);
+    EXPECT_EQ(make("BASE_SPP=auto -n", "y").code, 0);
+    EXPECT_FALSE(fs::exists(folder / "y"));
+    EXPECT_EQ(make("BASE_SPP=most").code, 2);
+}
+
 TEST_F(MakeAnimation, takes_any_name_of_a_table_and_no_wrong_one) {
     table = "it's a; touch PWNED.tsv";
     write(row(0, "0") + row(1, "0.1"));

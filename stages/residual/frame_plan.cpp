@@ -1,0 +1,117 @@
+#include "stages/residual/frame_plan.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+
+#include "stages/core/scene/build.h"
+#include "stages/core/stats/moments.h"
+#include "stages/residual/control/coverage.h"
+
+namespace loom::residual {
+namespace {
+
+constexpr std::uint64_t samples_per_pixel = 4, most_pixels = 8192, least_pixels = 64;
+constexpr std::size_t most_frames = 3;
+
+/// Cost of n_s + n + F n c paths over that of path tracing, at equal variance.
+double gain_of(const FramePilot& p, double spp, double still_spp, double n_frames) {
+    const double variance = p.still / still_spp + p.difference / spp;
+    if (!(variance > 0)) return INFINITY;
+    return n_frames * (p.fresh / variance) / (still_spp + spp + n_frames * spp * p.cost());
+}
+
+double still_spp_of(const FramePilot& p, double spp, double n_frames) {
+    const double most = std::max(spp * n_frames, 2.0);  // what path tracing of all frames would have
+    if (!(p.still > 0)) return 2;
+    const double wanted = p.difference > 0 ? spp * std::sqrt((1 + n_frames * p.cost()) * p.still / p.difference) : most;
+    return std::clamp(std::round(wanted), 2.0, most);
+}
+
+std::vector<PathResult> trace(const Scene& scene, const PathOptions& path, const std::vector<PathId>& ids) {
+    std::vector<PathResult> results(ids.size());
+    PathBatch batch(scene, path);
+    for (std::size_t i = 0; i < ids.size(); i += PathBatch::capacity) {
+        const std::size_t n = std::min(PathBatch::capacity, ids.size() - i);
+        batch.trace(std::span(ids).subspan(i, n), std::span(results).subspan(i, n));
+    }
+    return results;
+}
+
+/// Mean over pixels of the variance of value(i), the colour of path i, summed over channels.
+template <class Value>
+double mean_variance(std::size_t n_paths, Value&& value) {
+    double sum = 0;
+    for (std::size_t i = 0; i < n_paths; i += samples_per_pixel) {
+        std::array<Moments, 3> L;
+        for (std::size_t k = i; k < i + samples_per_pixel; ++k) {
+            const Spectrum x = value(k);
+            for (int c = 0; c < 3; ++c) L[std::size_t(c)].add(double(x[c]));
+        }
+        for (const Moments& m : L)
+            if (std::isfinite(m.m2)) sum += m.var_sample();
+    }
+    return sum * samples_per_pixel / double(n_paths);
+}
+
+}  // namespace
+
+FramePlan::FramePlan(const FramePilot& pilot, std::uint64_t spp, std::uint64_t n_frames) {
+    const auto gain_at = [&](double n) { return gain_of(pilot, double(spp), still_spp_of(pilot, double(spp), n), n); };
+    still_spp = std::uint64_t(still_spp_of(pilot, double(spp), double(n_frames)));
+    gain = gain_at(double(n_frames));
+    // The gain grows with the number of frames.
+    std::uint64_t low = 0, high = 1'000'000;
+    if (!(gain_at(double(high)) >= 1)) return;
+    while (high - low > 1) {
+        const std::uint64_t middle = (low + high) / 2;
+        (gain_at(double(middle)) >= 1 ? high : low) = middle;
+    }
+    break_even = high;
+}
+
+FramePilot look_at_frames(const Animation& animation, const std::shared_ptr<const Scene>& still, const Frames& table,
+                          const std::vector<Frames::Frame>& frames, const std::filesystem::path& scene,
+                          const Defines& defines, const std::string& sensor, const PathOptions& path,
+                          std::uint64_t spp) {
+    // Choose pixels, and frames in the middle of equal parts.
+    const std::uint64_t n_pixels = still->sensor.n_pixels();
+    const std::size_t n_frames = std::min(most_frames, frames.size());
+    const double most_paths = double(n_pixels) * double(spp) * double(frames.size()) / 25;
+    const auto wanted = std::uint64_t(most_paths / double(samples_per_pixel * (n_frames + 1)));
+    const std::uint64_t n = std::min(std::clamp(wanted, least_pixels, most_pixels), n_pixels);
+    std::vector<PathId> ids;
+    for (std::uint64_t k = 0; k < n; ++k) {
+        const double at = (double(k) + streams::selection(path.seed, k)) / double(n);
+        for (std::uint64_t sample = 0; sample < samples_per_pixel; ++sample)
+            ids.push_back({std::min(std::uint64_t(at * double(n_pixels)), n_pixels - 1), sample});
+    }
+
+    // Trace them in both scenes.
+    FramePilot pilot;
+    const std::vector<PathResult> before = trace(*still, path, ids);
+    pilot.still = mean_variance(ids.size(), [&](std::size_t i) { return before[i].L; });
+    const auto images = std::make_shared<TextureCache>();
+    for (std::size_t k = 0; k < n_frames; ++k) {
+        const Frames::Frame& frame = frames[(2 * k + 1) * frames.size() / (2 * n_frames)];
+        SceneDescription description = read_scene(scene, table.values_of(frame, defines), sensor);
+        const Edit edit = find_edit(animation.still, description);
+        KnownParts known = known_parts(still, edit);
+        known.images = images;
+        const auto now = build_scene(std::move(description), known);
+        const std::optional<ControlSums> control =
+            still->nlos ? std::nullopt : coverage_control({*still, *now}, EditReach(*still, *now, edit), path.seed, 1);
+        const std::vector<PathResult> after = trace(*now, path, ids);
+        const auto difference = [&](std::size_t i) {
+            return after[i].L - (control ? control->alpha[ids[i].pixel] : Spectrum(1)) * before[i].L;
+        };
+        pilot.fresh += mean_variance(ids.size(), [&](std::size_t i) { return after[i].L; }) / double(n_frames);
+        pilot.difference += mean_variance(ids.size(), difference) / double(n_frames);
+        for (std::size_t i = 0; i < ids.size(); ++i)
+            pilot.touched += (!(after[i].L == before[i].L) || after[i].n_vertices != before[i].n_vertices) /
+                             double(ids.size() * n_frames);
+    }
+    return pilot;
+}
+
+}  // namespace loom::residual
