@@ -110,13 +110,17 @@ class Sampling {
             const Pt x_l = position<double>(g, begin);
             const double r = length(x_l - p.x_s);
             const bool at_edge = bool(sides_[i].at_edge);
-            const bool counts = surfaces_ && (at_edge || r > p.b.r * (1 - 1e-6));
+            // A surface that the edge lies on, as that of a box on a floor, is hit before it, the sooner the flatter the ray.
+            constexpr double flattest = 1.0 / 64;
+            const double before =
+                g.vertices.shape[begin] == p.b.shape_idx ? 1e-6 * p.b.r : s_.clearance(p.b.p, p.b.r) / flattest;
+            const bool counts = surfaces_ && (at_edge || r > p.b.r - before);
             if (counts) {
                 s_.far_velocity(g.vertices.shape[begin], g.vertices.primitive[begin], g.vertices.material[begin],
                                 Vec(geometric_normal(g, begin)), at_edge ? p.b.p : x_l, p.x_s, p.v_s, p.turn, v_light_);
                 for (std::size_t k = 0; k < s_.n(); ++k)
-                    rates_[k] =
-                        swept(p.b.out, relative_velocity(at_edge ? 1 : p.b.r / r, p.v_b[k], p.v_s[k], v_light_[k]));
+                    rates_[k] = swept(p.b.out, relative_velocity(at_edge ? 1 : std::min(p.b.r / r, 1.0), p.v_b[k],
+                                                                 p.v_s[k], v_light_[k]));
             }
             if (s_.scene.nlos) {
                 light_.walk_from_laser(i, edge, [&](const Spectrum& L, double opl, double laser_opl) {
@@ -234,8 +238,12 @@ class Sampling {
         const Vec lift = p.b.seam        ? p.b.seam->lifted(p.b.omega)
                          : p.b.is_crease ? lifted(*p.b.edge, p.b.omega)
                                          : p.b.out / length(p.b.out);
-        ++n_checks_;
-        if (s_.scene.occluded(spawn_segment(end, {Point3f(p.b.p + lift * clearance)}))) return;
+        const auto reaches = [&](const Vec& beside) {
+            ++n_checks_;
+            return !s_.scene.occluded(spawn_segment(end, {Point3f(p.b.p + beside * clearance)}));
+        };
+        // Where the edge lies on another surface the space beside it may be below that one.
+        if (!reaches(lift) && (p.b.seam || p.b.is_crease || !reaches(-p.b.omega))) return;
 
         p.vertex = x.vertex;
         p.opl = x.opl;

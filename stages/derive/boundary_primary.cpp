@@ -482,10 +482,13 @@ class Primary {
 /// Whether nothing lies between the camera and a point of a curve.
 bool visible(const BoundaryScene& s, const Point3f& camera, const Primary::Sample& at) {
     const Vec d = at.p - Pt(camera);
-    const Pt end = at.p + at.beside * s.clearance(at.p, length(d));
-    const Ray ray = spawn_segment({camera}, {Point3f(end)});
-    const Hit hit = s.scene.intersect_from_camera(ray);
-    return !hit || hit.t >= ray.t_max;
+    const auto reaches = [&](const Vec& beside) {
+        const Ray ray = spawn_segment({camera}, {Point3f(at.p + beside * s.clearance(at.p, length(d)))});
+        const Hit hit = s.scene.intersect_from_camera(ray);
+        return !hit || hit.t >= ray.t_max;
+    };
+    // Where the edge lies on another surface, as that of a box on a floor, the space beside it may be below that one.
+    return reaches(at.beside) || (!at.back && reaches(-normalize(d)));
 }
 
 /// State of one thread.
