@@ -14,7 +14,7 @@ namespace {
 constexpr std::uint64_t samples_per_pixel = 4, most_pixels = 8192, least_pixels = 64;
 constexpr std::size_t most_frames = 3;
 
-/// Cost of n_s + n + F n c paths over that of path tracing, at equal variance.
+/// Cost of path tracing over n_s + n + F n c paths, at equal variance.
 double gain_of(const FramePilot& p, double spp, double still_spp, double n_frames) {
     const double variance = p.still / still_spp + p.difference / spp;
     if (!(variance > 0)) return INFINITY;

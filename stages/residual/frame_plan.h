@@ -2,7 +2,10 @@
 // How many samples the image of the static scene should have, and from how many frames on it pays.
 
 #include <cstdint>
+#include <filesystem>
+#include <memory>
 #include <string>
+#include <vector>
 
 #include "stages/core/edit/animation.h"
 #include "stages/core/tracing/path_tracer.h"

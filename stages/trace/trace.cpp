@@ -330,23 +330,20 @@ std::unique_ptr<Scene> load(const Options& options, std::string& of_frames) {
 
 /// Traces each frame as a scene of its own. A frame has the same bytes alone and among others.
 void trace_frames(const Options& options, app::Report& report) {
+    if (options.plan || !options.replay.empty())
+        throw InputError("--frames: leave out --plan and --replay, or name a frame's values by -D");
     const Frames table = read_frames(options.frames);
     const std::vector<Frames::Frame> frames = frames_of(table, options.only);
     const Defines defines = parse_defines(options.defines);
     const auto images = std::make_shared<TextureCache>();
-    const auto scene_of = [&](const Frames::Frame& frame) {
-        return build_scene(read_scene(options.scene, table.values_of(frame, defines), options.sensor),
-                           {{}, {}, images});
-    };
-    if (options.plan || !options.replay.empty())
-        throw InputError("--frames: leave out --plan and --replay, or name a frame's values by -D");
     app::Progress progress(report, "frames", frames.size());
     Cost before = report.cost();
     for (const Frames::Frame& frame : frames) {
         Options own = options;
         own.only = fmt::format("{}:{}", frame.number, frame.number + 1);
         own.output = app::name_of_part(options.output, fmt::format("{:04}", frame.number));
-        const auto scene = scene_of(frame);
+        const auto scene =
+            build_scene(read_scene(options.scene, table.values_of(frame, defines), options.sensor), {{}, {}, images});
         PathOptions path = path_options(options, *scene);
         path.seed = streams::frame(options.seed, frame.number);
         const Cost loaded = report.cost();

@@ -6,17 +6,16 @@
 #include <tbb/parallel_for.h>
 
 #include "stages/core/stats/chi_square.h"
-#include "stages/core/stats/moments.h"
 #include "stages/residual/control/controlled.h"
 #include "stages/residual/dynamic_estimator.h"
 #include "stages/residual/residual.h"
+#include "tests/statistical/image_spread.h"
 #include "tests/statistical/support.h"
 
 namespace loom::residual {
 namespace {
 
 constexpr int replicates = 32, size = 24;
-const char* const rgb[] = {"R", "G", "B"};
 
 struct ControlCase {
     const char* name;
@@ -29,34 +28,6 @@ SceneDescription description(std::vector<std::string> values) {
     for (const char* side : {"resx", "resy"}) values.push_back(fmt::format("{}={}", side, size));
     return read_scene((source_dir() / "scenes/edits.xml").string(), parse_defines(values));
 }
-
-/// Images of one kind: their regions, the variance between them and their stored variance, summed over pixels and
-/// channels.
-struct Pictures {
-    std::vector<RegionMeans> regions;
-    std::vector<Moments> moments = std::vector<Moments>(3 * size * size);
-    double said = 0;
-    void add(const Image& image) {
-        regions.push_back(region_means(image));
-        for (std::size_t c = 0; c < 3; ++c) {
-            const auto L = image.find(rgb[c]), V = image.find(std::string("VarMean.") + rgb[c]);
-            for (std::size_t p = 0; p < L.size(); ++p) {
-                moments[c * L.size() + p].add(L[p]);
-                said += V[p] / replicates;
-            }
-        }
-    }
-    double variance() const {
-        double sum = 0;
-        for (const Moments& m : moments) sum += m.var_sample();
-        return sum;
-    }
-    Estimate estimate(int channel, int region) const {
-        std::vector<double> values;
-        for (const RegionMeans& means : regions) values.push_back(means[std::size_t(channel)][std::size_t(region)]);
-        return estimate_of(values);
-    }
-};
 
 class ControlledPictures : public testing::TestWithParam<ControlCase> {};
 
@@ -84,7 +55,7 @@ TEST_P(ControlledPictures, AreUnbiasedAndNoWorseThanEither) {
             mine.seed = std::uint64_t(500 + i);
             images[std::size_t(i)] = one(mine);
         });
-        Pictures pictures;
+        ImageSpread pictures(size * size);
         for (const Image& image : images) pictures.add(image);
         return pictures;
     };
@@ -92,10 +63,10 @@ TEST_P(ControlledPictures, AreUnbiasedAndNoWorseThanEither) {
         Counts counts;
         return trace::render_image(scene, mine, {0, n, 1}, report, counts);
     };
-    const Pictures fresh = make([&](const PathOptions& mine) { return trace(*new_scene, mine, spp); });
+    const ImageSpread fresh = make([&](const PathOptions& mine) { return trace(*new_scene, mine, spp); });
     for (const std::uint64_t base : {8, 64}) {
         std::vector<Image> sums(replicates);
-        const Pictures controlled = make([&](const PathOptions& mine) {
+        const ImageSpread controlled = make([&](const PathOptions& mine) {
             const Image old_picture = trace(*old_scene, mine, base);
             DynamicOptions options;
             options.pilot = true;
@@ -109,22 +80,25 @@ TEST_P(ControlledPictures, AreUnbiasedAndNoWorseThanEither) {
             EXPECT_NEAR(accumulated_var_mean(picture.ledger, 2), mean_var_mean(picture), 1e-4 * mean_var_mean(picture));
             return picture;
         });
-        Pictures plain;
+        ImageSpread plain(size * size);
         for (const Image& image : sums) plain.add(image);
         const double alpha = sidak_alpha(2 * 5 * 3 * 65);
         for (int c = 0; c < 3; ++c)
             for (int region = 0; region < 1 + n_tiles * n_tiles; ++region) {
-                const Estimate ours = controlled.estimate(c, region), theirs = fresh.estimate(c, region);
+                const Estimate ours = controlled.estimate(std::size_t(c), std::size_t(region)),
+                               theirs = fresh.estimate(std::size_t(c), std::size_t(region));
                 EXPECT_GT(welch_p_value(ours, theirs), alpha)
                     << fmt::format("base {} channel {} region {}: {:.5g} +- {:.2g}, fresh {:.5g} +- {:.2g}", base, c,
                                    region, ours.mean, ours.se, theirs.mean, theirs.se);
             }
-        const double variance = controlled.variance(), of_fresh = fresh.variance(), of_sum = plain.variance();
+        const auto variance_of = [](const ImageSpread& of) { return of.variance(ImageSpread::everywhere); };
+        const double variance = variance_of(controlled), of_fresh = variance_of(fresh), of_sum = variance_of(plain),
+                     said = controlled.stored_variance(ImageSpread::everywhere);
         fmt::print(
             "{} on {} samples: variance {:.3g} (said {:.3g}); of a fresh picture {:.3g} times, of old plus residual "
             "{:.3g} times that\n",
-            edited.name, base, variance, controlled.said, of_fresh / variance, of_sum / variance);
-        EXPECT_NEAR(variance / controlled.said, 1, base == 8 ? 0.25 : 0.15);  // of 8 samples, VarMean is a guess
+            edited.name, base, variance, said, of_fresh / variance, of_sum / variance);
+        EXPECT_NEAR(variance / said, 1, base == 8 ? 0.25 : 0.15);  // of 8 samples, VarMean is a guess
         EXPECT_LT(variance, 1.15 * of_fresh);
         EXPECT_LT(variance, 1.05 * of_sum);
         if (base == 64) {

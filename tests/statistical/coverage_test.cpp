@@ -9,9 +9,9 @@
 
 #include "stages/core/edit/edit_reach.h"
 #include "stages/core/stats/chi_square.h"
-#include "stages/core/stats/moments.h"
 #include "stages/residual/residual.h"
 #include "stages/residual/stored/old_graph.h"
+#include "tests/statistical/image_spread.h"
 #include "tests/statistical/support.h"
 #include "tests/traced_graph.h"
 
@@ -19,7 +19,6 @@ namespace loom::residual {
 namespace {
 
 constexpr int replicates = 32, size = 24;
-const char* const rgb[] = {"R", "G", "B"};
 
 /// A white pole as wide as a pixel in front of a dark wall.
 constexpr const char* pole_text =
@@ -40,44 +39,6 @@ struct CoverageCase {
     double of_fresh_at_most = 1.1;           // there: variance by coverage over a fresh image's
 };
 
-/// Images of one kind: regions, and the spread of each pixel.
-struct Images {
-    std::vector<RegionMeans> regions;
-    std::vector<Moments> moments = std::vector<Moments>(3 * size * size);
-    std::vector<double> said = std::vector<double>(size * size);  // [pixel] stored variance, sum over channels
-
-    void add(const Image& image) {
-        regions.push_back(region_means(image));
-        for (std::size_t c = 0; c < 3; ++c) {
-            const auto L = image.find(rgb[c]), V = image.find(std::string("VarMean.") + rgb[c]);
-            for (std::size_t p = 0; p < L.size(); ++p) {
-                moments[c * L.size() + p].add(L[p]);
-                said[p] += V[p] / replicates;
-            }
-        }
-    }
-    /// in:      of  whether a pixel counts
-    template <class Of>
-    double variance(Of&& of) const {
-        double sum = 0;
-        for (std::size_t i = 0; i < moments.size(); ++i)
-            if (of(i % (size * size))) sum += moments[i].var_sample();
-        return sum;
-    }
-    template <class Of>
-    double stored_variance(Of&& of) const {
-        double sum = 0;
-        for (std::size_t p = 0; p < said.size(); ++p)
-            if (of(p)) sum += said[p];
-        return sum;
-    }
-    Estimate estimate(std::size_t channel, std::size_t region) const {
-        std::vector<double> values;
-        for (const RegionMeans& means : regions) values.push_back(means[channel][region]);
-        return estimate_of(values);
-    }
-};
-
 class CoverageOfEdits : public ::testing::TestWithParam<CoverageCase> {
   protected:
     const std::filesystem::path pole_ = testing::scratch_file(".xml");
@@ -93,8 +54,7 @@ class CoverageOfEdits : public ::testing::TestWithParam<CoverageCase> {
 };
 
 // Any weight that does not depend on the samples is right: by coverage, and random ones in [-1, 2]. Detected mutations:
-// untouched paths left out of the weighted sum; weights from
-// the graph's own first hits (pole).
+// untouched paths left out of the weighted sum; weights from the graph's own first hits (pole).
 TEST_P(CoverageOfEdits, SumsAreUnbiasedWithAnyWeight) {
     const CoverageCase& edited = GetParam();
     SceneDescription before = description(edited.before), after = description(edited.after);
@@ -147,7 +107,7 @@ TEST_P(CoverageOfEdits, SumsAreUnbiasedWithAnyWeight) {
         mine[covered] = with(control);
         mine[any] = with(ControlSums(random));
     });
-    std::array<Images, n_ways> of;
+    std::vector<ImageSpread> of(n_ways, ImageSpread(size * size));
     for (const auto& image : images)
         for (int way = 0; way < n_ways; ++way) of[std::size_t(way)].add(image[std::size_t(way)]);
     const double alpha = sidak_alpha(3 * 3 * (1 + n_tiles * n_tiles) * 3);
@@ -159,7 +119,6 @@ TEST_P(CoverageOfEdits, SumsAreUnbiasedWithAnyWeight) {
                     << fmt::format("{} way {} channel {} region {}: {:.5g} +- {:.2g}, fresh {:.5g} +- {:.2g}",
                                    edited.name, int(way), c, region, ours.mean, ours.se, theirs.mean, theirs.se);
             }
-    const auto everywhere = [](std::size_t) { return true; };
     const auto inside = [&](std::size_t p) { return least[p] < 0.5f; };
     const double said = of[covered].stored_variance(inside) / of[covered].variance(inside);
     const double gain = of[plain].variance(inside) / of[covered].variance(inside);
@@ -169,10 +128,10 @@ TEST_P(CoverageOfEdits, SumsAreUnbiasedWithAnyWeight) {
         "{:.3g} of it; everywhere {:.3g} times a fresh one's\n",
         edited.name, std::count_if(least.begin(), least.end(), [](float a) { return a < 0.5f; }), gain,
         of[covered].variance(inside) / of[fresh].variance(inside), said,
-        of[covered].variance(everywhere) / of[fresh].variance(everywhere));
+        of[covered].variance(ImageSpread::everywhere) / of[fresh].variance(ImageSpread::everywhere));
     EXPECT_GT(gain, edited.gain_at_least);
     EXPECT_LT(of[covered].variance(inside), edited.of_fresh_at_most * of[fresh].variance(inside));
-    EXPECT_LT(of[covered].variance(everywhere), 1.05 * of[plain].variance(everywhere));
+    EXPECT_LT(of[covered].variance(ImageSpread::everywhere), 1.05 * of[plain].variance(ImageSpread::everywhere));
     EXPECT_NEAR(said, 1, 0.25);
 }
 
