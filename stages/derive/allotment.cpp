@@ -234,7 +234,8 @@ class Allotment {
             const Emitter& emitter = s_.scene.emitters[e];
             if (emitter.kind == EmitterKind::area) {
                 // Segments from vertex to vertex pass masks, those that join do not.
-                const std::array<bool, 2> possible = {true, deep && !s_.scene.features.null_lobes};
+                const bool touched = s_.touched_emitters[e] != 0;
+                const std::array<bool, 2> possible = {!touched, deep && !touched && !s_.scene.features.null_lobes};
                 std::array<char, 2> chosen = {};
                 const bool piloted = s_.options.direct == Direct::automatic && n_pilots++ < most;
                 for (std::size_t k = 0; k < 2; ++k) {

@@ -76,6 +76,7 @@ BoundaryScene::BoundaryScene(const PathGraph& g, const Scene& s, const SceneTang
     for (const Material& material : s.materials) narrow.push_back(has_narrow_lobe(material));
     find_speeds();
     find_all_seams();
+    find_touched_emitters();
     find_rounds();
     if (attached.any_slides()) find_creases();
 }

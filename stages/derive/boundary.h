@@ -163,6 +163,9 @@ class BoundaryScene {
     /// slide over surfaces or the camera moves, the others.
     std::vector<Seam> seams;
     std::size_t n_moving_seams = 0;
+    /// [emitter] an area light on which an edge lies that moves relative to it: from points of the light, such an edge takes
+    /// all the light at once, so that only stored vertices see it.
+    std::vector<char> touched_emitters;
     bool emitter_seams = false;  // an area light is cut by a surface that moves relative to it
     bool all_seams = true;       // false: the search took too long and ended
 
@@ -251,13 +254,58 @@ class BoundaryScene {
     /// Distance beside an edge point by which a ray passes it, so that the edge's own faces do not block it.
     double clearance(const Point3<double>& x, double distance) const;
 
+    /// A point of a curve, seen from an eye.
+    struct Curve {
+        Point3<double> p;
+        Vector3<double> view;  // unit, from the eye
+        double r = 0;          // from the eye, m
+        std::uint32_t shape_idx = 0;
+        const EdgeTree* tree = nullptr;  // from which edges are sampled
+        const Edge* edge = nullptr;      // of the tree; null: of a round or a seam
+        Hit front;                       // the surface that ends at the curve
+        Hit touched;                     // one that the curve lies on, if any: out of shows()
+    };
+    /// Whether nothing hides a point of a curve. Where it lies on another surface, the space beside it may be behind that
+    /// one: then the space in front of it counts. Of surfaces that are cut, not touched, the seam shows instead.
+    /// in:      beside  unit, off the surfaces that meet at the point;  touches  whether the point may lie on another one
+    ///          first   Hit(Point3f): the first surface between the eye and a point near the curve
+    template <class First>
+    bool shows(Curve& curve, const Vector3<double>& beside, bool touches, First&& first) const {
+        const double off = clearance(curve.p, curve.r);
+        const Hit hit = first(Point3f(curve.p + beside * off));
+        if (!hit) return true;
+        if (!touches || is_behind(curve.p, curve.view, hit.shape_idx, hit.primitive_idx) ||
+            first(Point3f(curve.p - curve.view * off)))
+            return false;
+        if (lies_on(curve.p, hit.shape_idx, hit.primitive_idx)) curve.touched = hit;
+        return true;
+    }
+    /// Velocity of a curve that lies on another surface, across itself: it stays on both, as if one grew through the other.
+    /// Of motions that part them this is the derivative towards the side where they meet.
+    /// out:     false, `out` unchanged: it touches none, or both are coplanar
+    bool contact_velocity(const Curve& curve, Velocities out) const;
+    /// Whether a point lies on the plane of a surface, or on a sphere.
+    bool lies_on(const Point3<double>& p, std::uint32_t shape, std::uint32_t primitive) const;
+    /// Whether a surface that shows beside a curve ends there, too, with an edge of its own that moves alike: then its light
+    /// belongs to that edge.
+    bool ends_too(const Curve& curve, std::uint32_t shape, std::uint32_t primitive) const;
+    /// How far before a point of a curve, or behind it, a ray beside it may hit a surface that the curve lies on, m: the
+    /// farther the flatter the ray. Its own faces do not count.
+    double touching_depth(const Curve& curve, std::uint32_t shape, std::uint32_t primitive) const;
+
   private:
     std::vector<EdgeCluster> round_clusters_;
+
+    /// Whether a point is behind a surface by more than rounding.
+    bool is_behind(const Point3<double>& p, const Vector3<double>& view, std::uint32_t shape,
+                   std::uint32_t primitive) const;
+    bool is_face(const Curve& curve, std::uint32_t shape, std::uint32_t primitive) const;
 
     void find_speeds();
     void find_rounds();
     void find_creases();
     void find_all_seams();
+    void find_touched_emitters();
 };
 
 /// Calls f(pixel, h) for the pixels whose reconstruction filter reaches a film position, h its density there.

@@ -32,6 +32,7 @@ struct Pending {
     double camera_opl = 0;
     Pt x_s;
     OutlinePoint b;
+    Hit front, touched;  // BoundaryScene::Curve
     std::vector<Vec> v_s, v_b;
     std::vector<Vec> turn;
 };
@@ -110,11 +111,7 @@ class Sampling {
             const Pt x_l = position<double>(g, begin);
             const double r = length(x_l - p.x_s);
             const bool at_edge = bool(sides_[i].at_edge);
-            // A surface that the edge lies on, as that of a box on a floor, is hit before it, the sooner the flatter the ray.
-            constexpr double flattest = 1.0 / 64;
-            const double before =
-                g.vertices.shape[begin] == p.b.shape_idx ? 1e-6 * p.b.r : s_.clearance(p.b.p, p.b.r) / flattest;
-            const bool counts = surfaces_ && (at_edge || r > p.b.r - before);
+            const bool counts = surfaces_ && (at_edge || is_beside(p, g, begin, r));
             if (counts) {
                 s_.far_velocity(g.vertices.shape[begin], g.vertices.primitive[begin], g.vertices.material[begin],
                                 Vec(geometric_normal(g, begin)), at_edge ? p.b.p : x_l, p.x_s, p.v_s, p.turn, v_light_);
@@ -143,6 +140,17 @@ class Sampling {
 
   private:
     static constexpr int most_points = 16;  // of an outline
+
+    BoundaryScene::Curve curve_of(const Pending& p) const {
+        return {p.b.p, p.b.omega, p.b.r, p.b.shape_idx, &s_.edges(all_), p.b.edge, p.front, p.touched};
+    }
+    /// Whether the surface that a ray hits shows beside an edge, and its light belongs to it.
+    bool is_beside(const Pending& p, const PathGraph& g, std::size_t hit, double r) const {
+        const std::uint32_t shape = g.vertices.shape[hit], primitive = g.vertices.primitive[hit];
+        const BoundaryScene::Curve curve = curve_of(p);
+        const double depth = s_.touching_depth(curve, shape, primitive);
+        return r > p.b.r - depth && (r > p.b.r + depth || !s_.ends_too(curve, shape, primitive));
+    }
 
     /// Calls on_vertex(vertex, depth, media, sampler) for the vertices of a path.
     template <class OnVertex>
@@ -238,24 +246,6 @@ class Sampling {
         const Vec lift = p.b.seam        ? p.b.seam->lifted(p.b.omega)
                          : p.b.is_crease ? lifted(*p.b.edge, p.b.omega)
                                          : p.b.out / length(p.b.out);
-        const auto reaches = [&](const Vec& beside) {
-            ++n_checks_;
-            return !s_.scene.occluded(spawn_segment(end, {Point3f(p.b.p + beside * clearance)}));
-        };
-        // Where the edge lies on another surface the space beside it may be below that one.
-        if (!reaches(lift) && (p.b.seam || p.b.is_crease || !reaches(-p.b.omega))) return;
-
-        p.vertex = x.vertex;
-        p.opl = x.opl;
-        p.camera_opl = x.camera_opl;
-        p.value = p.value * Rgb<double>(f_cos) * Rgb<double>(1 / (p.b.r * p.b.r * p.b.density));
-        p.x_s = Pt(at.p);
-        p.v_s.assign(x.velocity.begin(), x.velocity.end());
-        p.v_b.assign(outline_.velocity().begin(), outline_.velocity().end());
-        p.turn.assign(x.turn.begin(), x.turn.end());
-        MediumStack media = arriving;
-        if (is_interface(*at.bsdf.model) && dot(at.n_side, wi) * dot(at.n_side, at.wo) < 0)
-            media.pass(surface(x.vertex), dot(at.n_side, wi) < 0, *at.bsdf.model);
         BoundaryScene::Sides sides;
         if (p.b.seam) {
             sides = s_.sides_of(*p.b.seam, p.b.p, p.b.omega, p.b.out);
@@ -265,6 +255,28 @@ class Sampling {
             sides.front.shape_idx = p.b.shape_idx;
             sides.front.u = float(std::cos(p.b.phi)), sides.front.v = float(std::sin(p.b.phi));
         }
+        p.front = sides.front;
+        BoundaryScene::Curve curve = curve_of(p);
+        if (!s_.shows(curve, lift, !p.b.is_crease, [&](const Point3f& to) {
+                ++n_checks_;
+                const Ray ray = spawn_segment(end, {to});
+                return s_.scene.occluded(ray) ? s_.scene.intersect(ray) : Hit{};
+            }))
+            return;
+
+        p.vertex = x.vertex;
+        p.opl = x.opl;
+        p.camera_opl = x.camera_opl;
+        p.value = p.value * Rgb<double>(f_cos) * Rgb<double>(1 / (p.b.r * p.b.r * p.b.density));
+        p.x_s = Pt(at.p);
+        p.v_s.assign(x.velocity.begin(), x.velocity.end());
+        p.v_b.assign(outline_.velocity().begin(), outline_.velocity().end());
+        s_.contact_velocity(curve, p.v_b);
+        p.touched = curve.touched;
+        p.turn.assign(x.turn.begin(), x.turn.end());
+        MediumStack media = arriving;
+        if (is_interface(*at.bsdf.model) && dot(at.n_side, wi) * dot(at.n_side, at.wo) < 0)
+            media.pass(surface(x.vertex), dot(at.n_side, wi) < 0, *at.bsdf.model);
         const auto pending_idx = std::uint32_t(pending_.size());
         const GivenRay from_vertex{
             Ray{at.p, {}, 0, INFINITY}, {x.vertex, std::uint64_t(k)}, media, edge_number, {}, pixel_of(p)};

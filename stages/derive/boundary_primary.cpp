@@ -162,6 +162,8 @@ class Primary {
         std::vector<double> rates;
         Hit front, back;  // surfaces that end at the curve, on its two sides; none: whatever a ray beside it hits
         Pt front_p;       // where the ray to `front` ends
+        const Edge* edge = nullptr;
+        Hit touched;  // BoundaryScene::Curve
     };
     bool sample(Point2f u, float u_place, std::vector<Vec>& v, Sample& out) const {
         out = {};
@@ -210,6 +212,7 @@ class Primary {
                 s_.seam_velocity(seam, out.p, v);
             } else {
                 const Edge& edge = tree_.edge(curve.index);
+                out.edge = &edge;
                 outward_dir = outward(edge, direction(out.p));
                 sides = s_.sides_of(tree_.set(), edge, out.p, direction(out.p), outward_dir);
                 s_.edge_velocity(tree_.set(), edge, s, v);
@@ -225,7 +228,22 @@ class Primary {
         return std::any_of(out.rates.begin(), out.rates.end(), [](double r) { return r != 0; });
     }
 
+    /// Computes the speed of a curve on the film along its normal.
+    /// in:      v  its velocities, which are changed
+    void film_rates(Sample& out, std::vector<Vec>& v) const {
+        for (const auto& [k, motion] : s_.tangents.camera) v[k] = v[k] - motion.at(out.p);
+        out.rates.assign(s_.n(), 0);
+        for (std::size_t k = 0; k < s_.n(); ++k) {
+            const Point2<double> f = map_.velocity(out.camera, v[k]);
+            out.rates[k] = f.x * out.normal.x + f.y * out.normal.y;
+        }
+        const Point2<double> lens = map_.lens_velocity(out.camera);
+        for (const auto& [k, relative] : s_.tangents.lens)
+            out.rates[k] += relative * (lens.x * out.normal.x + lens.y * out.normal.y);
+    }
+
     const FilmMap& map() const { return map_; }
+    const EdgeTree& edges() const { return tree_; }
 
   private:
     /// The function whose zero is the terminator of a triangle, N . (eye - p), over barycentric coordinates.
@@ -412,18 +430,6 @@ class Primary {
         const auto& m = s_.scene.sensor.world_from_camera;
         return normalize(Vec{m[2], m[6], m[10]});
     }
-    /// Speed of the curve on the film along its normal.
-    void film_rates(Sample& out, std::vector<Vec>& v) const {
-        for (const auto& [k, motion] : s_.tangents.camera) v[k] = v[k] - motion.at(out.p);
-        out.rates.assign(s_.n(), 0);
-        for (std::size_t k = 0; k < s_.n(); ++k) {
-            const Point2<double> f = map_.velocity(out.camera, v[k]);
-            out.rates[k] = f.x * out.normal.x + f.y * out.normal.y;
-        }
-        const Point2<double> lens = map_.lens_velocity(out.camera);
-        for (const auto& [k, relative] : s_.tangents.lens)
-            out.rates[k] += relative * (lens.x * out.normal.x + lens.y * out.normal.y);
-    }
     double importance(const FilmCurve& curve, const Pt& middle, std::vector<Vec>& v) const {
         Sample at;
         at.p = middle;
@@ -479,16 +485,32 @@ class Primary {
     Distribution1 choice_;
 };
 
-/// Whether nothing lies between the camera and a point of a curve.
-bool visible(const BoundaryScene& s, const Point3f& camera, const Primary::Sample& at) {
+BoundaryScene::Curve curve_of(const Primary& primary, const Point3f& camera, const Primary::Sample& at) {
     const Vec d = at.p - Pt(camera);
-    const auto reaches = [&](const Vec& beside) {
-        const Ray ray = spawn_segment({camera}, {Point3f(at.p + beside * s.clearance(at.p, length(d)))});
+    return {at.p, normalize(d), length(d), at.front.shape_idx, &primary.edges(), at.edge, at.front, at.touched};
+}
+/// Whether nothing lies between the camera and a point of a curve.
+/// in:      v  velocities to use
+bool visible(const BoundaryScene& s, const Primary& primary, const Point3f& camera, Primary::Sample& at,
+             std::vector<Vec>& v) {
+    BoundaryScene::Curve curve = curve_of(primary, camera, at);
+    const bool shows = s.shows(curve, at.beside, !at.back, [&](const Point3f& to) {
+        const Ray ray = spawn_segment({camera}, {to});
         const Hit hit = s.scene.intersect_from_camera(ray);
-        return !hit || hit.t >= ray.t_max;
-    };
-    // Where the edge lies on another surface, as that of a box on a floor, the space beside it may be below that one.
-    return reaches(at.beside) || (!at.back && reaches(-normalize(d)));
+        return hit.t < ray.t_max ? hit : Hit{};
+    });
+    at.touched = curve.touched;
+    if (shows && s.contact_velocity(curve, v)) primary.film_rates(at, v);
+    return shows;
+}
+/// Whether the first hit of a ray beside a curve has light of its own there.
+bool ends_too(const BoundaryScene& s, const Primary& primary, const Point3f& camera, const Primary::Sample& at,
+              const PathGraph& g, std::size_t hit) {
+    const BoundaryScene::Curve curve = curve_of(primary, camera, at);
+    const std::uint32_t shape = g.vertices.shape[hit], primitive = g.vertices.primitive[hit];
+    return std::abs(length(position<double>(g, hit) - Pt(camera)) - curve.r) <
+               s.touching_depth(curve, shape, primitive) &&
+           s.ends_too(curve, shape, primitive);
 }
 
 /// State of one thread.
@@ -537,7 +559,7 @@ Effort add_primary(const BoundaryScene& s, std::uint64_t n_samples, std::vector<
             };
             ++w.n_checks;
             const GivenRay front = ray(-1, sample.front);
-            if (!visible(s, front.ray.o, sample)) continue;
+            if (!visible(s, primary, front.ray.o, sample, w.v)) continue;
             w.signs.push_back(1);
             w.sample_of.push_back(std::uint32_t(w.samples.size()));
             w.rays.push_back(front);
@@ -547,9 +569,13 @@ Effort add_primary(const BoundaryScene& s, std::uint64_t n_samples, std::vector<
             w.samples.push_back(std::move(sample));
             w.sample_ids.push_back(k);
         }
-        w.light.trace(w.rays, [&](std::size_t path, const PathGraph&, std::size_t& edge) {
+        w.light.trace(w.rays, [&](std::size_t path, const PathGraph& g, std::size_t& edge) {
             const Primary::Sample& at = w.samples[w.sample_of[path]];
-            const double sign = w.signs[path];
+            const GivenRay& ray = w.rays[path];
+            const std::size_t hit = g.paths.first_vertex[path];
+            const bool theirs =
+                !ray.hit && hit < g.paths.first_vertex[path + 1] && ends_too(s, primary, ray.ray.o, at, g, hit);
+            const double sign = theirs ? 0 : w.signs[path];
             w.light.walk(path, edge, [&](const Spectrum& L, double opl) {
                 for_pixels_at(scene.sensor, {float(at.film.x), float(at.film.y)}, [&](std::uint64_t pixel, double h) {
                     out.add(pixel, std::isfinite(opl) ? opl : -1, w.light.to_first_hit(path),

@@ -131,7 +131,8 @@ class Sampling {
         const RayEnd from{at.p, transmits(at) ? Normal3f{} : facing(at.ng, at.wo), hit_error(x.vertex)};
         const Shape& light = scene.shapes[e.shape_idx];
         const Shaft shaft = piece.n_corners > 0
-                                ? Shaft::to_polygon(from, std::span(piece.corners).first(std::size_t(piece.n_corners)))
+                                ? Shaft::to_polygon(from, std::span(piece.corners).first(std::size_t(piece.n_corners)),
+                                                    s_.touched_emitters[emitter_idx] != 0)
                                 : Shaft::to_sphere(from, light.round.center, light.round.radius);
         const bool all = &tree == &s_.all_edges;
         const Pt x_s(at.p);
@@ -142,14 +143,17 @@ class Sampling {
         if (!outline_.sample(sampler.pair(1), b)) return;
         Pt y;
         if (!light_point(piece, light, x_s, b.omega, y)) return;
+        // Edges of others may lie on the light; its own move as it does.
         const double r = length(y - x_s);
-        if (!(r > b.r)) return;
+        const bool on_light = s_.lies_on(b.p, e.shape_idx, piece.primitive_idx);
+        if (on_light ? b.shape_idx == e.shape_idx : !(r > b.r)) return;
 
         // Rate at which light appears beside the edge.
         s_.shape_velocity(e.shape_idx, piece.primitive_idx, y, v_light_);
         bool any = false;
         for (std::size_t p = 0; p < s_.n(); ++p) {
-            rates_[p] = swept(b.out, relative_velocity(b.r / r, outline_.velocity()[p], x.velocity[p], v_light_[p]));
+            rates_[p] = swept(
+                b.out, relative_velocity(std::min(b.r / r, 1.0), outline_.velocity()[p], x.velocity[p], v_light_[p]));
             any |= rates_[p] != 0;
         }
         if (!any) return;

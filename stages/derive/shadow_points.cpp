@@ -99,6 +99,8 @@ bool ShadowPoints::complete(const LightPoint& light, const LitSpot* spot, double
     const Hit hit = scene.intersect(ray);
     ++n_rays;
     if (!hit || !(double(hit.t) > before)) return false;
+    // An edge that lies on the surface ends its view: its shadow is below the occluder.
+    if (s_.lies_on(b.p, hit.shape_idx, hit.primitive_idx)) return false;
     point.at = scene.surface(ray, hit);
     const Pt p(point.at.p);
     const double cos_surface = std::abs(dot(Vec(point.at.ng), b.omega));

@@ -634,6 +634,41 @@ TEST(EdgeTree, KnowsAboutHowMuchMovesAroundAPoint) {
     }
 }
 
+TEST(EdgeTree, FindsTheEdgesNearAPoint) {
+    EXPECT_FALSE(EdgeTree().find_near({0, 0, 0}, 1, [](std::uint32_t) { return true; }).has_value());
+    for (const int n : {1, 40, 4000}) {
+        const EdgeTree tree(edges_of(soup(n, 0.1f, 9)));
+        Numbers numbers(5);
+        std::size_t n_near = 0;
+        for (int query = 0; query < 64; ++query) {
+            const Edge& edge = tree.edge(std::uint32_t(query) % std::uint32_t(tree.n_edges()));
+            const Point3d p = edge.point(0.3) + Vector3d(numbers.direction()) * 0.02;
+            const double distance = query % 2 ? 0.03 : 0.015;
+            std::set<std::uint32_t> near, found;
+            for (std::uint32_t i = 0; i < tree.n_edges(); ++i) {
+                double least = INFINITY;
+                for (int k = 0; k <= 100; ++k) least = std::min(least, length(tree.edge(i).point(k / 100.0) - p));
+                if (std::abs(least - distance) < 1e-4) found.insert(i);  // too close to tell
+                if (least < distance) near.insert(i);
+            }
+            for (const std::uint32_t i : found) near.insert(i);
+            EXPECT_FALSE(tree.find_near(p, distance,
+                                        [&](std::uint32_t i) {
+                                            found.insert(i);
+                                            return false;
+                                        })
+                             .has_value());
+            EXPECT_EQ(found, near);
+            n_near += near.size();
+            for (const std::uint32_t wanted : near) {
+                const auto is_wanted = [&](std::uint32_t i) { return i == wanted; };
+                EXPECT_EQ(tree.find_near(p, distance + 2e-4, is_wanted), wanted);
+            }
+        }
+        EXPECT_GT(n_near, 32u);
+    }
+}
+
 TEST(EdgeTree, IsTheSameEachTimeAndHoldsEachEdgeOnce) {
     for (int n : {1, 2, 3, 5, 7, 11, 40}) {
         const EdgeSet set = edges_of(soup(n, 0.2f, 9));

@@ -263,8 +263,28 @@ double EdgeTree::motion_around(const Point3d& eye, double end_speed) const {
     return sum;
 }
 
-bool EdgeTree::any_inside(std::span<const HalfSpace> region, std::size_t most) const {
+template <class Apart, class IsWanted>
+bool EdgeTree::any_edge(Apart&& apart, IsWanted&& is_wanted, std::size_t most) const {
     if (blocks_.empty()) return false;
+    std::array<std::uint32_t, stack_size> stack{root_};
+    std::size_t n_visited = 0;
+    for (std::size_t n_waiting = 1; n_waiting > 0;) {
+        const std::uint32_t at = stack[--n_waiting];
+        if (++n_visited > most) return true;
+        if (at & is_block) {
+            const auto begin = set_.edges.begin() + std::ptrdiff_t(width * std::size_t(at & ~is_block));
+            const auto end = begin + std::min<std::ptrdiff_t>(width, set_.edges.end() - begin);
+            if (std::any_of(begin, end, is_wanted)) return true;
+            continue;
+        }
+        const Node& node = nodes_[at];
+        for (std::size_t child = 0; child < std::size_t(node.n_children); ++child)
+            if (!apart(node, child)) stack[n_waiting++] = node.child[child];
+    }
+    return false;
+}
+
+bool EdgeTree::any_inside(std::span<const HalfSpace> region, std::size_t most) const {
     const auto apart = [&](const Node& node, std::size_t child) {
         return std::any_of(region.begin(), region.end(), [&](const HalfSpace& h) {
             double farthest = h.offset;
@@ -284,22 +304,26 @@ bool EdgeTree::any_inside(std::span<const HalfSpace> region, std::size_t most) c
         }
         return s1 >= s0;
     };
-    std::array<std::uint32_t, stack_size> stack{root_};
-    std::size_t n_visited = 0;
-    for (std::size_t n_waiting = 1; n_waiting > 0;) {
-        const std::uint32_t at = stack[--n_waiting];
-        if (++n_visited > most) return true;
-        if (at & is_block) {
-            const auto begin = set_.edges.begin() + std::ptrdiff_t(width * std::size_t(at & ~is_block));
-            const auto end = begin + std::min<std::ptrdiff_t>(width, set_.edges.end() - begin);
-            if (std::any_of(begin, end, is_inside)) return true;
-            continue;
-        }
-        const Node& node = nodes_[at];
-        for (std::size_t child = 0; child < std::size_t(node.n_children); ++child)
-            if (!apart(node, child)) stack[n_waiting++] = node.child[child];
-    }
-    return false;
+    return any_edge(apart, is_inside, most);
+}
+
+std::optional<std::uint32_t> EdgeTree::find_near(const Point3d& p, double distance,
+                                                 const std::function<bool(std::uint32_t)>& wanted) const {
+    const auto apart = [&](const Node& node, std::size_t child) {
+        double sum = 0;
+        for (std::size_t c = 0; c < 3; ++c)
+            sum +=
+                sqr(std::max(std::abs(p[int(c)] - double(node.center[c][child])) - double(node.half[c][child]), 0.0));
+        return sum > sqr(distance);
+    };
+    std::optional<std::uint32_t> found;
+    any_edge(apart, [&](const Edge& edge) {
+        if (length2(edge.point(edge.nearest(p)) - p) > sqr(distance)) return false;
+        const auto i = std::uint32_t(&edge - set_.edges.data());
+        if (wanted(i)) found = i;
+        return found.has_value();
+    });
+    return found;
 }
 
 struct EdgeTree::Builder {

@@ -4,6 +4,8 @@
 #include <algorithm>
 #include <array>
 #include <cstdint>
+#include <functional>
+#include <optional>
 #include <span>
 #include <vector>
 
@@ -78,6 +80,9 @@ class EdgeTree {
     /// Whether a part of any edge, silhouette or not, lies in all of some half-spaces. Also true where that is not known
     /// after as many nodes and blocks as `most`.
     bool any_inside(std::span<const HalfSpace> region, std::size_t most) const;
+    /// Returns an edge, silhouette or not, that a point is near to, if it is wanted.
+    std::optional<std::uint32_t> find_near(const Point3<double>& p, double distance,
+                                           const std::function<bool(std::uint32_t)>& wanted) const;
 
     static constexpr int width = 4;
 
@@ -109,6 +114,9 @@ class EdgeTree {
     /// Splits the one part that holds all edges.
     void find_parts();
 
+    /// Whether any edge is wanted, of those in nodes that are not apart; also true after `most` nodes and blocks.
+    template <class Apart, class IsWanted>
+    bool any_edge(Apart&& apart, IsWanted&& is_wanted, std::size_t most = SIZE_MAX) const;
     static unsigned open_children(const Node& node, const Query& query);
     static unsigned possible_silhouettes(const Block& block, const Query& query);
     void list(std::uint32_t block_idx, const Shaft& shaft, const Query& query, float share,

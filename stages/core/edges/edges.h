@@ -1,6 +1,7 @@
 #pragma once
 // Edges of shapes: the curves at which visibility changes, on which the boundary terms of a derivative are integrated.
 
+#include <algorithm>
 #include <cstdint>
 #include <span>
 #include <vector>
@@ -30,6 +31,11 @@ struct Edge {
         return Point3<T>(a) + (Point3<T>(b) - Point3<T>(a)) * s;
     }
     double length() const { return loom::length(Point3<double>(b) - Point3<double>(a)); }
+    /// Returns the parameter of the point nearest to p.
+    double nearest(const Point3<double>& p) const {
+        const Vector3<double> along = Point3<double>(b) - Point3<double>(a);
+        return std::clamp(dot(p - Point3<double>(a), along) / length2(along), 0.0, 1.0);
+    }
 };
 
 /// Rim of a disk: center + u_axis cos(phi) + v_axis sin(phi), an ellipse where the axes are sheared. It is a border.

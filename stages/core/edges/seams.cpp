@@ -17,10 +17,6 @@ constexpr double rounding = 1e-6;    // of coordinates
 constexpr double least_sine = 1e-4;  // between planes
 constexpr std::uint32_t none = ~0u, mixed = ~0u - 1;
 
-double largest_coordinate(const Pt& p) {
-    return std::max({std::abs(p.x), std::abs(p.y), std::abs(p.z)});
-}
-
 /// A triangle in double precision.
 struct Triangle {
     std::array<Pt, 3> p;
@@ -34,7 +30,7 @@ struct Triangle {
         finish();
     }
     void finish() {
-        for (const Pt& corner : p) error = std::max(error, rounding * largest_coordinate(corner));
+        for (const Pt& corner : p) error = std::max(error, seam_rounding(corner));
         n = cross(p[1] - p[0], p[2] - p[0]);
         const double size = length(n);
         if (size > 0) n = n / size;
@@ -354,7 +350,7 @@ double distance(const Pt& from, const Triangle& t) {
 /// Whether a sphere cuts a triangle.
 bool cuts(const Shape& sphere, const Triangle& t) {
     const Pt center(sphere.round.center);
-    const double radius = sphere.round.radius, error = std::max(t.error, rounding * largest_coordinate(center));
+    const double radius = sphere.round.radius, error = std::max(t.error, seam_rounding(center));
     double farthest = 0;
     for (const Pt& corner : t.p) farthest = std::max(farthest, length(corner - center));
     return farthest > radius + error && distance(center, t) < radius - error;
@@ -424,6 +420,10 @@ std::vector<std::array<std::uint32_t, 2>> find_round_seams(std::span<const Shape
         }
     }
     return pairs;
+}
+
+double seam_rounding(const Pt& p) {
+    return rounding * std::max({std::abs(p.x), std::abs(p.y), std::abs(p.z)});
 }
 
 SeamSet find_seams(std::span<const Shape> shapes, const SeamQuery& query) {

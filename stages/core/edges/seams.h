@@ -58,8 +58,11 @@ struct SeamSet {
     bool complete = true;  // false: the search ended at SeamQuery::most_tests
 };
 
+/// How far from a surface a point may be, m, and still lie on it: by rounding, 1e-6 of the coordinates.
+double seam_rounding(const Point3<double>& p);
+
 /// Finds the seams of meshes. Two triangles have one where each has corners on both sides of the other's plane, beyond
-/// rounding (1e-6 of the coordinates): a box that stands on a floor has none there, its edges are boundaries anyway.
+/// seam_rounding(): a box that stands on a floor has none there, its edges are boundaries anyway.
 /// Where a surface is cut along an edge of two nearly coplanar triangles, the seam belongs to one of them. Triangles of
 /// one shape that share a corner, and pairs within 1e-4 rad of coplanar, have none.
 /// The order depends on the shapes and groups only.

@@ -31,7 +31,7 @@ void Shaft::add_plane(const Vector3d& n, double offset) {
     planes_[std::size_t(n_planes_++)] = {n, offset};
 }
 
-Shaft Shaft::to_polygon(const RayEnd& from, std::span<const Point3f> outline) {
+Shaft Shaft::to_polygon(const RayEnd& from, std::span<const Point3f> outline, bool closed) {
     Shaft shaft(from);
     const std::size_t n = outline.size();
     std::array<Vector3d, 4> corner;
@@ -56,7 +56,8 @@ Shaft Shaft::to_polygon(const RayEnd& from, std::span<const Point3f> outline) {
     const double side = volume < 0 ? -1 : 1;
     for (std::size_t k = 0; k < n; ++k) shaft.add_plane(cross(corner[k], corner[(k + 1) % n]) * side, 0);
     // End before the light as its shadow rays do; the plane's normal keeps its length.
-    shaft.add_plane(normal * -side, std::abs(volume) - rounding_before(normal, std::abs(volume), largest_coordinate));
+    const double rounding = rounding_before(normal, std::abs(volume), largest_coordinate);
+    shaft.add_plane(normal * -side, std::abs(volume) + (closed ? rounding : -rounding));
     return shaft;
 }
 

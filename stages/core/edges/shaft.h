@@ -20,10 +20,10 @@ struct EdgeInterval {
 /// of it, is outside. Without a normal there is no such bound.
 class Shaft {
   public:
-    /// Pyramid from a point to a convex polygon, without what lies on the polygon's plane to within rounding (the light's
-    /// own borders). Empty where the point lies in that plane.
+    /// Pyramid from a point to a convex polygon. Empty where the point lies in the polygon's plane.
     /// in:      outline  3 or 4 corners, either way round
-    static Shaft to_polygon(const RayEnd& from, std::span<const Point3f> outline);
+    ///          closed   with what lies on that plane to within rounding: the light's own borders, and edges that touch it
+    static Shaft to_polygon(const RayEnd& from, std::span<const Point3f> outline, bool closed = false);
     /// Returns how far before the plane of a flat light shadow rays end, in lengths of its normal.
     /// in:      distance            of the rays' start from the plane, in the same lengths
     ///          largest_coordinate  of the light's corners, m
