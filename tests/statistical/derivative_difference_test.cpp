@@ -140,6 +140,21 @@ constexpr const char* capture_text = R"(<scene version="3.0.0">
 <shape type="sphere"><point name="center" x="0" y="0" z="0"/><float name="radius" value="0.15"/><transform name="to_world"><translate x="-0.45" y="-0.2" z="0.7"/><translate x="$ball_x"/></transform><ref id="white"/></shape>
 </scene>)";
 
+/// Around a corner: a box that stands on a floor, in front of a wall that meets the floor along its border.
+constexpr const char* hidden_corner_text = R"(<scene version="3.0.0">
+<default name="box_x" value="0"/><default name="capture" value="single"/><default name="depth" value="4"/>
+<integrator type="transient_nlos_path"><integer name="max_depth" value="$depth"/><string name="capture_type" value="$capture"/><boolean name="nlos_laser_sampling" value="true"/>
+<boolean name="nlos_hidden_geometry_sampling" value="true"/><boolean name="account_first_and_last_bounces" value="false"/></integrator>
+<emitter type="projector" id="laser"><rgb name="irradiance" value="1, 1, 1"/><float name="fov" value="0.2"/><transform name="to_world"><lookat origin="-0.5, 0, 0.25" target="0, 0, 0" up="0, 1, 0"/></transform></emitter>
+<bsdf type="twosided" id="white"><bsdf type="diffuse"><rgb name="reflectance" value="0.8, 0.8, 0.8"/></bsdf></bsdf>
+<shape type="rectangle" id="relay-wall"><ref id="white"/><sensor type="nlos_capture_meter"><point name="sensor_origin" x="-0.5" y="0" z="0.25"/>
+<film type="transient_hdr_film"><integer name="width" value="8"/><integer name="height" value="8"/><integer name="temporal_bins" value="24"/><float name="bin_width_opl" value="0.1"/><float name="start_opl" value="1.4"/>
+<integer name="laser_scan_width" value="8"/><integer name="laser_scan_height" value="8"/><rfilter type="box"/></film></sensor></shape>
+<shape type="rectangle"><transform name="to_world"><scale x="0.6" y="0.3"/><rotate x="1" angle="-90"/><translate y="-0.5" z="1"/></transform><ref id="white"/></shape>
+<shape type="rectangle"><transform name="to_world"><scale x="0.6" y="0.4"/><rotate y="1" angle="180"/><translate y="-0.1" z="1.3"/></transform><ref id="white"/></shape>
+<shape type="cube"><transform name="to_world"><scale value="0.15"/><rotate y="1" angle="25"/><translate x="0.1" y="-0.35" z="0.95"/><translate x="$box_x"/></transform><ref id="white"/></shape>
+</scene>)";
+
 /// A scene and its meshes in a folder of their own; vertex 3 of the tetrahedron moves along x.
 class Room {
   public:
@@ -386,6 +401,14 @@ INSTANTIATE_TEST_SUITE_P(AroundACorner, DerivativeOfCaptures,
                          [](const auto& param) {
                              return std::string(std::get<0>(param.param).name) + "_" + std::get<1>(param.param);
                          });
+
+TEST(DerivativeOfContact, AroundACornerBinsAgree) {
+    Window window{1.4, 0.1};
+    window.timing.camera_segment = false;
+    for (const char* capture : {"single", "confocal"})
+        expect_equal_bins(Room(hidden_corner_text), {capture, "box_x", "box_x", 0, 0.05},
+                          full_run() ? std::vector<int>{4, 5} : std::vector<int>{4}, {{"capture", capture}}, window);
+}
 
 // Family 4 left out: p < 1e-4, and with the area light it is a part of all tests above.
 TEST(DerivativeOfPointLights, ShadowsBeyondTheFirstHit) {
