@@ -144,7 +144,6 @@ struct CameraWorker {
     ControlSums* control;
     PixelSums sums;
     PathVariance new_L;
-    Moments controlled[3];
 
     void trace(std::span<const PathId> ids) {
         values.assign(ids.size(), Spectrum());
@@ -169,19 +168,13 @@ struct CameraWorker {
         const Spectrum& L = cameras.L_new(k);
         new_L.add(L);
         if (!control) return;
-        const Spectrum& alpha = control->alpha[id.pixel];
-        for (int c = 0; c < 3; ++c) controlled[c].add(L[c] - alpha[c] * (L[c] - values[k][c]));
+        for (int c = 0; c < 3; ++c)
+            control->pairs[id.pixel][std::size_t(c)].add(double(L[c]) - double(values[k][c]), double(L[c]));
     }
     void finish(std::uint64_t pixel) {
         film.set(pixel, sums);
         sums = {};
         new_var[pixel] = new_L.take();
-        if (!control) return;
-        for (int c = 0; c < 3; ++c) {
-            control->mean[pixel][c] = float(controlled[c].mean);
-            control->var_mean[pixel][c] = float(controlled[c].var_mean());
-            controlled[c] = {};
-        }
     }
 };
 
@@ -207,7 +200,6 @@ Film Estimator::from_camera(std::uint64_t first_sample, ControlSums* control, Dy
                             film,
                             new_var,
                             control,
-                            {},
                             {},
                             {}};
     });

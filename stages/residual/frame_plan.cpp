@@ -54,6 +54,28 @@ double mean_variance(std::size_t n_paths, Value&& value) {
     return sum * samples_per_pixel / double(n_paths);
 }
 
+/// Multiplies weights by those of least variance of groups of pixels along the film, as ControlSums::fit() does, but for the
+/// variance of the image.
+void fit(const std::vector<PathResult>& before, const std::vector<PathResult>& after, std::vector<Spectrum>& alpha) {
+    constexpr std::size_t group = 32 * samples_per_pixel;
+    for (std::size_t begin = 0; begin < alpha.size(); begin += group) {
+        const std::size_t end = std::min(begin + group, alpha.size());
+        for (int c = 0; c < 3; ++c) {
+            double of_old = 0, of_both = 0;
+            for (std::size_t i = begin; i < end; i += samples_per_pixel) {
+                PairMoments pairs;
+                for (std::size_t k = i; k < i + samples_per_pixel; ++k)
+                    pairs.add(double(before[k].L[c]), double(after[k].L[c]));
+                of_old += double(alpha[i][c]) * pairs.of_before;
+                of_both += pairs.of_both;
+            }
+            if (!(of_old > 0) || !std::isfinite(of_both)) continue;
+            const auto weight = float(best_control_weight(0, of_old, of_both));
+            for (std::size_t i = begin; i < end; ++i) alpha[i][c] *= weight;
+        }
+    }
+}
+
 }  // namespace
 
 FramePlan::FramePlan(const FramePilot& pilot, std::uint64_t spp, std::uint64_t n_frames) {
@@ -89,28 +111,35 @@ FramePilot look_at_frames(const Animation& animation, const std::shared_ptr<cons
 
     // Trace them in both scenes.
     FramePilot pilot;
+    bool any_shape = false;
     const std::vector<PathResult> before = trace(*still, path, ids);
-    pilot.still = mean_variance(ids.size(), [&](std::size_t i) { return before[i].L; });
     const auto images = std::make_shared<TextureCache>();
     for (std::size_t k = 0; k < n_frames; ++k) {
         const Frames::Frame& frame = frames[(2 * k + 1) * frames.size() / (2 * n_frames)];
         SceneDescription description = read_scene(scene, table.values_of(frame, defines), sensor);
         const Edit edit = find_edit(animation.still, description);
+        any_shape |= edit.n_dynamic() + edit.n_ghosts() > 0;
         KnownParts known = known_parts(still, edit);
         known.images = images;
         const auto now = build_scene(std::move(description), known);
         const std::optional<ControlSums> control =
-            still->nlos ? std::nullopt : coverage_control({*still, *now}, EditReach(*still, *now, edit), path.seed, 1);
+            still->nlos ? std::nullopt : graph_control({*still, *now}, EditReach(*still, *now, edit), path.seed, 1);
         const std::vector<PathResult> after = trace(*now, path, ids);
-        const auto difference = [&](std::size_t i) {
-            return after[i].L - (control ? control->alpha[ids[i].pixel] : Spectrum(1)) * before[i].L;
-        };
+        std::vector<Spectrum> alpha(ids.size(), Spectrum(1));
+        if (control)
+            for (std::size_t i = 0; i < ids.size(); ++i) alpha[i] = control->alpha[ids[i].pixel];
+        if (control && control->fits) fit(before, after, alpha);
+        const auto difference = [&](std::size_t i) { return after[i].L - alpha[i] * before[i].L; };
+        pilot.still +=
+            mean_variance(ids.size(), [&](std::size_t i) { return alpha[i] * before[i].L; }) / double(n_frames);
         pilot.fresh += mean_variance(ids.size(), [&](std::size_t i) { return after[i].L; }) / double(n_frames);
         pilot.difference += mean_variance(ids.size(), difference) / double(n_frames);
         for (std::size_t i = 0; i < ids.size(); ++i)
             pilot.touched += (!(after[i].L == before[i].L) || after[i].n_vertices != before[i].n_vertices) /
                              double(ids.size() * n_frames);
     }
+    // Where shapes stay paths do, too, and only their light is asked again.
+    if (!any_shape) pilot.again = 1;
     return pilot;
 }
 

@@ -401,7 +401,7 @@ void render_by_graph(const Options& options, const Scenes& scenes, const Edit& e
     std::optional<ControlSums> control;
     // With the graph's own samples any weight makes the same image.
     if (!options.new_picture.empty() && !options.no_control && !residual.same_samples && !scenes.new_scene->nlos)
-        control = coverage_control(scenes.pair(), reach, base.graph.path.seed, options.threads);
+        control = graph_control(scenes.pair(), reach, base.graph.path.seed, options.threads);
     residual.of_graph =
         render_residual(scenes.pair(), reach, base.graph, options.threads,
                         residual.same_samples ? &base.image : nullptr, report, control ? &*control : nullptr);
@@ -410,10 +410,15 @@ void render_by_graph(const Options& options, const Scenes& scenes, const Edit& e
     residual.plan += "; old graph: " + residual.of_graph.summary();
     report.info("old graph: {}", residual.of_graph.summary());
     if (control) {
+        if (control->fits) control->fit(scenes.new_scene->sensor, base.image.samples);
         residual.controlled = controlled_picture(base.image, residual.image, *control);
-        const std::string weights = fmt::format(
-            "weight of the old image below 1 in {} pixels, where first hits differ",
-            std::count_if(control->alpha.begin(), control->alpha.end(), [](const Spectrum& a) { return a.r < 1; }));
+        const auto n_below =
+            std::count_if(control->alpha.begin(), control->alpha.end(), [](const Spectrum& a) { return a.r < 1; });
+        const std::string weights =
+            control->fits
+                ? fmt::format("weight of the old image {:.3g} to {:.3g}, as lights differ", residual.controlled->least,
+                              residual.controlled->most)
+                : fmt::format("weight of the old image below 1 in {} pixels, where first hits differ", n_below);
         report.info("{}", weights);
         residual.plan += "; " + weights;
     }

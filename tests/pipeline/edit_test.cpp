@@ -131,9 +131,14 @@ TEST_F(MakeEdit, from_a_graph_of_the_scene_before) {
     EXPECT_EQ(residual.samples, 2u);
     EXPECT_NE(residual.provenance.seed, before.provenance.seed);
     EXPECT_NE(residual.provenance.plan.find("; old graph: "), std::string::npos) << residual.provenance.plan;
-    for (const char* channel : {"R", "G", "B", "VarMean.R"})
-        for (std::size_t i = 0; i < sum.n_pixels(); ++i)
-            EXPECT_EQ(sum.find(channel)[i], before.find(channel)[i] + residual.find(channel)[i]) << channel;
+    // A light that changes by a factor is no noise.
+    double noise = 0, of_plain_sum = 0;
+    for (const char* channel : {"VarMean.R", "VarMean.G", "VarMean.B"})
+        for (std::size_t i = 0; i < sum.n_pixels(); ++i) {
+            noise += double(sum.find(channel)[i]);
+            of_plain_sum += double(before.find(channel)[i]) + double(residual.find(channel)[i]);
+        }
+    EXPECT_LT(noise, 0.9 * of_plain_sum);
     EXPECT_FALSE(first == made("a", light + " GRAPH_SEED=9"));
     // The chain of costs includes the graph.
     const Outcome cost = sh(stage("compare") + " --quiet --cost " + in("a/new.exr"));

@@ -31,24 +31,39 @@ constexpr const char* pole_text =
 <emitter type="point"><point name="position" x="0.3" y="0.5" z="3"/><rgb name="intensity" value="20, 20, 20"/></emitter>
 </scene>)";
 
+/// A ball that glows close to a wall, and a wide lamp; a board hides a part of both.
+constexpr const char* lamps_text =
+    R"(<scene version="3.0.0"><default name="x" value="-0.4"/><default name="wide" value="1"/><default name="resx" value="24"/><default name="resy" value="24"/>
+<integrator type="path"><integer name="max_depth" value="4"/></integrator>
+<sensor type="perspective"><float name="fov" value="40"/><transform name="to_world"><lookat origin="0, 0, 4" target="0, 0, 0" up="0, 1, 0"/></transform>
+<film type="hdrfilm"><integer name="width" value="$resx"/><integer name="height" value="$resy"/><rfilter type="box"/></film></sensor>
+<shape type="rectangle"><transform name="to_world"><scale value="3"/><translate z="-0.5"/></transform><bsdf type="diffuse"><rgb name="reflectance" value="0.6, 0.5, 0.4"/></bsdf></shape>
+<shape type="rectangle"><transform name="to_world"><scale x="0.4" y="0.3"/><translate x="0.3" y="-0.3" z="0.2"/></transform><bsdf type="twosided"><bsdf type="diffuse"/></bsdf></shape>
+<shape type="sphere"><point name="center" x="0" y="0" z="0"/><float name="radius" value="0.15"/><transform name="to_world"><translate x="$x" y="0.4" z="-0.1"/></transform><bsdf type="diffuse"><rgb name="reflectance" value="0, 0, 0"/></bsdf><emitter type="area"><rgb name="radiance" value="8, 7, 6"/></emitter></shape>
+<shape type="rectangle"><transform name="to_world"><scale value="0.5"/><rotate x="1" angle="90"/><translate y="1.6" z="0.5"/></transform><bsdf type="diffuse"><rgb name="reflectance" value="0, 0, 0"/></bsdf><emitter type="area"><rgb name="radiance" value="$wide, $wide, $wide"/></emitter></shape>
+</scene>)";
+
 struct CoverageCase {
     const char* name;
-    const char* scene;                       // file of the project; empty: the pole
+    const char* scene;                       // file of the project; or one of the texts above
     std::vector<std::string> before, after;  // NAME=VALUE
     double gain_at_least;                    // in covered pixels: variance with weight 1 over that by coverage
     double of_fresh_at_most = 1.1;           // there: variance by coverage over a fresh image's
+    double of_fresh_everywhere = INFINITY;   // the same in all pixels
+    std::uint64_t spp = 16;                  // of the graph; four times as many in the full run
 };
 
 class CoverageOfEdits : public ::testing::TestWithParam<CoverageCase> {
   protected:
-    const std::filesystem::path pole_ = testing::scratch_file(".xml");
+    const std::filesystem::path text_ = testing::scratch_file(".xml");
 
-    void SetUp() override { std::ofstream(pole_) << pole_text; }
-    void TearDown() override { std::filesystem::remove(pole_); }
+    void SetUp() override { std::ofstream(text_) << GetParam().scene; }
+    void TearDown() override { std::filesystem::remove(text_); }
 
     SceneDescription description(std::vector<std::string> values) const {
         for (const char* side : {"resx", "resy"}) values.push_back(fmt::format("{}={}", side, size));
-        const std::filesystem::path file = *GetParam().scene ? source_dir() / "scenes" / GetParam().scene : pole_;
+        const std::string_view scene = GetParam().scene;
+        const std::filesystem::path file = scene.starts_with('<') ? text_ : source_dir() / "scenes" / scene;
         return read_scene(file.string(), parse_defines(values));
     }
 };
@@ -64,7 +79,7 @@ TEST_P(CoverageOfEdits, SumsAreUnbiasedWithAnyWeight) {
     const EditReach reach(*old_scene, *new_scene, edit);
     app::Report report;
     report.set_quiet(true);
-    const std::uint64_t spp = full_run() ? 64 : 16, old_spp = 4 * spp;
+    const std::uint64_t spp = edited.spp * (full_run() ? 4 : 1), old_spp = 4 * spp;
     const auto path_of = [&](const Scene& scene, std::uint64_t seed) {
         PathOptions path = options_of(scene);
         path.sampler = SamplerKind::independent;
@@ -94,13 +109,14 @@ TEST_P(CoverageOfEdits, SumsAreUnbiasedWithAnyWeight) {
         const auto with = [&](std::optional<ControlSums> control) {
             const GraphResidual residual =
                 render_residual(scenes, reach, graph, 1, nullptr, report, control ? &*control : nullptr);
+            if (control && control->fits) control->fit(new_scene->sensor, old_spp);
             return control ? controlled_picture(old_picture, residual.image, *control).image
                            : add_residual(old_picture, residual.image);
         };
         std::array<Image, n_ways>& mine = images[std::size_t(i)];
         mine[fresh] = trace(*new_scene, 500 + seed, spp);
         mine[plain] = with({});
-        const auto control = coverage_control(scenes, reach, of_graph.seed, 1);
+        const auto control = graph_control(scenes, reach, of_graph.seed, 1);
         ASSERT_TRUE(control);
         if (i == 0)
             for (std::size_t p = 0; p < least.size(); ++p) least[p] = control->alpha[p].r;
@@ -119,19 +135,23 @@ TEST_P(CoverageOfEdits, SumsAreUnbiasedWithAnyWeight) {
                     << fmt::format("{} way {} channel {} region {}: {:.5g} +- {:.2g}, fresh {:.5g} +- {:.2g}",
                                    edited.name, int(way), c, region, ours.mean, ours.se, theirs.mean, theirs.se);
             }
-    const auto inside = [&](std::size_t p) { return least[p] < 0.5f; };
+    const auto is_covered = [](float a) { return a < 0.5f; };
+    const bool any_covered = std::any_of(least.begin(), least.end(), is_covered);
+    const auto inside = [&](std::size_t p) { return is_covered(least[p]) || !any_covered; };
     const double said = of[covered].stored_variance(inside) / of[covered].variance(inside);
     const double gain = of[plain].variance(inside) / of[covered].variance(inside);
     fmt::print(
         "    {}: {} pixels covered; variance there {:.3g} times less than with weight 1, {:.3g} times a fresh one's, "
         "stored "
         "{:.3g} of it; everywhere {:.3g} times a fresh one's\n",
-        edited.name, std::count_if(least.begin(), least.end(), [](float a) { return a < 0.5f; }), gain,
+        edited.name, std::count_if(least.begin(), least.end(), is_covered), gain,
         of[covered].variance(inside) / of[fresh].variance(inside), said,
         of[covered].variance(ImageSpread::everywhere) / of[fresh].variance(ImageSpread::everywhere));
     EXPECT_GT(gain, edited.gain_at_least);
     EXPECT_LT(of[covered].variance(inside), edited.of_fresh_at_most * of[fresh].variance(inside));
     EXPECT_LT(of[covered].variance(ImageSpread::everywhere), 1.05 * of[plain].variance(ImageSpread::everywhere));
+    EXPECT_LT(of[covered].variance(ImageSpread::everywhere),
+              edited.of_fresh_everywhere * of[fresh].variance(ImageSpread::everywhere));
     EXPECT_NEAR(said, 1, 0.25);
 }
 
@@ -140,8 +160,13 @@ INSTANTIATE_TEST_SUITE_P(
     ::testing::Values(CoverageCase{"arrives", "animated/ball.xml", {"y=9"}, {"y=0.6"}, 2},
                       CoverageCase{"leaves", "animated/ball.xml", {"y=0.6"}, {"y=9"}, 1},
                       CoverageCase{"moves", "animated/ball.xml", {"x=-0.3", "y=0.6"}, {"x=0.2", "y=0.7"}, 1.5},
-                      CoverageCase{"pole", "", {}, {"x=9"}, 1, INFINITY},
-                      CoverageCase{"box", "edits.xml", {}, {"x=0.2"}, 1}),
+                      CoverageCase{"pole", pole_text, {}, {"x=9"}, 1, INFINITY},
+                      CoverageCase{"box", "edits.xml", {}, {"x=0.2"}, 1},
+                      CoverageCase{"dimmed", "edits.xml", {}, {"light=4, 3, 2"}, 2, INFINITY, 0.2},
+                      CoverageCase{"brighter", "edits.xml", {}, {"light=40, 30, 20"}, 1, INFINITY, 0.4},
+                      CoverageCase{"lamp_moves", lamps_text, {}, {"x=-0.1"}, 1, INFINITY, 1.1, 4},
+                      CoverageCase{"lamp_moves_far", lamps_text, {}, {"x=0.7"}, 1, INFINITY, 1.1, 4},
+                      CoverageCase{"wide_lamp_dimmed", lamps_text, {}, {"wide=0.2"}, 1, INFINITY, 0.9, 4}),
     [](const ::testing::TestParamInfo<CoverageCase>& info) { return info.param.name; });
 
 }  // namespace

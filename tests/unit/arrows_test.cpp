@@ -92,7 +92,7 @@ const Arrows& arrows() {
             {"stages/residual/control", {"core/edit"}},
             {"stages/residual/stored", {"core/tracing", "core/graph", "stages/residual/control"}},
             {"stages/residual/dynamic", {"core/tracing", "core/edit"}},
-            {"stages/residual/effort", {"stages/residual/dynamic"}},
+            {"stages/residual/effort", {"stages/residual/dynamic", "stages/residual/control"}},
         };
         for (auto& [room, below] : a)
             if (room.find('/') != std::string::npos && !room.starts_with("formats")) below.insert("formats");

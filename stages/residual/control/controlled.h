@@ -2,20 +2,56 @@
 // The old image as a control variate of the new one:  new = alpha old + mean of (f_new - alpha f_old), unbiased for any
 // alpha that is independent of the samples.
 
+#include <algorithm>
+#include <array>
+#include <cstdint>
 #include <vector>
 
 #include "formats/image.h"
 #include "stages/core/math/vector.h"
+#include "stages/core/scene/sensor.h"
 
 namespace loom::residual {
 
-/// Pairs of paths with the old image as control variate: moments of f_new - alpha f_old, [pixel].
-struct ControlSums {
-    std::vector<Spectrum> alpha, mean, var_mean;
+/// Moments of what pairs of paths bring in the two scenes.
+struct PairMoments {
+    std::uint64_t n = 0;
+    double before = 0, after = 0;                     // means
+    double of_before = 0, of_after = 0, of_both = 0;  // sums of squares and products about them
 
-    explicit ControlSums(std::vector<Spectrum> weights)
-        : alpha(std::move(weights)), mean(alpha.size()), var_mean(alpha.size()) {}
+    void add(double old_value, double new_value) {
+        ++n;
+        const double d_old = old_value - before, d_new = new_value - after;
+        before += d_old / double(n), after += d_new / double(n);
+        of_before += d_old * (old_value - before), of_after += d_new * (new_value - after);
+        of_both += d_old * (new_value - after);
+    }
+    double mean(double alpha) const { return after - alpha * before; }
+    /// Variance of the mean of f_new - alpha f_old.
+    double var_mean(double alpha) const {
+        const double sum = of_after - 2 * alpha * of_both + alpha * alpha * of_before;
+        return n > 1 ? std::max(sum, 0.0) / (double(n) * double(n - 1)) : 0;
+    }
 };
+
+/// Pairs of paths with the old image as control variate, [pixel].
+struct ControlSums {
+    std::vector<Spectrum> alpha;
+    bool fits = false;                              // fit() follows: moments are needed of all pixels
+    std::vector<std::array<PairMoments, 3>> pairs;  // none where the residual says all: with weight 1
+
+    explicit ControlSums(std::vector<Spectrum> weights) : alpha(std::move(weights)), pairs(alpha.size()) {}
+
+    /// Multiplies each weight by the one of least variance that the surrounding pixels have in common:
+    ///   alpha = C / (W (1 + n / n_old)),  C = Cov(f_new, f_old), W = Var(f_old) of a pair, W / n_old the old image's variance,
+    /// and nearer to 1 where these say little. No pixel determines its own weight, so that the sum is unbiased where pixels
+    /// are independent. (The old image's own VarMean, which a few bright samples make, would say less than n_old.)
+    void fit(const Sensor& sensor, std::uint64_t old_samples);
+};
+
+/// Weight of the old image in  new = alpha old + mean of (f_new - alpha f_old)  of least variance.
+/// in:      of_image  variance of the old image;  of_old, of_both  Var(f_old), Cov(f_new, f_old) of the mean of the pairs
+double best_control_weight(double of_image, double of_old, double of_both);
 
 /// The new image with the old one as control variate.
 struct ControlledPicture {

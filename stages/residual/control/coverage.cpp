@@ -41,16 +41,18 @@ struct FilmBox {
     bool empty() const { return !(lo[0] < hi[0] && lo[1] < hi[1]); }
 };
 
-/// Whether a camera ray hits something else in the new scene.
-bool differs(const ScenePair& scenes, const Ray& ray) {
+/// How the first hit of a camera ray differs in the new scene.
+enum class Seen { same, other, light_went };
+Seen compare(const ScenePair& scenes, const Ray& ray) {
     const Hit before = scenes.old_scene.intersect(ray), after = scenes.new_scene.intersect(ray);
-    if (!before && !after) return false;
+    if (!before && !after) return Seen::same;
     // Equal surfaces may be hit at distances that differ by rounding.
     constexpr float rounding = 1e-5f;
-    return !before != !after || std::abs(before.t - after.t) > rounding * before.t;
+    if (!before == !after && !(std::abs(before.t - after.t) > rounding * before.t)) return Seen::same;
+    return before && scenes.old_scene.shapes[before.shape_idx].emitter_idx >= 0 ? Seen::light_went : Seen::other;
 }
 
-/// Share of the camera rays of a pixel whose first hits differ.
+/// Share of the camera rays of a pixel whose first hits differ; above 1 where one of them hit a light.
 float coverage(const ScenePair& scenes, const EditReach& reach, std::uint64_t seed, std::uint32_t x, std::uint32_t y) {
     const Sensor& sensor = scenes.new_scene.sensor;
     std::array<Ray, n_rays> rays;
@@ -64,33 +66,54 @@ float coverage(const ScenePair& scenes, const EditReach& reach, std::uint64_t se
     if (!reach.old_places.empty()) reach.old_places.meet(pointers.data(), n_rays, met[0]);
     if (!reach.new_places.empty()) reach.new_places.meet(pointers.data(), n_rays, met[1]);
     int n_differ = 0;
-    for (std::size_t k = 0; k < n_rays; ++k) n_differ += (met[0][k] || met[1][k]) && differs(scenes, rays[k]);
+    for (std::size_t k = 0; k < n_rays; ++k) {
+        const Seen seen = met[0][k] || met[1][k] ? compare(scenes, rays[k]) : Seen::same;
+        if (seen == Seen::light_went) return 2;
+        n_differ += seen == Seen::other;
+    }
     return float(n_differ) / n_rays;
 }
 
-}  // namespace
-
-std::optional<ControlSums> coverage_control(const ScenePair& scenes, const EditReach& reach, std::uint64_t seed,
-                                            int threads) {
+/// Returns 1 - coverage() of all pixels.
+std::vector<Spectrum> uncovered(const ScenePair& scenes, const EditReach& reach, std::uint64_t seed, int threads) {
     const Sensor& sensor = scenes.new_scene.sensor;
     FilmBox film;
     for (const Obstacles* places : {&reach.old_places, &reach.new_places})
         for (const Box3f& box : places->boxes()) film.add(sensor, box);
     film.finish(sensor);
-    if (film.empty()) return {};
-    const auto width = std::uint32_t(film.hi[0] - film.lo[0]), height = std::uint32_t(film.hi[1] - film.lo[1]);
     std::vector<Spectrum> alpha(sensor.n_pixels(), Spectrum(1));
-    parallel_chunks(std::uint64_t(width) * height, 256, threads,
-                    [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
-                        for (std::uint64_t i = begin; i < end; ++i) {
-                            const auto x = std::uint32_t(film.lo[0]) + std::uint32_t(i % width),
-                                       y = std::uint32_t(film.lo[1]) + std::uint32_t(i / width);
-                            alpha[std::size_t(y) * sensor.width + x] =
-                                Spectrum(1 - coverage(scenes, reach, streams::coverage(seed), x, y));
-                        }
-                    });
-    if (std::all_of(alpha.begin(), alpha.end(), [](const Spectrum& a) { return a == Spectrum(1); })) return {};
-    return ControlSums(std::move(alpha));
+    if (film.empty()) return alpha;
+    const auto width = std::uint32_t(film.hi[0] - film.lo[0]), height = std::uint32_t(film.hi[1] - film.lo[1]);
+    std::vector<float> covered(std::size_t(width) * height);
+    parallel_chunks(covered.size(), 256, threads, [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
+        for (std::uint64_t i = begin; i < end; ++i)
+            covered[i] =
+                coverage(scenes, reach, streams::coverage(seed), std::uint32_t(film.lo[0]) + std::uint32_t(i % width),
+                         std::uint32_t(film.lo[1]) + std::uint32_t(i / width));
+    });
+    // The radiance of a light that went would be most of the noise: its neighbours may see it, too, by rare rays.
+    const auto near_light = [&](std::uint32_t x, std::uint32_t y) {
+        for (std::uint32_t v = std::max(y, 1u) - 1; v < std::min(y + 2, height); ++v)
+            for (std::uint32_t u = std::max(x, 1u) - 1; u < std::min(x + 2, width); ++u)
+                if (covered[std::size_t(v) * width + u] > 1) return true;
+        return false;
+    };
+    for (std::uint32_t y = 0; y < height; ++y)
+        for (std::uint32_t x = 0; x < width; ++x)
+            alpha[(std::size_t(film.lo[1]) + y) * sensor.width + std::size_t(film.lo[0]) + x] =
+                Spectrum(near_light(x, y) ? 0 : 1 - covered[std::size_t(y) * width + x]);
+    return alpha;
+}
+
+}  // namespace
+
+std::optional<ControlSums> graph_control(const ScenePair& scenes, const EditReach& reach, std::uint64_t seed,
+                                         int threads) {
+    ControlSums control(uncovered(scenes, reach, seed, threads));
+    control.fits = reach.any_emitter || reach.any_relit || !reach.everything.empty();
+    const auto is_one = [](const Spectrum& a) { return a == Spectrum(1); };
+    if (!control.fits && std::all_of(control.alpha.begin(), control.alpha.end(), is_one)) return {};
+    return control;
 }
 
 }  // namespace loom::residual

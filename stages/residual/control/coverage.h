@@ -1,5 +1,6 @@
 #pragma once
-// Where the image of the old scene says nothing: pixels in which the camera sees what an edit has changed.
+// How much the image of the old scene says about that of the new one, before any path is traced: nothing in pixels in
+// which the camera sees what an edit has changed.
 
 #include <optional>
 
@@ -9,13 +10,18 @@
 
 namespace loom::residual {
 
-/// Weights of the old image (control_weights()) from the first hits of the camera: alpha = 1 - the share of the
-/// rays of a pixel whose first hit differs between the scenes. There the paths of the two scenes have nothing in common,
-/// and old paths are noise alone. The rays have random numbers of their own, so that no sample determines the weight of
-/// itself: the sum is unbiased.                                       [HY] Eq. (10), as a weight in place of a mask
+/// Weights of the old image (ControlSums) for pairs of paths with the numbers of a graph.
+///
+/// By the first hits of the camera: alpha = 1 - the share of the rays of a pixel whose first hit differs between the scenes.
+/// There the paths of the two scenes have nothing in common, and old paths are noise alone. The rays have random numbers of
+/// their own, so that no sample determines the weight of itself: the sum is unbiased.   [HY] Eq. (10), as a weight in place
+/// of a mask
+///
+/// Where lights differ, ControlSums::fits is set: they change most of what they reach in the same way, dimmed ones by a
+/// factor. Where shapes differ most paths bring the same, and weights near 1 would only add their noise.
 /// in:      seed  of the samples
 /// out:     none where all are 1
-std::optional<ControlSums> coverage_control(const ScenePair& scenes, const EditReach& reach, std::uint64_t seed,
-                                            int threads);
+std::optional<ControlSums> graph_control(const ScenePair& scenes, const EditReach& reach, std::uint64_t seed,
+                                         int threads);
 
 }  // namespace loom::residual

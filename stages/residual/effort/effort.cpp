@@ -8,8 +8,8 @@
 #include "stages/core/compute/parallel.h"
 #include "stages/core/sampling/streams.h"
 #include "stages/core/stats/moments.h"
+#include "stages/residual/control/blur.h"
 #include "stages/residual/dynamic/camera_paths.h"
-#include "stages/residual/effort/blur.h"
 #include "stages/residual/effort/effort_model.h"
 
 namespace loom::residual {

@@ -141,7 +141,6 @@ class Worker {
         probe();
         add(begin);
         for (std::uint64_t pixel = begin; pixel < end; ++pixel) film_.set(pixel, sums_[pixel - begin]);
-        if (control_) set_controlled(begin);
     }
 
   private:
@@ -180,8 +179,10 @@ class Worker {
         touched += touched_.size();
     }
 
-    /// Whether the old image has another weight than 1 in a pixel.
-    bool weighs_old(std::uint64_t pixel) const { return control_ && !(control_->alpha[pixel] == Spectrum(1)); }
+    /// Whether the old image has another weight than 1 in a pixel, or may get one.
+    bool weighs_old(std::uint64_t pixel) const {
+        return control_ && (control_->fits || !(control_->alpha[pixel] == Spectrum(1)));
+    }
     /// Computes what an untouched path brings, in both scenes.
     void keep(std::size_t pass, std::size_t path) {
         const PathGraph& graph = graph_.passes[pass];
@@ -226,7 +227,6 @@ class Worker {
     /// Adds the samples' contributions in their order; zeros before the first nonzero one are only counted.
     void add(std::uint64_t begin) {
         squares_.assign(old_mean_[0].empty() ? 0 : 3 * width_, 0.0);
-        controlled_.assign(control_ ? width_ : 0, {});
         const std::uint8_t* flags = flags_.data();
         std::size_t t = 0, n_kept = 0;
         for (std::uint64_t sample = 0; sample < graph_.spp; ++sample, flags += width_)
@@ -236,7 +236,7 @@ class Worker {
                     if (sums.L[0].n > 0) sums.add(Spectrum(0));
                     if (!weighs_old(begin + k)) continue;
                     const Spectrum& L = kept_[n_kept++].before;
-                    add_controlled(begin, k, L, L);
+                    add_controlled(begin + k, L, L);
                     continue;
                 }
                 const PathPair& pair = pairs_[t];
@@ -246,7 +246,7 @@ class Worker {
                 new_nonfinite_.check(pair.after, id);
                 for (Moments& L : sums.L) L.n = std::max(L.n, sample);
                 sums.add(pair.after - pair.before, pair.first);
-                if (weighs_old(begin + k)) add_controlled(begin, k, pair.before, pair.after);
+                if (weighs_old(begin + k)) add_controlled(begin + k, pair.before, pair.after);
                 for (std::size_t c = 0; c < 3 && !squares_.empty(); ++c)
                     squares_[3 * k + c] +=
                         (double(pair.after[int(c)]) - pair.before[int(c)]) *
@@ -257,17 +257,8 @@ class Worker {
         for (std::size_t k = 0; k < squares_.size(); ++k) out_.squares[k % 3][begin + k / 3] = float(squares_[k]);
     }
 
-    void add_controlled(std::uint64_t begin, std::size_t k, const Spectrum& before, const Spectrum& after) {
-        const Spectrum& alpha = control_->alpha[begin + k];
-        for (int c = 0; c < 3; ++c) controlled_[k][std::size_t(c)].add(double(after[c]) - double(alpha[c]) * before[c]);
-    }
-    void set_controlled(std::uint64_t begin) {
-        for (std::size_t k = 0; k < width_; ++k)
-            for (int c = 0; c < 3; ++c) {
-                const Moments& L = weighs_old(begin + k) ? controlled_[k][std::size_t(c)] : sums_[k].L[c];
-                control_->mean[begin + k][c] = float(L.mean);
-                control_->var_mean[begin + k][c] = float(L.var_mean());
-            }
+    void add_controlled(std::uint64_t pixel, const Spectrum& before, const Spectrum& after) {
+        for (int c = 0; c < 3; ++c) control_->pairs[pixel][std::size_t(c)].add(double(before[c]), double(after[c]));
     }
 
     struct Touched {
@@ -291,9 +282,8 @@ class Worker {
     std::vector<std::uint8_t> flags_;
     PathChanges changes_;  // of one sample index
     std::vector<Touched> touched_;
-    std::vector<PathPair> pairs_;                     // of the touched paths
-    std::vector<PathPair> kept_;                      // of untouched ones where weighs_old()
-    std::vector<std::array<Moments, 3>> controlled_;  // [pixel of the chunk] where weighs_old()
+    std::vector<PathPair> pairs_;  // of the touched paths
+    std::vector<PathPair> kept_;   // of untouched ones where weighs_old()
     std::vector<PathId> probes_;
     std::vector<PathResult> probed_;
 };

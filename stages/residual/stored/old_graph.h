@@ -56,7 +56,7 @@ struct GraphResidual {
 ///          Depth of the new scene up to rounding; ledger: its link, without the edit's text and scene
 /// differs: render_residual() has NaN where a path is not finite in both scenes; this function adds zero if the edit
 ///          does not touch it
-///          control  mean and var_mean of f_new - alpha f_old, of untouched paths, too
+///          control  pairs, of untouched paths, too, where the weight is not 1 or may change
 /// throws:  InputError when more than one probe in a hundred has another number of vertices, or another contribution,
 ///          than in the graph
 GraphResidual render_residual(const ScenePair& scenes, const EditReach& reach, const OldGraph& graph, int threads,

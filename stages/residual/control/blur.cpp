@@ -1,4 +1,4 @@
-#include "stages/residual/effort/blur.h"
+#include "stages/residual/control/blur.h"
 
 #include <algorithm>
 #include <cmath>
