@@ -15,6 +15,7 @@
 #include "formats/io/field_checker.h"
 #include "formats/transient_cube.h"
 #include "stages/compare/difference.h"
+#include "stages/compare/sequence.h"
 #include "stages/core/app/command.h"
 #include "stages/core/plot/false_colours.h"
 
@@ -395,9 +396,10 @@ void declare(app::Command& command, Options& options) {
                         "images (EXR) or transient cubes (.h5); those with the same label and samples per pixel are "
                         "replicates of one method")
         .required();
-    command.file("-r,--reference", options.reference,
-                 "reference image (EXR) or cube (.h5; of another program: with mean and var_mean); default for two "
-                 "inputs: the second");
+    command.file_or_sequence(
+        "-r,--reference", options.reference,
+        "reference image (EXR) or cube (.h5; of another program: with mean and var_mean); default for two "
+        "inputs: the second");
     command.file("--reference-variance", options.reference_variance,
                  "EXR with the variance of the reference's pixels as RGB (default: its VarMean layer)");
     command.option("--scene", options.scene, "name of the scene in the tables");
@@ -409,6 +411,12 @@ void declare(app::Command& command, Options& options) {
                    app::Range<double>{1e-6, 1e6});
     command.flag("--cost", options.cost,
                  "add the cost of each input along its chain of parents; without --reference: costs by stage only");
+    command.flag(
+        "--sequence", options.sequence,
+        "inputs and --reference are frames of animations, their names with a % for the number: print error and "
+        "flicker; with --tsv a row per frame");
+    command.flag("--spectrum", options.spectrum,
+                 "the same; print a TSV table of the power of the errors by frequency in time");
     command.flag("--json", options.json, "print JSON instead of text");
     command.flag("--tsv", options.tsv, "print a TSV table for loom-chart, a row per input");
     command.output("--difference", options.difference,
@@ -418,6 +426,7 @@ void declare(app::Command& command, Options& options) {
     command.option("--fail-above", options.fail_above, "METRIC=VALUE: exit with 1 when a method is above VALUE");
     command.option("--fail-below", options.fail_below, "METRIC=VALUE: exit with 1 when a method is below VALUE");
     command.example("loom-compare pt=a.exr pt=b.exr graph=c.exr graph=d.exr --reference reference.exr --cost");
+    command.example("loom-compare --sequence pt=pt/frame-%.exr hybrid=frame-%.exr --reference reference/frame-%.exr");
 }
 
 namespace {
@@ -490,6 +499,10 @@ void warn_of_noise(const Group& group, app::Report& report) {
 
 int run(const Options& options, app::Report& report) {
     if (options.json && options.tsv) throw InputError("--json, --tsv: give only one of them");
+    if (is_sequence(options)) {
+        report.answer(compare_sequences(options));
+        return app::exit_done;
+    }
     std::vector<Limit> limits;
     parse_limits(options.fail_above, true, limits);
     parse_limits(options.fail_below, false, limits);

@@ -25,6 +25,8 @@ struct Options {
     double exposure_ev = 0;           // exposure for psnr and ssim
     bool cost = false;                // sum the costs along the chain of parents
     bool json = false, tsv = false;   // instead of text
+    bool sequence = false;            // inputs and reference are the frames of animations
+    bool spectrum = false;            // of their errors in time
     std::string difference;           // difference image (.exr), false colours beside it (.png)
     double reach = 0;                 // range of the false colours; 0: the 99th percentile
     std::string parameter;            // cubes: compare the derivatives by this parameter; empty: the radiance

@@ -1,6 +1,7 @@
 // `make animation`: which frames a change of the table, of the scene or of a variable remakes.
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <regex>
 #include <set>
 
@@ -42,6 +43,10 @@ class MakeAnimation : public PipelineTest {
     }
     fs::path image(int number, const std::string& out = "x") const {
         return folder / out / fmt::format("images/frame-{:04}.exr", number);
+    }
+    /// A file of the folder as a word of the shell.
+    std::string named(const std::string& name) const {
+        return "'" + std::regex_replace((folder / name).string(), std::regex("'"), "'\\''") + "'";
     }
     bool traced = false;
 };
@@ -171,6 +176,33 @@ TEST_F(MakeAnimation, takes_any_name_of_a_table_and_no_wrong_one) {
     for (const char* wrong : {"GRAPHS=0", "BATCH=0", "FPS=many", "SPP='1;touch PWNED'", "DRAW='`touch PWNED`'"})
         EXPECT_EQ(make(wrong).code, 2) << wrong;
     for (const fs::path& place : {folder, fs::path(LOOM_SOURCE_DIR)}) EXPECT_FALSE(fs::exists(place / "PWNED"));
+}
+
+TEST_F(MakeAnimation, is_compared_with_a_reference_over_time) {
+    write(row(0, "-0.5") + row(1, "-0.2") + row(7, "0.3"));
+    frames("METHOD=pt", "a");
+    frames("METHOD=pt SEED=5", "reference");
+    const auto compare = [&](const std::string& options) {
+        return sh(stage("compare") + " --quiet " + options + " --reference " + named("reference/images/frame-%.exr"));
+    };
+    const std::string a = " ours=" + named("a/images/frame-%.exr");
+    const Outcome table = compare("--sequence --tsv" + a);
+    ASSERT_EQ(table.code, 0) << table.err;
+    EXPECT_TRUE(table.out.starts_with("method\tframe\trelmse\tflicker\tfrozen\t")) << table.out;
+    EXPECT_EQ(std::count(table.out.begin(), table.out.end(), '\n'), 4);
+    EXPECT_NE(table.out.find("\nours\t7\t"), std::string::npos) << table.out;
+    const Outcome same =
+        sh(stage("compare") + " --quiet --sequence" + a + " --reference " + named("a/images/frame-%.exr"));
+    EXPECT_NE(same.out.find("ours         3  0 "), std::string::npos) << same.out;
+    const Outcome spectrum = compare("--spectrum" + a);
+    EXPECT_EQ(std::count(spectrum.out.begin(), spectrum.out.end(), '\n'), 3) << spectrum.out;
+    // What does not fit.
+    fs::remove(image(7, "a"));
+    const Outcome missing = compare("--sequence" + a);
+    EXPECT_EQ(missing.code, 2);
+    EXPECT_NE(missing.err.find("has no frame 7"), std::string::npos) << missing.err;
+    EXPECT_EQ(compare("--sequence --json" + a).code, 2);
+    EXPECT_EQ(compare("--sequence " + named("a/images/frame-0000.exr")).code, 2);
 }
 
 }  // namespace

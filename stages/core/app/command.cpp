@@ -149,6 +149,12 @@ Command::Option Command::files(const std::string& names, std::vector<std::string
     return option;
 }
 
+Command::Option Command::file_or_sequence(const std::string& names, std::string& field, const std::string& help) {
+    const Option option = file(names, field, help);
+    declared_.back().kind = Kind::labelled_input;
+    return option;
+}
+
 Command::Option Command::labelled_files(const std::string& names, std::vector<std::string>& field,
                                         const std::string& help) {
     const Option option = files(names, field, help);

@@ -67,6 +67,8 @@ class Command {
     /// Declares an input that must exist; `files` takes one or more. The command's text has base names only.
     Option file(const std::string& names, std::string& field, const std::string& help);
     Option files(const std::string& names, std::vector<std::string>& field, const std::string& help);
+    /// Declares an input whose name may hold a % for the numbers of its files. The body checks that they exist.
+    Option file_or_sequence(const std::string& names, std::string& field, const std::string& help);
     /// Declares one or more inputs with an optional label, LABEL=FILE (see split_label). The body checks that they
     /// exist.
     Option labelled_files(const std::string& names, std::vector<std::string>& field, const std::string& help);
