@@ -3,7 +3,7 @@
 
 .DEFAULT_GOAL := demo
 .DELETE_ON_ERROR:
-pipelines := demo image edit edit-techniques edit-images transient derive animation chart chart-all chart-transient chart-edit-graph chart-edit-cost report \
+pipelines := demo image edit edit-techniques edit-images transient derive animation chart chart-all chart-transient chart-edit-graph chart-edit-cost chart-animation report \
 	table table-edit table-derive choices peers peers-transient peers-derive
 .PHONY: $(pipelines) edit-pictures oidn format lint tools build stages test test-full stability asan bench clean help
 SHELL := /bin/sh
@@ -82,6 +82,9 @@ chart-edit-graph: stages ## error, bias and variance of residuals by path graphs
 
 chart-edit-cost: stages ## CPU time of residuals against the share of touched paths
 	@$(MAKE) --no-print-directory -f pipelines/chart-edit-cost.mk chart-edit-cost
+
+chart-animation: stages ## error, cost and flicker of animations and of path tracing of each frame
+	@$(MAKE) --no-print-directory -f pipelines/chart-animation.mk chart-animation
 
 report: stages ## one HTML page of METHODS on SCENE: images, errors, charts, lineage
 	@$(MAKE) --no-print-directory -f pipelines/report.mk report

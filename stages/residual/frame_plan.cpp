@@ -111,19 +111,21 @@ FramePilot look_at_frames(const Animation& animation, const std::shared_ptr<cons
 
     // Trace them in both scenes.
     FramePilot pilot;
-    bool any_shape = false;
+    bool any_other = false;
     const std::vector<PathResult> before = trace(*still, path, ids);
     const auto images = std::make_shared<TextureCache>();
     for (std::size_t k = 0; k < n_frames; ++k) {
         const Frames::Frame& frame = frames[(2 * k + 1) * frames.size() / (2 * n_frames)];
         SceneDescription description = read_scene(scene, table.values_of(frame, defines), sensor);
         const Edit edit = find_edit(animation.still, description);
-        any_shape |= edit.n_dynamic() + edit.n_ghosts() > 0;
         KnownParts known = known_parts(still, edit);
         known.images = images;
         const auto now = build_scene(std::move(description), known);
+        const EditReach reach(*still, *now, edit);
+        any_other |= reach.any_emitter || !reach.everything.empty() ||
+                     edit.n_dynamic() + edit.n_ghosts() + edit.n_repainted() > 0;
         const std::optional<ControlSums> control =
-            still->nlos ? std::nullopt : graph_control({*still, *now}, EditReach(*still, *now, edit), path.seed, 1);
+            still->nlos ? std::nullopt : graph_control({*still, *now}, reach, path.seed, 1);
         const std::vector<PathResult> after = trace(*now, path, ids);
         std::vector<Spectrum> alpha(ids.size(), Spectrum(1));
         if (control)
@@ -138,8 +140,7 @@ FramePilot look_at_frames(const Animation& animation, const std::shared_ptr<cons
             pilot.touched += (!(after[i].L == before[i].L) || after[i].n_vertices != before[i].n_vertices) /
                              double(ids.size() * n_frames);
     }
-    // Where shapes stay paths do, too, and only their light is asked again.
-    if (!any_shape) pilot.again = 1;
+    if (!any_other) pilot.again = 0.7;
     return pilot;
 }
 

@@ -17,10 +17,10 @@ struct FramePilot {
     double still = 0, fresh = 0;  // variance of alpha f_old in the static scene, and of paths of frames
     double difference = 0;        // of f_new - alpha f_old, alpha as graph_control() has it
     double touched = 0;           // share of the paths that a frame traces again
-    double again = 2;             // cost of one of them; they are longer than most
+    double again = 2;             // cost of one of them; they are longer than most. Dimmed lights alone: no ray
 
     /// Cost of a stored path in a frame: to read it, and to trace some again. Measured for 1.8 to 13 % touched paths: 0.09 to
-    /// 0.5 (docs/residual.md), the more the simpler the scene; where only lights without shapes differ, .5 to .6.
+    /// 0.5 (docs/residual.md), the more the simpler the scene; lights that move or turn: 1.0 to 1.9; that are dimmed: .6.
     double cost() const { return again * touched + 0.1; }
 };
 

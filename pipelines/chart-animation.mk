@@ -1,0 +1,133 @@
+# Error, cost and flicker of animations as a static image plus what moves, against path tracing of each frame, a row per animation:
+# OUT/table.tsv and .md, OUT/error.svg, OUT/flicker.svg; pictures of each in OUT/ROW/METHOD-SPP/strip.png.
+#
+#   error     of a frame against one of REFERENCE_SPP samples, whose own noise is taken off; mean over COUNT frames
+#   cost      CPU seconds of a frame, reading the scene not counted: of the frame alone, its static image (BASE_SPP samples) and
+#             graph being there; and with its share of theirs, for these frames and for 240
+#   times     error times cost of path tracing over that of the method, at the same number of samples
+#   flicker   of loom-compare --sequence, and how much of the noise stands still where the scene does
+#
+#   make chart-animation                                    all rows
+#   make chart-animation ROWS="ball cornell-lamp" SPPS=8
+#   make chart-animation DOCS=docs                          and the tables into docs/animation.md
+## make chart-animation ROWS="ball teapot-sky" SPPS="2 8"
+## Also SEED and OUT (out/chart-animation)
+
+.DELETE_ON_ERROR:
+.NOTPARALLEL:
+.PHONY: chart-animation
+.DEFAULT_GOAL := chart-animation
+include pipelines/variables.mk
+
+# ROWS=  ## animations to run, by name (all)
+# SPPS=  ## samples per pixel of the graphs, and of path tracing (8 32)
+# COUNT=  ## number of frames (8)
+# SIZE=  ## longer side of a frame, px (128)
+# BASE_SPP=  ## samples per pixel of the static image (1024)
+# REFERENCE_SPP=  ## samples per pixel of the references (1024)
+# DOCS=  ## folder whose animation.md receives the tables (none)
+BUILD ?= build
+SPPS ?= 8 32
+COUNT ?= 8
+SIZE ?= 128
+BASE_SPP ?= 1024
+REFERENCE_SPP ?= 1024
+OUT ?= out/chart-animation
+OUT := $(OUT)
+shared := ../shared/scenes
+include pipelines/words.mk
+compare := $(BUILD)/bin/loom-compare
+chart := $(BUILD)/bin/loom-chart
+
+# kind|row|scene
+edits := \
+	shape|ball|scenes/animated/ball.xml \
+	shape|cornell-ball|$(shared)/cornell-box/scene_v3.xml \
+	shape|living-ball|$(shared)/living-room-2/scene_v3.xml \
+	shape|staircase-ball|$(shared)/staircase/scene_v3.xml \
+	light|cornell-lamp|$(shared)/cornell-box/scene_v3.xml \
+	light|cornell-glow|$(shared)/cornell-box/scene_v3.xml \
+	light|cornell-dimmed|$(shared)/cornell-box/scene_v3.xml \
+	light|teapot-sky|$(shared)/teapot/scene_v3.xml \
+	light|teapot-spin|$(shared)/teapot/scene_v3.xml
+here = $(wildcard $(call field,3,$(1)))
+needs := $(shared)
+include pipelines/rows.mk
+
+# What becomes of the scenes, by sed.
+default = s,<scene version="3.0.0">,&<default name="$(1)" value="$(2)"/>,
+added = s,</scene>,$(1)&,
+sphere = <shape type="sphere"><float name="radius" value="$(1)"/><transform name="to_world"><translate $(2)/></transform>$(3)</shape>
+here_xyz := x="$$bx" y="$$by" z="$$bz"
+matte = <bsdf type="diffuse"><rgb name="reflectance" value="$(1)"/></bsdf>
+glossy := <bsdf type="roughplastic"><string name="distribution" value="ggx"/><float name="alpha" value="0.1"/><rgb name="diffuse_reflectance" value="0.6 0.1 0.08"/></bsdf>
+ball = $(call default,bx,0);$(call default,by,9);$(call default,bz,0);$(call added,$(1))
+rewrite.ball := s,x,x,
+rewrite.cornell-ball := $(call ball,$(call sphere,0.22,$(here_xyz),$(call matte,0.7 0.5 0.2)))
+rewrite.living-ball := $(call ball,$(call sphere,0.22,$(here_xyz),$(glossy)))
+rewrite.staircase-ball := $(call ball,$(call sphere,0.2,$(here_xyz),$(call matte,0.15 0.3 0.65)))
+rewrite.cornell-lamp := $(call default,place,0);$(call move,id="Light",x="$$place")
+rewrite.cornell-glow := $(call default,place,0);$(call added,$(call sphere,0.06,x="$$place" y="1.3" z="0.5",$(call matte,0)<emitter type="area"><rgb name="radiance" value="20 25 30"/></emitter>))
+rewrite.cornell-dimmed := $(call default,light,17);s/(name="radiance" value=")17.12.4"/\1$$light"/;s/(name="radiance" value=")17, 12, 4"/\1$$light"/
+rewrite.teapot-sky := $(call default,turn,0);/<emitter type="envmap"/$(comma)/<\/emitter>/s,</transform>,<rotate y="1" angle="$$turn"/>&,
+rewrite.teapot-spin := $(rewrite.teapot-sky)
+
+scenes := $(ROWS:%=$(OUT)/%/scene.xml)
+tables := $(ROWS:%=$(OUT)/%/frames.tsv)
+$(scenes): $(OUT)/%/scene.xml: FORCE
+	@mkdir -p $(@D)
+	@sed -E $(call quote,$(rewrite.$*); $(call elsewhere,$(dir $(call field,3,$*)),$(@D))) $(call field,3,$*) $(update)
+$(tables): $(OUT)/%/frames.tsv: FORCE
+	@mkdir -p $(@D)
+	@awk -v row=$* -v n=$(COUNT) -f pipelines/chart-animation.awk $(update)
+
+# resx and resy, shaped as the scene has them.
+size = $(shell sed -nE 's/.*<default name="(resx|resy)" value="([0-9]+)".*/\1 \2/p' $(call field,3,$(1)) | awk -v n=$(SIZE) \
+	'{ v[$$1] = $$2; if ($$2 > most) most = $$2 } END { for (k in v) printf "%s=%d ", k, v[k] * n / most + 0.5 }')
+# $(call animation,ROW,SETTINGS)
+animation = $(MAKE) --no-print-directory -f pipelines/animation.mk BUILD=$(BUILD) SCENE=$(OUT)/$(1)/scene.xml FRAMES=$(OUT)/$(1)/frames.tsv \
+	DEFINES=$(call quote,$(call size,$(1))) OUT=$(@D) $(2) >/dev/null
+# Runs of a row, METHOD-SPP: auto has its own static image, whose samples a pilot chooses.
+labels := $(foreach s,$(SPPS),$(foreach m,pt hybrid auto,$(m)-$(s)))
+marks_of = $(labels:%=$(OUT)/$(1)/%/strip.png)
+marks := $(foreach w,$(ROWS),$(call marks_of,$(w)))
+part = $(word $(1),$(subst -, ,$(notdir $(2))))
+row_of = $(patsubst %/,%,$(dir $(1)))
+settings.pt := METHOD=pt
+settings.hybrid := METHOD=hybrid BASE_SPP=$(BASE_SPP)
+settings.auto := METHOD=hybrid BASE_SPP=auto
+.SECONDEXPANSION:
+$(marks): $(OUT)/%/strip.png: $(OUT)/$$(call row_of,$$*)/scene.xml $(OUT)/$$(call row_of,$$*)/frames.tsv FORCE
+	@$(call animation,$(call row_of,$*),$(settings.$(call part,1,$*)) SPP=$(call part,2,$*) $(if $(SEED),SEED=$(SEED)))
+references := $(ROWS:%=$(OUT)/%/reference/strip.png)
+$(references): $(OUT)/%/reference/strip.png: $(OUT)/%/scene.xml $(OUT)/%/frames.tsv FORCE
+	@$(call animation,$*,METHOD=pt SPP=$(REFERENCE_SPP) SEED=77)
+
+# Lines of the table for each row: errors by frame, costs by stage and frame, flicker.
+frames := $(shell seq -f %04g 0 $$(($(COUNT) - 1)))
+$(eval $(call parameter,$(OUT)/table.parameters,$(ROWS) $(SPPS) $(COUNT) $(SIZE) $(BASE_SPP) $(REFERENCE_SPP)))
+measured := $(ROWS:%=$(OUT)/%/measured.tsv)
+$(measured): $(OUT)/%/measured.tsv: $(OUT)/%/reference/strip.png $$(call marks_of,$$*) $(OUT)/table.parameters $(compare) pipelines/chart-animation-row.awk
+	@cd $(@D) && { $(foreach n,$(frames),$(abspath $(compare)) --quiet --tsv $(foreach l,$(labels),$(l)=$(l)/images/frame-$(n).exr) -r reference/images/frame-$(n).exr;) \
+		$(abspath $(compare)) --quiet --cost --tsv $(foreach l,$(labels),$(foreach n,$(frames),$(l)=$(l)/images/frame-$(n).exr)); \
+		$(abspath $(compare)) --quiet --sequence --tsv $(foreach l,$(labels),$(l)=$(l)/images/frame-%.exr) -r reference/images/frame-%.exr; } \
+		| awk -v row=$* -v kind=$(call field,1,$*) -f $(abspath pipelines/chart-animation-row.awk) >$(@F)
+$(OUT)/table.tsv: $(measured)
+	@awk 'FNR > 1 || NR == 1' $(measured) >$@
+$(OUT)/table.md: $(OUT)/table.tsv pipelines/chart-animation-page.awk
+	@awk -f pipelines/chart-animation-page.awk $< >$@
+# Errors below the noise of the references have no place on a log axis.
+$(OUT)/chart.tsv: $(OUT)/table.tsv
+	@awk -F '\t' 'NR == 1 { for (i = 1; i <= NF; ++i) at[$$i] = i } NR == 1 || ($$at["relmse"] > 0 && $$at["flicker"] > 0 && $$at["frame_s"] > 0)' $< >$@
+$(OUT)/error.svg: $(OUT)/chart.tsv $(chart)
+	@$(chart) --quiet $< -o $@ --x frame_s --y relmse >$(@:.svg=.txt)
+$(OUT)/flicker.svg: $(OUT)/chart.tsv $(chart)
+	@$(chart) --quiet $< -o $@ --x frame_s --y flicker >$(@:.svg=.txt)
+
+chart-animation: $(OUT)/table.md $(OUT)/error.svg $(OUT)/flicker.svg $(references)
+ifneq ($(DOCS),)
+	@awk -v tables=$(OUT)/table.md -f pipelines/insert-tables.awk $(DOCS)/animation.md >$(OUT)/page.md && cp $(OUT)/page.md $(DOCS)/animation.md
+	@mkdir -p $(DOCS)/animation && cp $(OUT)/error.svg $(OUT)/flicker.svg $(DOCS)/animation/
+endif
+	@cat $(OUT)/table.md >&2
+	@for f in $^; do case $$f in *.svg|*.md) echo $$f;; esac; done
