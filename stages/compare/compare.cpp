@@ -15,6 +15,7 @@
 #include "formats/io/field_checker.h"
 #include "formats/transient_cube.h"
 #include "stages/compare/difference.h"
+#include "stages/compare/inputs.h"
 #include "stages/compare/sequence.h"
 #include "stages/core/app/command.h"
 #include "stages/core/plot/false_colours.h"
@@ -79,14 +80,8 @@ Picture read_picture(const std::string& file, const std::string& parameter = {})
     if (fs::path(file).extension() == ".h5") return read_cube(file, parameter);
     if (!parameter.empty())
         throw InputError(fmt::format("--parameter: compares derivatives of transient cubes, but {} is an image", file));
-    const Image image = read_image(file);
-    Picture picture{image.width, image.height, image.samples, image.interleaved(""), {}, {}, {}, {}};
-    if (image.n_pixels() == 0) throw InputError(fmt::format("{}: has no pixels", file));
-    // One sample has no variance estimate, even if the layer has values.
-    if (!image.find("VarMean.R").empty() && image.samples != 1) picture.var_mean = image.interleaved("VarMean");
-    require_finite(image, {""}, file);
-    if (!picture.var_mean.empty()) require_finite(image, {"VarMean"}, file);
-    return picture;
+    NoisyImage image = read_noisy_image(file);
+    return {image.width, image.height, image.samples, std::move(image.rgb), std::move(image.var_mean), {}, {}, {}};
 }
 
 void check_fit(const Picture& picture, const std::string& file, const Picture& other, const std::string& name) {
@@ -130,21 +125,6 @@ Picture read_reference(const Options& options, const std::string& file) {
     }
     set_scale(reference, scale_of(reference));
     return reference;
-}
-
-struct Input {
-    std::string label, file;
-};
-
-std::vector<Input> inputs_of(const Options& options) {
-    std::vector<Input> inputs;
-    for (const std::string& text : options.inputs) {
-        const auto [label, file] = app::split_label(text);
-        inputs.push_back({label.empty() ? file : label, file});
-        if (inputs.back().label.find_first_of("\t\n") != std::string::npos)
-            throw InputError(fmt::format("'{}': a label must not hold tabs or line ends", text));
-    }
-    return inputs;
 }
 
 /// A limit on a metric.
@@ -330,7 +310,7 @@ std::uint64_t samples_of(const std::string& file) {
 void report_costs(const Options& options, app::Report& report) {
     std::vector<InputCost> costs;
     std::map<std::pair<std::string, std::uint64_t>, std::uint64_t> replicates;
-    for (const Input& input : inputs_of(options)) {
+    for (const Input& input : inputs_of(options.inputs)) {
         InputCost cost{options.scene, input.label, input.file, samples_of(input.file), 0, chain_cost(input.file)};
         cost.replicate = replicates[{cost.method, cost.samples}]++;
         costs.push_back(std::move(cost));
@@ -506,7 +486,7 @@ int run(const Options& options, app::Report& report) {
     std::vector<Limit> limits;
     parse_limits(options.fail_above, true, limits);
     parse_limits(options.fail_below, false, limits);
-    std::vector<Input> inputs = inputs_of(options);
+    std::vector<Input> inputs = inputs_of(options.inputs);
 
     // Costs alone need no reference.
     if (options.cost && options.reference.empty()) {

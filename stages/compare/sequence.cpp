@@ -9,10 +9,9 @@
 #include <numbers>
 #include <optional>
 
-#include "formats/image.h"
 #include "formats/io/error.h"
-#include "formats/io/field_checker.h"
 #include "stages/compare/compare.h"
+#include "stages/compare/inputs.h"
 #include "stages/core/app/values.h"
 
 namespace loom::compare {
@@ -29,11 +28,8 @@ double squared(double x) {
 void SequenceErrors::add(std::uint64_t number, std::span<const float> x, std::span<const float> r,
                          std::span<const float> var_r) {
     std::vector<float> e(x.size());
-    FrameErrors frame{number, 0, {}, {}};
-    for (std::size_t i = 0; i < x.size(); ++i) {
-        e[i] = x[i] - r[i];
-        frame.relmse += squared(double(e[i])) / (squared(double(r[i])) + relative_floor) / double(x.size());
-    }
+    for (std::size_t i = 0; i < x.size(); ++i) e[i] = x[i] - r[i];
+    const FrameErrors frame{number, mean_squared_relative(x, r), {}, {}};
     // What lies between the frame before and this one belongs to that.
     if (!frames_.empty()) {
         FrameErrors& before = frames_.back();
@@ -119,21 +115,6 @@ bool is_sequence(const Options& options) {
 
 namespace {
 
-struct Frame {
-    std::size_t width, height;
-    std::vector<float> rgb, var_mean;  // var_mean: empty: unknown
-};
-Frame read_frame(const std::string& file) {
-    const Image image = read_image(file);
-    require_finite(image, {""}, file);
-    Frame frame{image.width, image.height, image.interleaved(""), {}};
-    if (!image.find("VarMean.R").empty() && image.samples != 1) {
-        require_finite(image, {"VarMean"}, file);
-        frame.var_mean = image.interleaved("VarMean");
-    }
-    return frame;
-}
-
 /// Returns the files of a sequence by the numbers of its frames.
 std::map<std::uint64_t, std::string> files_of(const std::string& pattern) {
     const std::size_t at = pattern.find('%');
@@ -212,22 +193,18 @@ std::string compare_sequences(const Options& options) {
     if (references.size() < 2) throw InputError(fmt::format("{}: one frame is no sequence", options.reference));
     std::vector<SequenceErrors> sequences;
     std::vector<std::map<std::uint64_t, std::string>> files;
-    for (const std::string& text : options.inputs) {
-        const auto [label, pattern] = app::split_label(text);
-        files.push_back(files_of(pattern));
-        const std::string method = label.empty() ? pattern : label;
-        if (method.find_first_of("\t\n") != std::string::npos)
-            throw InputError(fmt::format("'{}': a label must not hold tabs or line ends", text));
-        sequences.emplace_back(method, references.size());
+    for (const Input& input : inputs_of(options.inputs)) {
+        files.push_back(files_of(input.file));
+        sequences.emplace_back(input.label, references.size());
         for (const auto& [number, reference] : references)
             if (!files.back().contains(number))
-                throw InputError(fmt::format("{}: has no frame {}, as {}", pattern, number, reference));
+                throw InputError(fmt::format("{}: has no frame {}, as {}", input.file, number, reference));
     }
     for (const auto& [number, file] : references) {
-        const Frame reference = read_frame(file);
+        const NoisyImage reference = read_noisy_image(file);
         for (std::size_t i = 0; i < sequences.size(); ++i) {
             const std::string& name = files[i].at(number);
-            const Frame frame = read_frame(name);
+            const NoisyImage frame = read_noisy_image(name);
             if (frame.width != reference.width || frame.height != reference.height)
                 throw InputError(fmt::format("{}: is {} x {}, but {} is {} x {}", name, frame.width, frame.height, file,
                                              reference.width, reference.height));
