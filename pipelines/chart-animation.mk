@@ -68,7 +68,7 @@ rewrite.living-ball := $(call ball,$(call sphere,0.22,$(here_xyz),$(glossy)))
 rewrite.staircase-ball := $(call ball,$(call sphere,0.2,$(here_xyz),$(call matte,0.15 0.3 0.65)))
 rewrite.cornell-lamp := $(call default,place,0);$(call move,id="Light",x="$$place")
 rewrite.cornell-glow := $(call default,place,0);$(call added,$(call sphere,0.06,x="$$place" y="1.3" z="0.5",$(call matte,0)<emitter type="area"><rgb name="radiance" value="20 25 30"/></emitter>))
-rewrite.cornell-dimmed := $(call default,light,17);s/(name="radiance" value=")17.12.4"/\1$$light"/;s/(name="radiance" value=")17, 12, 4"/\1$$light"/
+rewrite.cornell-dimmed := $(call default,light,17);s/(name="radiance" value=")17, 12, 4"/\1$$light"/
 rewrite.teapot-sky := $(call default,turn,0);/<emitter type="envmap"/$(comma)/<\/emitter>/s,</transform>,<rotate y="1" angle="$$turn"/>&,
 rewrite.teapot-spin := $(rewrite.teapot-sky)
 
@@ -81,12 +81,9 @@ $(tables): $(OUT)/%/frames.tsv: FORCE
 	@mkdir -p $(@D)
 	@awk -v row=$* -v n=$(COUNT) -f pipelines/chart-animation.awk $(update)
 
-# resx and resy, shaped as the scene has them.
-size = $(shell sed -nE 's/.*<default name="(resx|resy)" value="([0-9]+)".*/\1 \2/p' $(call field,3,$(1)) | awk -v n=$(SIZE) \
-	'{ v[$$1] = $$2; if ($$2 > most) most = $$2 } END { for (k in v) printf "%s=%d ", k, v[k] * n / most + 0.5 }')
 # $(call animation,ROW,SETTINGS)
 animation = $(MAKE) --no-print-directory -f pipelines/animation.mk BUILD=$(BUILD) SCENE=$(OUT)/$(1)/scene.xml FRAMES=$(OUT)/$(1)/frames.tsv \
-	DEFINES=$(call quote,$(call size,$(1))) OUT=$(@D) $(2) >/dev/null
+	DEFINES=$(call quote,$(call size_of,$(call field,3,$(1)),$(SIZE))) OUT=$(@D) $(2) >/dev/null
 # Runs of a row, METHOD-SPP: auto has its own static image, whose samples a pilot chooses.
 labels := $(foreach s,$(SPPS),$(foreach m,pt hybrid auto,$(m)-$(s)))
 marks_of = $(labels:%=$(OUT)/$(1)/%/strip.png)

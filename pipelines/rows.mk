@@ -22,5 +22,8 @@ endif
 move = /<shape/{:whole;/<\/shape>/!{N;bwhole;};/$(1)/s,</transform>,<translate $(2)/>&,;}
 # $(call elsewhere,FROM,TO): sed that names the files of a scene in folder FROM as they are named from folder TO.
 elsewhere = s,(name="filename" value=")([^/]),\1$(shell realpath -m --relative-to=$(2) $(1))/\2,g
+# $(call size_of,FILE,LONGER SIDE): resx and resy, shaped as a scene file has them.
+size_of = $(shell sed -nE 's/.*<default name="(resx|resy)" value="([0-9]+)".*/\1 \2/p' $(1) | awk -v n=$(2) \
+	'{ v[$$1] = $$2; if ($$2 > most) most = $$2 } END { for (k in v) printf "%s=%d ", k, v[k] * n / most + 0.5 }')
 # Recipe: what the shell writes to its output becomes the target, which is written anew only when it is another one.
 update = >$@.made && if cmp -s $@.made $@; then rm $@.made; else mv $@.made $@; fi

@@ -127,8 +127,7 @@ original = $(call source,$(call edited,$(1)))/$(if $(filter glossy%,$(1)),scene_
 
 # $(call size,ROW,LONGER SIDE): resx and resy, shaped as the scene has them.
 file_of = $(if $(filter $(OUT)/scenes/%,$(call field,4,$(1))),$(call original,$(basename $(notdir $(call field,4,$(1))))),$(call field,4,$(1)))
-size = $(shell sed -nE 's/.*<default name="(resx|resy)" value="([0-9]+)".*/\1 \2/p' $(call file_of,$(1)) | awk -v n=$(2) \
-	'{ v[$$1] = $$2; if ($$2 > most) most = $$2 } END { for (k in v) printf "%s=%d ", k, v[k] * n / most + 0.5 }')
+size = $(call size_of,$(call file_of,$(1)),$(2))
 
 # Names of runs, ROW/METHOD-PAIRS-REPLICATE, in the order in which they are made: methods turn fastest.
 pairs = $(or $(patsubst SPP%,%,$(filter SPP%,$(subst +, ,$(1)))),$(SPP))

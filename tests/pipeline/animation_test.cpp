@@ -22,10 +22,10 @@ class MakeAnimation : public PipelineTest {
     }
     Outcome make(const std::string& variables = "", const std::string& out = "x") const {
         return sh(
-            fmt::format("make -s -f pipelines/animation.mk BUILD='{}' OUT='{}' FRAMES='{}' SPP=2 BASE_SPP=2 "
+            fmt::format("make -s -f pipelines/animation.mk BUILD='{}' OUT='{}' FRAMES={} SPP=2 BASE_SPP=2 "
                         "DEFINES='resx=12 resy=8' {}",
                         fs::path(stage("trace")).parent_path().parent_path().string(), (folder / out).string(),
-                        std::regex_replace((folder / table).string(), std::regex("'"), "'\\''"), variables));
+                        named(table), variables));
     }
     /// Makes the frames.
     /// out:     the numbers of those that were rendered; `traced` says whether the base was made
@@ -44,10 +44,7 @@ class MakeAnimation : public PipelineTest {
     fs::path image(int number, const std::string& out = "x") const {
         return folder / out / fmt::format("images/frame-{:04}.exr", number);
     }
-    /// A file of the folder as a word of the shell.
-    std::string named(const std::string& name) const {
-        return "'" + std::regex_replace((folder / name).string(), std::regex("'"), "'\\''") + "'";
-    }
+    std::string named(const std::string& name) const { return shell_word((folder / name).string()); }
     bool traced = false;
 };
 

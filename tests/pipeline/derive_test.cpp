@@ -14,10 +14,6 @@
 namespace loom::pipeline {
 namespace {
 
-std::string shell_word(const std::string& text) {
-    return fmt::format("'{}'", std::regex_replace(text, std::regex("'"), "'\\''"));
-}
-
 class MakeDerive : public PipelineTest {
   protected:
     void SetUp() override {

@@ -15,10 +15,6 @@ namespace {
 
 using std::chrono::hours;
 
-std::string quoted(const std::string& text) {
-    return "'" + std::regex_replace(text, std::regex("'"), "'\\''") + "'";
-}
-
 std::string build_folder() {
     return fs::path(LOOM_BIN_DIR).parent_path().string();
 }
@@ -130,8 +126,8 @@ TEST_F(MakeContents, of_path_graphs_cubes_and_edits) {
                              " BASE=" + in("base") + " OUT=" + in("e") + " " + in("e/new.exr");
     const std::string chain = "make -s -f pipelines/edit.mk BUILD=" + build_folder() +
                               " METHOD=correlated SPP=2 OLD=" + in("new.xml") + " NEW=" + in("s.xml") +
-                              " OLD_IMAGE=" + quoted(in("before it.exr")) + " BASE=" + in("base") + " OUT=" + in("f") +
-                              " " + in("f/new.exr");
+                              " OLD_IMAGE=" + shell_word(in("before it.exr")) + " BASE=" + in("base") +
+                              " OUT=" + in("f") + " " + in("f/new.exr");
     const auto stale = [&](const std::string& make) { return sh(make + " -q").code != 0; };
     write("pulse.txt", "0 1\n1 1\n");
     write("b.obj", triangle(1.5));
@@ -228,9 +224,9 @@ TEST_F(Make, names_are_names) {
             attribute(valid + run) + R"(.ppm"/></texture></bsdf>)");
     for (const std::string& name : {odd, std::string("-x y  z")}) {
         write(name + ".xml", text);
-        const std::string make = "cd " + quoted(folder.string()) +
+        const std::string make = "cd " + shell_word(folder.string()) +
                                  " && make -s -C '" LOOM_SOURCE_DIR "' -f pipelines/still.mk BUILD=" + build_folder() +
-                                 " METHOD=pt SPP=1 OUT=" + in("x") + " SCENE=" + quoted(in(name + ".xml"));
+                                 " METHOD=pt SPP=1 OUT=" + in("x") + " SCENE=" + shell_word(in(name + ".xml"));
         for (int run_idx = 0; run_idx < 2; ++run_idx) {
             const Outcome outcome = sh(make + " image");
             EXPECT_EQ(outcome.code, 0) << outcome.err;
@@ -333,7 +329,7 @@ TEST_F(MakeVariables, help_is_a_screen_and_a_page_per_pipeline) {
     EXPECT_NE(image.find("  METHOD=pathgraph               pathgraph, west, graph, or pt"), std::string::npos) << image;
     for (const char* hostile : {"help-none", "help-%", "help-image;touch PWNED", "help-`touch PWNED`",
                                 "help-$(shell touch PWNED)", "help-x' ; touch PWNED '", "help-../LICENSE"})
-        EXPECT_EQ(sh("make -s " + quoted(hostile)).code, 2) << hostile;
+        EXPECT_EQ(sh("make -s " + shell_word(hostile)).code, 2) << hostile;
     EXPECT_FALSE(fs::remove(LOOM_SOURCE_DIR "/PWNED"));
 }
 
@@ -354,11 +350,11 @@ TEST_F(MakeVariables, reach_no_shell_unchecked) {
         if (variable == "LAUNCH" || std::find(files.begin(), files.end(), variable) != files.end()) continue;
         if (std::find(names.begin(), names.end(), variable) != names.end()) continue;
         for (std::size_t i = 0; i < hostile.size(); ++i, ++n_runs)
-            script += (i % 2 == 0 ? "make -s -f " + in("all.mk") + " " + quoted(variable + "=" + hostile[i])
-                                  : "env " + quoted(variable + "=" + hostile[i]) + " make -s -f " + in("all.mk")) +
+            script += (i % 2 == 0 ? "make -s -f " + in("all.mk") + " " + shell_word(variable + "=" + hostile[i])
+                                  : "env " + shell_word(variable + "=" + hostile[i]) + " make -s -f " + in("all.mk")) +
                       " >/dev/null 2>" + in("said") + "; c=$?; grep -q '^pipelines/variables.mk:[0-9]*: \\*\\*\\* " +
                       variable + "=' " + in("said") + " && [ $c = 2 ] || echo " +
-                      quoted(variable + " " + std::to_string(i)) + " $c\n";
+                      shell_word(variable + " " + std::to_string(i)) + " $c\n";
     }
     ASSERT_GT(n_runs, 300);
     write("script", script);
@@ -374,7 +370,7 @@ TEST_F(MakeVariables, reach_no_shell_unchecked) {
             if (text.find("$(" + variable + ")") == std::string::npos) continue;
             for (const std::string& value : hostile) {
                 const Outcome outcome = sh("make -s -f " + pipeline + " BUILD=" + build_folder() + " OUT=" + in("out") +
-                                           " " + quoted(variable + "=" + value));
+                                           " " + shell_word(variable + "=" + value));
                 EXPECT_EQ(outcome.code, 2) << pipeline << " " << variable << "=" << value << "\n" << outcome.err;
             }
         }
