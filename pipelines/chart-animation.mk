@@ -59,15 +59,15 @@ default = s,<scene version="3.0.0">,&<default name="$(1)" value="$(2)"/>,
 added = s,</scene>,$(1)&,
 sphere = <shape type="sphere"><float name="radius" value="$(1)"/><transform name="to_world"><translate $(2)/></transform>$(3)</shape>
 here_xyz := x="$$bx" y="$$by" z="$$bz"
-matte = <bsdf type="diffuse"><rgb name="reflectance" value="$(1)"/></bsdf>
+diffuse = <bsdf type="diffuse"><rgb name="reflectance" value="$(1)"/></bsdf>
 glossy := <bsdf type="roughplastic"><string name="distribution" value="ggx"/><float name="alpha" value="0.1"/><rgb name="diffuse_reflectance" value="0.6 0.1 0.08"/></bsdf>
 ball = $(call default,bx,0);$(call default,by,9);$(call default,bz,0);$(call added,$(1))
 rewrite.ball := s,x,x,
-rewrite.cornell-ball := $(call ball,$(call sphere,0.22,$(here_xyz),$(call matte,0.7 0.5 0.2)))
+rewrite.cornell-ball := $(call ball,$(call sphere,0.22,$(here_xyz),$(call diffuse,0.7 0.5 0.2)))
 rewrite.living-ball := $(call ball,$(call sphere,0.22,$(here_xyz),$(glossy)))
-rewrite.staircase-ball := $(call ball,$(call sphere,0.2,$(here_xyz),$(call matte,0.15 0.3 0.65)))
+rewrite.staircase-ball := $(call ball,$(call sphere,0.2,$(here_xyz),$(call diffuse,0.15 0.3 0.65)))
 rewrite.cornell-lamp := $(call default,place,0);$(call move,id="Light",x="$$place")
-rewrite.cornell-glow := $(call default,place,0);$(call added,$(call sphere,0.06,x="$$place" y="1.3" z="0.5",$(call matte,0)<emitter type="area"><rgb name="radiance" value="20 25 30"/></emitter>))
+rewrite.cornell-glow := $(call default,place,0);$(call added,$(call sphere,0.06,x="$$place" y="1.3" z="0.5",$(call diffuse,0)<emitter type="area"><rgb name="radiance" value="20 25 30"/></emitter>))
 rewrite.cornell-dimmed := $(call default,light,17);s/(name="radiance" value=")17, 12, 4"/\1$$light"/
 rewrite.teapot-sky := $(call default,turn,0);/<emitter type="envmap"/$(comma)/<\/emitter>/s,</transform>,<rotate y="1" angle="$$turn"/>&,
 rewrite.teapot-spin := $(rewrite.teapot-sky)

@@ -31,7 +31,7 @@ constexpr const char* pole_text =
 <emitter type="point"><point name="position" x="0.3" y="0.5" z="3"/><rgb name="intensity" value="20, 20, 20"/></emitter>
 </scene>)";
 
-/// A ball that glows close to a wall, and a wide lamp; a board hides a part of both.
+/// A ball that emits close to a wall, and a wide emitter; a board hides a part of both.
 constexpr const char* lamps_text =
     R"(<scene version="3.0.0"><default name="x" value="-0.4"/><default name="wide" value="1"/><default name="resx" value="24"/><default name="resy" value="24"/>
 <integrator type="path"><integer name="max_depth" value="4"/></integrator>

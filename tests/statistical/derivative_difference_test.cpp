@@ -112,7 +112,7 @@ constexpr const char* corner_text = R"(<scene version="3.0.0">
 <bsdf type="diffuse"><rgb name="reflectance" value="0, 0, 0"/></bsdf><emitter type="area"><rgb name="radiance" value="10, 10, 10"/></emitter></shape>
 </scene>)";
 
-/// Walls above a glowing floor, on which a box stands.
+/// Walls above a floor that emits, on which a box stands.
 constexpr const char* glow_text = R"(<scene version="3.0.0">
 <default name="box_x" value="0"/><default name="depth" value="2"/>
 <integrator type="path"><integer name="max_depth" value="$depth"/></integrator>
