@@ -2,6 +2,7 @@
 // The parts of a run of loom-residual: what all edits of an old scene share, and one edit.
 
 #include <memory>
+#include <optional>
 #include <string>
 
 #include "formats/io/cost.h"
@@ -17,6 +18,9 @@ namespace loom::residual {
 struct Base {
     SceneDescription description;
     std::shared_ptr<const Scene> scene;
+    // What no frame changes, of which the scene is made; null: the scene itself.
+    std::optional<SceneDescription> fixed_description;
+    std::shared_ptr<const Scene> fixed;
     std::string name;
     std::shared_ptr<TextureCache> images = std::make_shared<TextureCache>();
     Image image;     // of --old
@@ -31,16 +35,69 @@ struct EditJob {
     std::string command;  // that does this edit alone
     Cost loading;         // of what all edits share
     double share = 1;     // of that, for this one
-    Cost before;          // of the run, before this edit
     KnownParts known;     // of the old scene
+};
+
+/// The two scenes of an edit with their file names.
+struct Scenes {
+    std::shared_ptr<const Scene> old_scene, new_scene;
+    std::string old_name, new_name;
+
+    ScenePair pair() const { return {*old_scene, *new_scene}; }
+};
+
+/// A residual and its origin.
+struct Residual {
+    Image image;
+    bool existed = false;  // read from --residual
+    PathOptions path;
+    bool same_samples = false;                    // the old image has the graph's samples
+    GraphResidual of_graph;                       // only with a graph
+    double load_s = 0;                            // CPU time of reading the new scene
+    std::optional<ControlledPicture> controlled;  // only with --method auto
+    Counts counts;
+    std::string plan;
+};
+
+/// Time spent on something.
+struct Spent {
+    double wall_s = 0, cpu_s = 0;
+    /// Adds a share of the time between two costs of a run.
+    void add(const Cost& before, const Cost& after, double share = 1) {
+        wall_s += share * (after.wall_s - before.wall_s);
+        cpu_s += share * (after.cpu_s - before.cpu_s);
+    }
+};
+
+/// An edit on its way from its scene to its outputs.
+struct EditRun {
+    Options options;
+    EditJob job;
+    Edit edit;
+    Scenes scenes;
+    Residual residual;
+    std::unique_ptr<EditReach> reach;    // only with a graph
+    std::optional<ControlSums> control;  // weights of the old image, if they differ from 1
+    Spent spent;                         // on this edit, without loading
 };
 
 /// throws:  InputError for options that contradict each other, or outputs that cannot be written
 void check_endings(const Options& options);
 int max_depth_of(const Options& options, const SceneDescription& description);
 /// Builds the old scene, and reads its image and graph.
-Base read_base(const Options& options, SceneDescription description, int max_depth, app::Report& report);
-/// Renders the residual of one edit and writes its outputs.
+/// in:      fixed  what no frame of an animation changes, if that is less than the old scene
+Base read_base(const Options& options, SceneDescription description, int max_depth, app::Report& report,
+               std::optional<SceneDescription> fixed = {});
+/// Returns the geometry that a new scene has from what no frame changes, or else from the old scene.
+/// in:      edit  from the old scene
+KnownParts parts_known_of(const Base& base, const Edit& edit, const SceneDescription& new_scene);
+/// Builds the new scene of an edit, and all that its pairs of paths need.
+std::unique_ptr<EditRun> start_edit(Options options, const Base& base, EditJob job, Edit edit, app::Report& report);
+/// Returns what the old graph is followed for; it borrows of the run.
+GraphJob graph_job(EditRun& run, const Base& base);
+/// Makes the residual, from the graph's pairs of paths if there is a graph, and writes its outputs.
+void finish_edit(EditRun& run, const Base& base, std::optional<GraphResidual> pairs, app::Report& report);
+/// All of it, for one edit.
 void render_edit(const Options& options, const Base& base, EditJob job, const Edit& edit, app::Report& report);
 
 }  // namespace loom::residual

@@ -2,6 +2,8 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
+
 #include "formats/io/error.h"
 #include "stages/core/app/command.h"
 #include "stages/core/edit/animation.h"
@@ -56,6 +58,14 @@ Options options_of_frame(const Options& options, const Frames::Frame& frame, std
     return own;
 }
 
+/// Number of frames whose pairs of paths are kept at once, so that reading the graph and what its vertices need costs each
+/// of them little.
+std::size_t frames_at_once(const Base& base) {
+    constexpr std::size_t most = 8, bytes = std::size_t(1) << 30, bytes_of_pixel = 256;
+    const std::size_t of_frame = bytes_of_pixel * base.scene->sensor.n_pixels();
+    return std::clamp<std::size_t>(bytes / std::max<std::size_t>(of_frame, 1), 1, most);
+}
+
 }  // namespace
 
 void render_frames(const Options& options, app::Report& report) {
@@ -76,22 +86,43 @@ void render_frames(const Options& options, app::Report& report) {
         check_endings(of_frames.back());
     }
     const int max_depth = max_depth_of(options, animation.still);
-    const Base base = read_base(options, std::move(animation.still), max_depth, report);
+    const Base base = read_base(options, std::move(animation.still), max_depth, report, std::move(animation.fixed));
     const Cost loading = report.cost();
     app::Progress progress(report, "frames", frames.size());
-    for (std::size_t i = 0; i < frames.size(); ++i) {
-        const Cost before = report.cost();
+    const auto start = [&](std::size_t i) {
         EditJob job{read_scene(options.old_scene, table.values_of(frames[i], defines), options.sensor),
                     options.old_scene,
                     commands[i],
                     loading,
                     1 / double(frames.size()),
-                    before,
                     {}};
-        const Edit edit = find_edit(base.description, job.description);
-        job.known = known_parts(base.scene, edit);
-        render_edit(of_frames[i], base, std::move(job), edit, report);
-        progress.add(1);
+        Edit edit = find_edit(base.description, job.description);
+        job.known = parts_known_of(base, edit, job.description);
+        return start_edit(of_frames[i], base, std::move(job), std::move(edit), report);
+    };
+    // Frames of a graph follow its paths together; the others are rendered one by one.
+    const std::size_t at_once = options.old_graph.empty() ? 1 : frames_at_once(base);
+    for (std::size_t begin = 0; begin < frames.size(); begin += at_once) {
+        std::vector<std::unique_ptr<EditRun>> runs;
+        std::vector<GraphJob> jobs;
+        for (std::size_t i = begin; i < std::min(begin + at_once, frames.size()); ++i) {
+            const Cost before = report.cost();
+            runs.push_back(start(i));
+            runs.back()->spent.add(before, report.cost());
+            if (runs.back()->reach) jobs.push_back(graph_job(*runs.back(), base));
+        }
+        const Cost before = report.cost();
+        std::vector<GraphResidual> pairs;
+        if (!jobs.empty()) pairs = render_residuals(*base.scene, jobs, base.graph, options.threads, report);
+        const Cost after = report.cost();
+        for (std::size_t i = 0; i < runs.size(); ++i) {
+            runs[i]->spent.add(before, after, 1 / double(runs.size()));
+            std::optional<GraphResidual> own;
+            if (!pairs.empty()) own = std::move(pairs[i]);
+            finish_edit(*runs[i], base, std::move(own), report);
+            runs[i].reset();
+            progress.add(1);
+        }
     }
 }
 

@@ -9,6 +9,7 @@
 #include "formats/io/cost.h"
 #include "formats/io/error.h"
 #include "stages/core/app/command.h"
+#include "stages/core/edit/animation.h"
 #include "stages/core/plot/false_colours.h"
 #include "stages/core/sampling/streams.h"
 #include "stages/core/scene/build.h"
@@ -16,6 +17,7 @@
 #include "stages/residual/control/coverage.h"
 #include "stages/residual/edit_job.h"
 #include "stages/residual/frames.h"
+#include "stages/residual/sky_pair.h"
 
 namespace loom::residual {
 namespace {
@@ -358,14 +360,6 @@ void report_edit(const Edit& edit, app::Report& report) {
     for (const std::string& line : edit.changes) report.info("edit: {}", line);
 }
 
-/// The two scenes of an edit with their file names.
-struct Scenes {
-    std::shared_ptr<const Scene> old_scene, new_scene;
-    std::string old_name, new_name;
-
-    ScenePair pair() const { return {*old_scene, *new_scene}; }
-};
-
 /// Returns the output of --technique list.
 std::string technique_names(const Scenes& scenes, const Edit& edit) {
     std::string names;
@@ -373,19 +367,6 @@ std::string technique_names(const Scenes& scenes, const Edit& edit) {
         names += std::string(family.name) + "\n";
     return names;
 }
-
-/// A residual and its origin.
-struct Residual {
-    Image image;
-    bool existed = false;  // read from --residual
-    PathOptions path;
-    bool same_samples = false;                    // the old image has the graph's samples
-    GraphResidual of_graph;                       // only with a graph
-    double load_s = 0;                            // CPU time of reading the new scene
-    std::optional<ControlledPicture> controlled;  // only with --method auto
-    Counts counts;
-    std::string plan;
-};
 
 PathOptions path_options(const Options& options, const Scene& new_scene, const Ledger& before) {
     PathOptions path;
@@ -395,16 +376,10 @@ PathOptions path_options(const Options& options, const Scene& new_scene, const L
     return path;
 }
 
-void render_by_graph(const Options& options, const Scenes& scenes, const Edit& edit, const Base& base,
-                     app::Report& report, Residual& residual) {
-    const EditReach reach(*scenes.old_scene, *scenes.new_scene, edit);
-    std::optional<ControlSums> control;
-    // With the graph's own samples any weight makes the same image.
-    if (!options.new_picture.empty() && !options.no_control && !residual.same_samples && !scenes.new_scene->nlos)
-        control = graph_control(scenes.pair(), reach, base.graph.path.seed, options.threads);
-    residual.of_graph =
-        render_residual(scenes.pair(), reach, base.graph, options.threads,
-                        residual.same_samples ? &base.image : nullptr, report, control ? &*control : nullptr);
+/// Takes what the old graph's pairs of paths say.
+void take_pairs(const Options& options, const Base& base, GraphResidual pairs, std::optional<ControlSums>& control,
+                const Scenes& scenes, app::Report& report, Residual& residual) {
+    residual.of_graph = std::move(pairs);
     residual.image = residual.of_graph.image;
     residual.counts = residual.of_graph.counts;
     residual.plan += "; old graph: " + residual.of_graph.summary();
@@ -427,36 +402,35 @@ void render_by_graph(const Options& options, const Scenes& scenes, const Edit& e
                     options.old_picture);
 }
 
-/// in, out: residual  path and plan are set; the function fills the rest
-void make_residual(const Options& options, const Scenes& scenes, const Edit& edit, const Base& base,
-                   app::Report& report, Residual& residual) {
-    residual.existed = !options.residual.empty();
+/// Checks that the random streams of a residual differ from those of the old image, or are the same samples.
+/// in, out: residual  path is set
+void check_streams(const Options& options, const Base& base, Residual& residual) {
     const bool has_graph = !options.old_graph.empty();
     if (has_graph) {
         residual.path.seed = base.graph.path.seed;
         residual.same_samples = !options.old_picture.empty() && base.image.ledger.empty() &&
                                 same_samples(base.image, options.old_picture, base.graph);
     }
-    if (residual.existed) residual.image = read_residual(options.residual, *scenes.new_scene, scenes.new_name);
-
-    // Check that its random streams differ from those of the old image.
     if (residual.existed)
         check_numbers(base.ledger, residual.image.ledger[0].method, residual.image.ledger[0].seed);
     else if (!residual.same_samples)
         check_numbers(base.ledger, has_graph ? old_graph_method : method_name(options.method), residual.path.seed);
+}
 
-    // Trace it.
-    if (has_graph)
-        render_by_graph(options, scenes, edit, base, report, residual);
-    else if (residual.existed)
-        return;
-    else if (options.method == Method::automatic || options.method == Method::dynamic)
-        residual.image = render_by_dynamic_paths(scenes.pair(), edit, options, residual.path,
-                                                 options.new_picture.empty() ? nullptr : &base.image, report,
-                                                 residual.counts, residual.plan, residual.controlled);
-    else
-        residual.image = render_residual(scenes.pair(), options.method, residual.path,
-                                         {options.first_sample, options.spp, options.threads}, report, residual.counts);
+/// Gives the skies of two scenes light samples in common where that leaves less noise.
+/// in:      keeps_old  the old scene's paths exist already
+void pair_skies(const Edit& edit, bool keeps_old, app::Report& report, Scenes& scenes, std::string& plan) {
+    const int sky = scenes.old_scene->environment_idx;
+    if (sky < 0 || !edit.old_emitters[std::size_t(sky)].changed) return;
+    const SkyPair pair = find_sky_pair(*scenes.old_scene, *scenes.new_scene);
+    if (pair.shared) {
+        scenes.new_scene = with_proposals(*scenes.new_scene, pair.shared);
+        if (!keeps_old) scenes.old_scene = with_proposals(*scenes.old_scene, pair.shared);
+    }
+    if (const std::string text = pair.describe(); !text.empty()) {
+        report.info("{}", text);
+        plan += "; " + text;
+    }
 }
 
 /// Stores the inputs and settings of the residual in it.
@@ -479,19 +453,18 @@ void label_residual(const Options& options, const Scenes& scenes, const Edit& ed
     image.ledger.back().scene = image.provenance.inputs[1];
 }
 
-/// in:      loading, before  cost of what all edits of this run share, a share of it for this one, and cost before it
-Cost cost_of(const Options& options, const Scenes& scenes, const Residual& residual, const Cost& loading,
-             const Cost& before, double share, const app::Report& report) {
+Cost cost_of(const EditRun& run, const app::Report& report) {
+    const Residual& residual = run.residual;
     Cost cost = report.cost(residual.image.provenance.plan);
-    cost.wall_s += share * loading.wall_s - before.wall_s;
-    cost.cpu_s += share * loading.cpu_s - before.cpu_s;
-    cost.load_s = share * loading.cpu_s + residual.load_s;
+    cost.wall_s = run.job.share * run.job.loading.wall_s + run.spent.wall_s;
+    cost.cpu_s = run.job.share * run.job.loading.cpu_s + run.spent.cpu_s;
+    cost.load_s = run.job.share * run.job.loading.cpu_s + residual.load_s;
     cost.rays = residual.counts.rays;
-    cost.samples = residual.existed             ? 0
-                   : !options.old_graph.empty() ? residual.of_graph.touched
-                                                : scenes.new_scene->sensor.n_pixels() * options.spp;
-    cost.sources = {scenes.old_name};
-    if (scenes.new_name != scenes.old_name) cost.sources.push_back(scenes.new_name);
+    cost.samples = residual.existed                 ? 0
+                   : !run.options.old_graph.empty() ? residual.of_graph.touched
+                                                    : run.scenes.new_scene->sensor.n_pixels() * run.options.spp;
+    cost.sources = {run.scenes.old_name};
+    if (run.scenes.new_name != run.scenes.old_name) cost.sources.push_back(run.scenes.new_name);
     return cost;
 }
 
@@ -530,10 +503,23 @@ std::string write_outputs(const Options& options, const Image& old_picture, cons
 
 }  // namespace
 
-Base read_base(const Options& options, SceneDescription description, int max_depth, app::Report& report) {
+KnownParts parts_known_of(const Base& base, const Edit& edit, const SceneDescription& new_scene) {
+    if (!base.fixed) return known_parts(base.scene, edit);
+    return known_parts(base.fixed, find_edit(*base.fixed_description, new_scene));
+}
+
+Base read_base(const Options& options, SceneDescription description, int max_depth, app::Report& report,
+               std::optional<SceneDescription> fixed) {
     Base base;
     base.description = description;
-    base.scene = build_scene(std::move(description), {{}, {}, base.images});
+    KnownParts known;
+    if (fixed) {
+        base.fixed_description = fixed;
+        base.fixed = build_scene(std::move(*fixed), {{}, {}, base.images});
+        known = known_parts(base.fixed, find_edit(*base.fixed_description, description));
+    }
+    known.images = base.images;
+    base.scene = build_scene(std::move(description), known);
     base.name = file_name(options.old_scene);
     if (!options.old_picture.empty()) {
         base.image = read_old_picture(options.old_picture, *base.scene, base.name, report);
@@ -548,26 +534,78 @@ Base read_base(const Options& options, SceneDescription description, int max_dep
     return base;
 }
 
-void render_edit(const Options& options, const Base& base, EditJob job, const Edit& edit, app::Report& report) {
-    Residual residual;
-    residual.plan = plan_of(options.old_graph.empty() ? options.method : Method::correlated, edit);
-    report_edit(edit, report);
-    if (options.residual.empty()) report.info("plan: {}", residual.plan);
+std::unique_ptr<EditRun> start_edit(Options options, const Base& base, EditJob job, Edit edit, app::Report& report) {
+    auto run =
+        std::make_unique<EditRun>(EditRun{std::move(options), std::move(job), std::move(edit), {}, {}, {}, {}, {}});
+    const bool has_graph = !run->options.old_graph.empty();
+    Residual& residual = run->residual;
+    residual.plan = plan_of(has_graph ? Method::correlated : run->options.method, run->edit);
+    report_edit(run->edit, report);
+    if (run->options.residual.empty()) report.info("plan: {}", residual.plan);
 
+    // Build the new scene.
     const double before_s = report.cost().cpu_s;
-    job.known.images = base.images;
-    const Scenes scenes{base.scene, build_scene(std::move(job.description), job.known), base.name, file_name(job.file)};
+    run->job.known.images = base.images;
+    Scenes& scenes = run->scenes;
+    scenes = {base.scene, build_scene(std::move(run->job.description), run->job.known), base.name,
+              file_name(run->job.file)};
     residual.load_s = report.cost().cpu_s - before_s;
     for (const std::string& note : scenes.new_scene->notes) report.info("{}", note);
 
-    // Make the residual, and add it to the old image.
-    residual.path = path_options(options, *scenes.new_scene, base.ledger);
-    make_residual(options, scenes, edit, base, report, residual);
-    label_residual(options, scenes, edit, base.graph, job.command, report, residual);
-    const Cost cost = cost_of(options, scenes, residual, job.loading, job.before, job.share, report);
+    // Check its random streams, and prepare its pairs of paths.
+    residual.path = path_options(run->options, *scenes.new_scene, base.ledger);
+    residual.existed = !run->options.residual.empty();
+    if (residual.existed) residual.image = read_residual(run->options.residual, *scenes.new_scene, scenes.new_name);
+    check_streams(run->options, base, residual);
+    if (!residual.existed && !residual.same_samples &&
+        (run->options.method == Method::correlated || run->options.method == Method::automatic))
+        pair_skies(run->edit, has_graph, report, scenes, residual.plan);
+    if (!has_graph) return run;
+    run->reach = std::make_unique<EditReach>(*scenes.old_scene, *scenes.new_scene, run->edit);
+    // With the graph's own samples any weight makes the same image.
+    if (!run->options.new_picture.empty() && !run->options.no_control && !residual.same_samples &&
+        !scenes.new_scene->nlos)
+        run->control = graph_control(scenes.pair(), *run->reach, base.graph.path.seed, run->options.threads);
+    return run;
+}
+
+GraphJob graph_job(EditRun& run, const Base& base) {
+    return {*run.scenes.new_scene, *run.reach, run.residual.same_samples ? &base.image : nullptr,
+            run.control ? &*run.control : nullptr};
+}
+
+void finish_edit(EditRun& run, const Base& base, std::optional<GraphResidual> pairs, app::Report& report) {
+    const Options& options = run.options;
+    Residual& residual = run.residual;
+    const Cost before = report.cost();
+    if (pairs)
+        take_pairs(options, base, std::move(*pairs), run.control, run.scenes, report, residual);
+    else if (residual.existed)
+        ;
+    else if (options.method == Method::automatic || options.method == Method::dynamic)
+        residual.image = render_by_dynamic_paths(run.scenes.pair(), run.edit, options, residual.path,
+                                                 options.new_picture.empty() ? nullptr : &base.image, report,
+                                                 residual.counts, residual.plan, residual.controlled);
+    else
+        residual.image = render_residual(run.scenes.pair(), options.method, residual.path,
+                                         {options.first_sample, options.spp, options.threads}, report, residual.counts);
+    label_residual(options, run.scenes, run.edit, base.graph, run.job.command, report, residual);
+    run.spent.add(before, report.cost());
+    const Cost cost = cost_of(run, report);
     const std::string last_output = write_outputs(options, base.image, cost, report, residual);
     report.done("{}: {} pairs of paths, {} vertices, {} rays, {} samples not finite", file_name(last_output),
                 cost.samples, residual.counts.vertices, residual.counts.rays, residual.counts.nonfinite);
+}
+
+void render_edit(const Options& options, const Base& base, EditJob job, const Edit& edit, app::Report& report) {
+    const auto run = start_edit(options, base, std::move(job), edit, report);
+    std::optional<GraphResidual> pairs;
+    if (run->reach) {
+        const GraphJob of_graph = graph_job(*run, base);
+        pairs = std::move(render_residuals(*base.scene, {&of_graph, 1}, base.graph, options.threads, report)[0]);
+    }
+    run->spent.add(run->job.loading, report.cost());
+    finish_edit(*run, base, std::move(pairs), report);
 }
 
 int max_depth_of(const Options& options, const SceneDescription& description) {
@@ -590,7 +628,6 @@ void run(const Options& options, app::Report& report) {
                 report.command(),
                 {},
                 1,
-                {},
                 {}};
     const Edit edit = find_edit(old_description, job.description);
     if (options.plan) {
@@ -605,7 +642,7 @@ void run(const Options& options, app::Report& report) {
     }
     const int max_depth = max_depth_of(options, job.description);
     const Base base = read_base(options, std::move(old_description), max_depth, report);
-    job.loading = job.before = report.cost();
+    job.loading = report.cost();
     render_edit(options, base, std::move(job), edit, report);
 }
 

@@ -10,6 +10,7 @@
 #include "stages/core/edit/edit_reach.h"
 #include "stages/core/stats/chi_square.h"
 #include "stages/residual/residual.h"
+#include "stages/residual/sky_pair.h"
 #include "stages/residual/stored/old_graph.h"
 #include "tests/statistical/image_spread.h"
 #include "tests/statistical/support.h"
@@ -43,6 +44,18 @@ constexpr const char* lamps_text =
 <shape type="rectangle"><transform name="to_world"><scale value="0.5"/><rotate x="1" angle="90"/><translate y="1.6" z="0.5"/></transform><bsdf type="diffuse"><rgb name="reflectance" value="0, 0, 0"/></bsdf><emitter type="area"><rgb name="radiance" value="$wide, $wide, $wide"/></emitter></shape>
 </scene>)";
 
+/// A ball on a floor under the sun; a board beside them throws a shadow. A board at x = 9 is as good as none.
+constexpr const char* sky_text =
+    R"(<scene version="3.0.0"><default name="haze" value="2"/><default name="east" value="0.3"/><default name="x" value="-0.5"/><default name="resx" value="24"/><default name="resy" value="24"/>
+<integrator type="path"><integer name="max_depth" value="4"/></integrator>
+<sensor type="perspective"><float name="fov" value="40"/><transform name="to_world"><lookat origin="0, 1.6, 4" target="0, 0.3, 0" up="0, 1, 0"/></transform>
+<film type="hdrfilm"><integer name="width" value="$resx"/><integer name="height" value="$resy"/><rfilter type="box"/></film></sensor>
+<shape type="rectangle"><transform name="to_world"><scale value="2"/><rotate x="1" angle="-90"/></transform><bsdf type="twosided"><bsdf type="diffuse"/></bsdf></shape>
+<shape type="sphere"><point name="center" x="0.5" y="0.4" z="0"/><float name="radius" value="0.4"/><bsdf type="roughconductor"><float name="alpha" value="0.2"/></bsdf></shape>
+<shape type="rectangle" id="board"><transform name="to_world"><scale x="0.3" y="0.5"/><rotate y="1" angle="20"/><translate x="$x" y="0.5" z="0.1"/></transform><bsdf type="twosided"><bsdf type="diffuse"/></bsdf></shape>
+<emitter type="sunsky"><float name="turbidity" value="$haze"/><vector name="sun_direction" x="$east" y="0.7" z="0.5"/><float name="sun_scale" value="0.05"/></emitter>
+</scene>)";
+
 struct CoverageCase {
     const char* name;
     const char* scene;                       // file of the project; or one of the texts above
@@ -51,6 +64,7 @@ struct CoverageCase {
     double of_fresh_at_most = 1.1;           // there: variance by coverage over a fresh image's
     double of_fresh_everywhere = INFINITY;   // the same in all pixels
     std::uint64_t spp = 16;                  // of the graph; four times as many in the full run
+    bool shares_sky = false;                 // light samples of two skies are in common directions
 };
 
 class CoverageOfEdits : public ::testing::TestWithParam<CoverageCase> {
@@ -74,7 +88,11 @@ TEST_P(CoverageOfEdits, SumsAreUnbiasedWithAnyWeight) {
     const CoverageCase& edited = GetParam();
     SceneDescription before = description(edited.before), after = description(edited.after);
     const Edit edit = find_edit(before, after);
-    const auto old_scene = build_scene(std::move(before)), new_scene = build_scene(std::move(after));
+    const auto old_scene = build_scene(std::move(before)), fresh_scene = build_scene(std::move(after));
+    const SkyPair skies = find_sky_pair(*old_scene, *fresh_scene);
+    const auto paired_scene = skies.shared ? with_proposals(*fresh_scene, skies.shared) : nullptr;
+    const Scene* const new_scene = skies.shared ? paired_scene.get() : fresh_scene.get();
+    EXPECT_EQ(bool(skies.shared), edited.shares_sky);
     const ScenePair scenes{*old_scene, *new_scene};
     const EditReach reach(*old_scene, *new_scene, edit);
     app::Report report;
@@ -114,7 +132,7 @@ TEST_P(CoverageOfEdits, SumsAreUnbiasedWithAnyWeight) {
                            : add_residual(old_picture, residual.image);
         };
         std::array<Image, n_ways>& mine = images[std::size_t(i)];
-        mine[fresh] = trace(*new_scene, 500 + seed, spp);
+        mine[fresh] = trace(*fresh_scene, 500 + seed, spp);
         mine[plain] = with({});
         const auto control = graph_control(scenes, reach, of_graph.seed, 1);
         ASSERT_TRUE(control);
@@ -157,16 +175,21 @@ TEST_P(CoverageOfEdits, SumsAreUnbiasedWithAnyWeight) {
 
 INSTANTIATE_TEST_SUITE_P(
     Edits, CoverageOfEdits,
-    ::testing::Values(CoverageCase{"arrives", "animated/ball.xml", {"y=9"}, {"y=0.6"}, 2},
-                      CoverageCase{"leaves", "animated/ball.xml", {"y=0.6"}, {"y=9"}, 1},
-                      CoverageCase{"moves", "animated/ball.xml", {"x=-0.3", "y=0.6"}, {"x=0.2", "y=0.7"}, 1.5},
-                      CoverageCase{"pole", pole_text, {}, {"x=9"}, 1, INFINITY},
-                      CoverageCase{"box", "edits.xml", {}, {"x=0.2"}, 1},
-                      CoverageCase{"dimmed", "edits.xml", {}, {"light=4, 3, 2"}, 2, INFINITY, 0.2},
-                      CoverageCase{"brighter", "edits.xml", {}, {"light=40, 30, 20"}, 1, INFINITY, 0.4},
-                      CoverageCase{"lamp_moves", lamps_text, {}, {"x=-0.1"}, 1, INFINITY, 1.1, 4},
-                      CoverageCase{"lamp_moves_far", lamps_text, {}, {"x=0.7"}, 1, INFINITY, 1.1, 4},
-                      CoverageCase{"wide_lamp_dimmed", lamps_text, {}, {"wide=0.2"}, 1, INFINITY, 0.9, 4}),
+    ::testing::Values(
+        CoverageCase{"arrives", "animated/ball.xml", {"y=9"}, {"y=0.6"}, 2},
+        CoverageCase{"leaves", "animated/ball.xml", {"y=0.6"}, {"y=9"}, 1},
+        CoverageCase{"moves", "animated/ball.xml", {"x=-0.3", "y=0.6"}, {"x=0.2", "y=0.7"}, 1.5},
+        CoverageCase{"pole", pole_text, {}, {"x=9"}, 1, INFINITY}, CoverageCase{"box", "edits.xml", {}, {"x=0.2"}, 1},
+        CoverageCase{"dimmed", "edits.xml", {}, {"light=4, 3, 2"}, 2, INFINITY, 0.2},
+        CoverageCase{"brighter", "edits.xml", {}, {"light=40, 30, 20"}, 1, INFINITY, 0.4},
+        CoverageCase{"lamp_moves", lamps_text, {}, {"x=-0.1"}, 1, INFINITY, 1.1, 4},
+        CoverageCase{"lamp_moves_far", lamps_text, {}, {"x=0.7"}, 1, INFINITY, 1.1, 4},
+        CoverageCase{"wide_lamp_dimmed", lamps_text, {}, {"wide=0.2"}, 1, INFINITY, 0.9, 4},
+        CoverageCase{"sky_clears", sky_text, {"haze=3"}, {"haze=2"}, 1, INFINITY, 0.5, 16, true},
+        CoverageCase{
+            "sky_clears_and_board_moves", sky_text, {"haze=3"}, {"haze=2", "x=-0.2"}, 1, INFINITY, 0.7, 16, true},
+        CoverageCase{"sky_clears_and_board_goes", sky_text, {"haze=6"}, {"haze=2", "x=9"}, 1, INFINITY, 1.1, 16, true},
+        CoverageCase{"sun_moves", sky_text, {}, {"east=0.2"}, 1, INFINITY, 1.1}),
     [](const ::testing::TestParamInfo<CoverageCase>& info) { return info.param.name; });
 
 }  // namespace

@@ -87,6 +87,7 @@ TEST(Animation, LeavesOutWhatMoves) {
     ASSERT_EQ(scene->shapes.size(), 3u);
     EXPECT_EQ(scene->shapes[1].id, "box");
     EXPECT_EQ(scene->emitters.size(), 2u);
+    EXPECT_FALSE(a.fixed);
 }
 
 TEST(Animation, RepaintedShapesMoveAndLightsStay) {
@@ -97,6 +98,8 @@ TEST(Animation, RepaintedShapesMoveAndLightsStay) {
     const auto scene = build_scene(a.still);
     ASSERT_EQ(scene->shapes.size(), 3u);
     EXPECT_EQ(scene->emitters[0].radiance.r, 3);
+    ASSERT_TRUE(a.fixed);
+    EXPECT_EQ(build_scene(*a.fixed)->shapes.size(), 2u);
 }
 
 TEST(Animation, NothingDiffers) {

@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <fstream>
 
 #include "formats/io/error.h"
@@ -17,14 +18,14 @@ namespace {
 
 constexpr const char* scene_text =
     R"(<scene version="3.0.0"><default name="x" value="0"/><default name="paint" value="0.5"/>
-<default name="power" value="9"/>
+<default name="power" value="9"/><default name="at" value="0"/>
 <integrator type="path"><integer name="max_depth" value="5"/></integrator>
 <sensor type="perspective"><float name="fov" value="40"/><transform name="to_world"><lookat origin="0,-4,1.6" target="0,0,.7" up="0,0,1"/></transform>
 <film type="hdrfilm"><integer name="width" value="12"/><integer name="height" value="12"/><rfilter type="box"/></film></sensor>
 <shape type="rectangle"><transform name="to_world"><scale value="2"/></transform></shape>
 <shape type="sphere" id="ball"><float name="radius" value=".3"/><point name="center" x="$x" y="0" z=".4"/></shape>
 <shape type="cube" id="box"><transform name="to_world"><scale value=".2"/><translate x=".9" y=".3" z=".3"/></transform><bsdf type="diffuse"><rgb name="reflectance" value="$paint, 0.5, 0.5"/></bsdf></shape>
-<shape type="rectangle" id="lamp"><transform name="to_world"><scale value=".4"/><rotate x="1" angle="180"/><translate z="2.6"/></transform><emitter type="area"><rgb name="radiance" value="$power, 9, 9"/></emitter></shape>
+<shape type="rectangle" id="lamp"><transform name="to_world"><scale value=".4"/><rotate x="1" angle="180"/><translate x="$at" z="2.6"/></transform><emitter type="area"><rgb name="radiance" value="$power, 9, 9"/></emitter></shape>
 </scene>)";
 
 class ResidualFrames : public ::testing::Test {
@@ -46,13 +47,15 @@ class ResidualFrames : public ::testing::Test {
     void write(const std::string& name, const std::string& text) const { std::ofstream(folder / name) << text; }
     std::string at(const std::string& name) const { return (folder / name).string(); }
 
-    void trace(const std::string& output, const std::string& frames, const std::vector<std::string>& defines = {}) {
+    void trace(const std::string& output, const std::string& frames, const std::vector<std::string>& defines = {},
+               std::uint64_t seed = 0) {
         trace::Options options;
         options.scene = at("s.xml");
         options.output = at(output);
         options.static_frames = frames.empty() ? "" : at(frames);
         options.defines = defines;
         options.spp = 8;
+        options.seed = seed;
         trace::run(options, tracer);
     }
     residual::Options options(const std::string& prefix) const {
@@ -79,14 +82,18 @@ class ResidualFrames : public ::testing::Test {
     }
 };
 
-// The ball and the box's paint change, and the lamp, which stays in the static scene.
+// The ball, the box's paint and the emitter change, which stays in the static scene as the first row has it.
 TEST_F(ResidualFrames, AreImagesOfTheirScenes) {
-    write("f.tsv", "frame\tx\tpaint\tpower\n3\t-0.7\t.5\t9\n4\t0\t.5\t9\n10\t.5\t.8\t5\n");
+    write("f.tsv",
+          "frame\tx\tpaint\tpower\tat\n3\t-0.7\t.5\t9\t0\n4\t0\t.5\t9\t0\n10\t.5\t.8\t5\t0\n11\t.5\t.8\t5\t.6\n");
     trace("static.exr", "f.tsv");
     trace("g.h5", "f.tsv");
     residual::run(options(""), report);
     const std::vector<std::pair<std::string, std::vector<std::string>>> frames = {
-        {"new-0003.exr", {"x=-0.7"}}, {"new-0004.exr", {}}, {"new-0010.exr", {"x=.5", "paint=.8", "power=5"}}};
+        {"new-0003.exr", {"x=-0.7"}},
+        {"new-0004.exr", {}},
+        {"new-0010.exr", {"x=.5", "paint=.8", "power=5"}},
+        {"new-0011.exr", {"x=.5", "paint=.8", "power=5", "at=.6"}}};
     const Image base = read_image(at("static.exr"));
     for (const auto& [name, defines] : frames) {
         trace("fresh.exr", "", defines);
@@ -102,6 +109,28 @@ TEST_F(ResidualFrames, AreImagesOfTheirScenes) {
         }
         EXPECT_LT(difference, 1e-5) << name;
         EXPECT_GT(moved, 0.1) << name;
+    }
+}
+
+// The same where every path is followed again.
+TEST_F(ResidualFrames, OfAMovedEmitterHaveTheSameBytesAloneAndAmongOthers) {
+    write("f.tsv", "frame\tat\tx\n3\t0\t0\n4\t.5\t.1\n10\t.2\t.5\n11\t-.2\t.5\n");
+    trace("static.exr", "f.tsv");
+    trace("g.h5", "f.tsv", {}, 1);
+    residual::run(options("all-"), report);
+    for (const char* number : {"4", "10"}) {
+        residual::Options one = options("one-");
+        one.only = fmt::format("{}:{}", number, std::stoi(number) + 1);
+        one.threads = 1;
+        residual::run(one, report);
+        for (const char* of : {"new", "residual"}) {
+            const auto image = [&](const char* who) {
+                return read_image(at(fmt::format("{}-{}-{:04}.exr", who, of, std::stoi(number))));
+            };
+            const Image a = image("all"), b = image("one");
+            for (const char* c : {"R", "G", "B", "VarMean.R", "VarMean.G", "VarMean.B", "N.X"})
+                EXPECT_TRUE(std::ranges::equal(a.find(c), b.find(c))) << number << of << c;
+        }
     }
 }
 

@@ -160,16 +160,21 @@ Animation find_animation(const std::filesystem::path& scene, const Defines& defi
 
     Animation out;
     for (const SceneDescription& frame : descriptions) out.frame_hashes.push_back(hash_of(texts.text(*frame.root)));
-    auto root = std::make_shared<Object>(first);
+    auto root = std::make_shared<Object>(first), fixed = std::make_shared<Object>(first);
     for (std::size_t k = 0; k < shapes.size(); ++k) {
         if (!shape_differs[k]) continue;
+        const auto remove_from = [&](Object& scene) {
+            std::erase_if(scene.nested, [&](const auto& child) { return child.first == shapes[k]; });
+        };
+        remove_from(*fixed);
         if (shapes[k]->has_child(Category::emitter)) {
             out.relit.push_back(name_of(shapes[k], k));
             continue;
         }
         out.moving.push_back(name_of(shapes[k], k));
-        std::erase_if(root->nested, [&](const auto& child) { return child.first == shapes[k]; });
+        remove_from(*root);
     }
+    const bool has_less = fixed->nested.size() < root->nested.size();
     for (std::size_t k = 0; k < emitters.size(); ++k)
         if (emitter_differs[k]) out.relit.push_back(name_of(emitters[k], k));
     out.still = std::move(descriptions[0]);
@@ -177,6 +182,10 @@ Animation find_animation(const std::filesystem::path& scene, const Defines& defi
     out.still_hash = hash_of(texts.text(*root));
     out.still.parameters = {{"static scene", out.still_hash}};
     out.still.files.clear();
+    if (has_less) {
+        out.fixed = out.still;
+        out.fixed->root = std::move(fixed);
+    }
     out.still.root = std::move(root);
     return out;
 }

@@ -4,6 +4,7 @@
 
 #include <cstdint>
 #include <filesystem>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -38,9 +39,10 @@ Frames read_frames(const std::string& file);
 std::vector<Frames::Frame> frames_of(const Frames& frames, const std::string& only);
 
 struct Animation {
-    SceneDescription still;           // without the shapes that move; built, its hash depends on what it holds alone
-    std::vector<std::string> moving;  // ids of the shapes that differ between frames and emit nothing
-    std::vector<std::string> relit;   // ids of lights that differ, of which `still` has those of the first frame
+    SceneDescription still;  // without the shapes that move; built, its hash depends on what it holds alone
+    std::optional<SceneDescription> fixed;  // without the lights with shapes that differ, too; none: `still` has none
+    std::vector<std::string> moving;        // ids of the shapes that differ between frames and emit nothing
+    std::vector<std::string> relit;         // ids of lights that differ, of which `still` has those of the first frame
     // Content hashes, whatever the names of files: of `still`, and of each frame's whole scene.
     std::string still_hash;
     std::vector<std::string> frame_hashes;

@@ -27,8 +27,14 @@ struct DiffuseFamily : SmoothFamily {
     }
     template <class T>
     [[gnu::always_inline]] static BsdfValue<T> f_cos_pdf(const Bsdf<T>& b, const Vector3<T>& wo, const Vector3<T>& wi) {
-        const T pdf = wi.z * inv_pi<T>;
-        return one_sided(wo, wi, b.diffuse * pdf, pdf);
+        return f_cos_pdf(b.diffuse, wo.z, wi.z);
+    }
+    /// The same, of reflectance and cosines alone.
+    template <class T>
+    [[gnu::always_inline]] static BsdfValue<T> f_cos_pdf(const Rgb<T>& reflectance, const T& cos_o, const T& cos_i) {
+        const T pdf = cos_i * inv_pi<T>;
+        const bool above = cos_o > T(0) && cos_i > T(0);
+        return {select(above, reflectance * pdf, Rgb<T>()), select(above, pdf, T(0))};
     }
     template <class T>
     static ChosenDirection<T> choose(const Bsdf<T>&, const Vector3<T>& wo, float, Point2f u) {

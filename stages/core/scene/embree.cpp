@@ -279,6 +279,7 @@ RayEngine::RayEngine(const std::vector<Shape>& shapes, std::shared_ptr<const Ray
     : impl_(std::make_unique<Impl>()) {
     std::vector<bool> left_out(shapes.size());
     for (const std::uint32_t shape_idx : of_base) left_out[shape_idx] = true;
+    if (base->impl_->base) throw std::logic_error("a ray engine beside one that lies beside another");
     impl_->base = std::move(base);
     impl_->of_base = std::move(of_base);
     build(shapes, use, left_out);

@@ -23,6 +23,7 @@ class RayEngine {
     /// distance either counts.
     /// in:      shapes   all, those of `base` included
     ///          of_base  [shape of base] its index in `shapes`
+    ///          base     alone, not beside yet another
     RayEngine(const std::vector<Shape>& shapes, std::shared_ptr<const RayEngine> base,
               std::vector<std::uint32_t> of_base, Use use = Use::all_rays);
     ~RayEngine();

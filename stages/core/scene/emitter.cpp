@@ -8,17 +8,6 @@ namespace {
 
 constexpr float two_pi = 2 * pi<float>;
 
-/// Latitude-longitude coordinates of a unit local direction.
-Point2f sphere_uv(const Vector3f& d) {
-    const float u = std::atan2(d.x, -d.z) / two_pi;
-    return {u - std::floor(u), std::acos(clamp(d.y, -1.0f, 1.0f)) * inv_pi<float>};
-}
-
-Vector3f sphere_direction(Point2f uv) {
-    const SinCos phi = sin_cos_turn(uv.x - std::floor(uv.x)), theta = sin_cos_turn(0.5f * uv.y);
-    return {phi.sin * theta.sin, theta.cos, -phi.cos * theta.sin};
-}
-
 /// Converts to the cells of EnvironmentMap::density, which start half a column after the map's.
 Point2f cell_point(const EnvironmentMap& map, Point2f uv) {
     float s = uv.x - 0.5f / float(map.width);
@@ -146,15 +135,29 @@ void sample_sphere_light(const Scene& scene, const Emitter& e, const Point3f& fr
     s.Li = e.texture_idx < 0 ? e.radiance : radiance_at(scene, e, shape.round.sphere_uv(Vector3f(s.n)));
 }
 
-/// Fills a light point with a direction sampled from the density of an environment map.
+/// Map and axes of the density of a sky's light samples.
+const EnvironmentMap& sampled_map(const Emitter& e) {
+    return e.proposals ? e.proposals->map : *e.map;
+}
+const Frame<float>& sampled_frame(const Emitter& e) {
+    return e.proposals ? e.proposals->frame : e.frame;
+}
+
+/// Fills a light point with a direction sampled from the density of a sky.
+/// out:     its point on the sampled map
+Point2f place_in_sky(const Emitter& e, Point2f st, float density, LightPoint& point) {
+    const Point2f uv{st.x + 0.5f / float(sampled_map(e).width), st.y};
+    const Vector3f local = EnvironmentMap::direction(uv);
+    point.at_infinity = true;
+    point.y = Point3f(sampled_frame(e).to_world(local));
+    point.pdf_w = solid_angle_density(density, local);
+    return {uv.x - std::floor(uv.x), uv.y};
+}
+/// The same, of a map.
 /// out:     position of its radiance on the map
 EnvironmentMap::Place place_on_map(const Emitter& e, Point2f st, float density, LightPoint& point) {
-    const Point2f uv{st.x + 0.5f / float(e.map->width), st.y};
-    const Vector3f local = sphere_direction(uv);
-    point.at_infinity = true;
-    point.y = Point3f(e.frame.to_world(local));
-    point.pdf_w = solid_angle_density(density, local);
-    return e.map->place({uv.x - std::floor(uv.x), uv.y});
+    const Point2f uv = place_in_sky(e, st, density, point);
+    return e.map->place(e.proposals ? EnvironmentMap::point(e.frame.to_local(Vector3f(point.y))) : uv);
 }
 
 /// Samples a point on a chosen emitter.
@@ -165,14 +168,20 @@ bool sample_point_on(const Scene& scene, const Emitter& e, Point2f u, LightPoint
             sample_area_point(scene, e, u, point);
             return true;
         case EmitterKind::constant:
+            point.Li = e.radiance;
+            if (e.proposals) {
+                float density = 0;
+                const Point2f st = e.proposals->map.density.sample(u, density);
+                place_in_sky(e, st, density, point);
+                return true;
+            }
             point.at_infinity = true;
             point.y = Point3f(sample_uniform_sphere(u));
             point.pdf_w = 1.0f / (2 * two_pi);
-            point.Li = e.radiance;
             return true;
         case EmitterKind::envmap: {
             float density = 0;
-            const Point2f st = e.map->density.sample(u, density);
+            const Point2f st = sampled_map(e).density.sample(u, density);
             point.Li = e.map->at(place_on_map(e, st, density, point));
             return true;
         }
@@ -213,7 +222,7 @@ void look_up_lights(const Scene& scene, std::span<LightQuery> queries) {
         return;
     }
     const Emitter& e = scene.emitters[scene.environment_idx];
-    const EnvironmentMap& map = *e.map;
+    const EnvironmentMap &map = *e.map, &sampled = sampled_map(e);
     const float pmf = scene.emitters.size() > 1 ? scene.emitter_pmf.pmf(scene.environment_idx) : 1.0f;
     constexpr std::size_t block = 64;
     Distribution2::Search searches[block];
@@ -232,13 +241,13 @@ void look_up_lights(const Scene& scene, std::span<LightQuery> queries) {
                     q[k].placed = sample_point_on(scene, scene.emitters[index], q[k].u, q[k].point);
                     continue;
                 }
-                searches[k] = map.density.begin(q[k].u);
+                searches[k] = sampled.density.begin(q[k].u);
             } else {
-                const Vector3f local = e.frame.to_local(q[k].d);
-                const Point2f uv = sphere_uv(local);
+                const Vector3f local = sampled_frame(e).to_local(q[k].d);
+                const Point2f uv = EnvironmentMap::point(local);
+                places[k] = map.place(e.proposals ? EnvironmentMap::point(e.frame.to_local(q[k].d)) : uv);
                 q[k].d = local;
-                searches[k] = map.density.cell(cell_point(map, uv));
-                places[k] = map.place(uv);
+                searches[k] = sampled.density.cell(cell_point(sampled, uv));
             }
             asking[n_asking++] = std::uint8_t(k);
         }
@@ -246,15 +255,15 @@ void look_up_lights(const Scene& scene, std::span<LightQuery> queries) {
             for (std::size_t i = 0; i < n_asking; ++i) step(q[asking[i]], searches[asking[i]], places[asking[i]]);
         };
         each([&](const LightQuery& query, Distribution2::Search& search, EnvironmentMap::Place&) {
-            if (query.kind == Kind::point) map.density.guess(search);
+            if (query.kind == Kind::point) sampled.density.guess(search);
         });
         each([&](LightQuery& query, Distribution2::Search& search, EnvironmentMap::Place& place) {
             if (query.kind == Kind::environment) {
-                query.pdf_w = pmf * solid_angle_density(map.density.pdf(search), query.d);
+                query.pdf_w = pmf * solid_angle_density(sampled.density.pdf(search), query.d);
                 return;
             }
             float density = 0;
-            const Point2f st = map.density.finish(search, density);
+            const Point2f st = sampled.density.finish(search, density);
             place = place_on_map(e, st, density, query.point);
             query.placed = true;
         });
@@ -306,9 +315,10 @@ float pdf_light_w(const Scene& scene, const Point3f& from, const SurfacePoint& a
 float pdf_environment_w(const Scene& scene, const Vector3f& d) {
     const Emitter& e = scene.emitters[scene.environment_idx];
     const float pmf = scene.emitters.size() > 1 ? scene.emitter_pmf.pmf(scene.environment_idx) : 1.0f;
-    if (e.kind == EmitterKind::constant) return pmf / (2 * two_pi);
-    const Vector3f local = e.frame.to_local(d);
-    return pmf * solid_angle_density(e.map->density.pdf(cell_point(*e.map, sphere_uv(local))), local);
+    if (e.kind == EmitterKind::constant && !e.proposals) return pmf / (2 * two_pi);
+    const EnvironmentMap& map = sampled_map(e);
+    const Vector3f local = sampled_frame(e).to_local(d);
+    return pmf * solid_angle_density(map.density.pdf(cell_point(map, EnvironmentMap::point(local))), local);
 }
 
 Spectrum emitted(const Scene& scene, const SurfacePoint& at, const Vector3f& wo) {
@@ -321,7 +331,7 @@ Spectrum emitted(const Scene& scene, const SurfacePoint& at, const Vector3f& wo)
 Spectrum environment(const Scene& scene, const Vector3f& d) {
     if (scene.environment_idx < 0) return Spectrum(0);
     const Emitter& e = scene.emitters[scene.environment_idx];
-    return e.kind == EmitterKind::constant ? e.radiance : e.map->eval(sphere_uv(e.frame.to_local(d)));
+    return e.kind == EmitterKind::constant ? e.radiance : e.map->eval(EnvironmentMap::point(e.frame.to_local(d)));
 }
 
 }  // namespace loom

@@ -34,6 +34,7 @@ struct Emitter {
     float cutoff_rad = 0, beam_rad = 0;  // spot
     float tan_x = 0, tan_y = 0;          // projector: half the width and height of its beam at distance 1
     std::shared_ptr<EnvironmentMap> map;
+    std::shared_ptr<const SkyProposals> proposals;  // envmap, constant: of its light samples; null: its own density
 
     bool is_delta() const {
         return kind == EmitterKind::point || kind == EmitterKind::spot || kind == EmitterKind::directional ||

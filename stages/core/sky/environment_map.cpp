@@ -1,6 +1,18 @@
 #include "stages/core/sky/environment_map.h"
 
+#include "stages/core/sampling/warp.h"
+
 namespace loom {
+
+Point2f EnvironmentMap::point(const Vector3f& d) {
+    const float u = std::atan2(d.x, -d.z) / (2 * pi<float>);
+    return {u - std::floor(u), std::acos(clamp(d.y, -1.0f, 1.0f)) * inv_pi<float>};
+}
+
+Vector3f EnvironmentMap::direction(Point2f uv) {
+    const SinCos phi = sin_cos_turn(uv.x - std::floor(uv.x)), theta = sin_cos_turn(0.5f * uv.y);
+    return {phi.sin * theta.sin, theta.cos, -phi.cos * theta.sin};
+}
 
 bool EnvironmentMap::prepare() {
     const int rows = std::max(height - 1, 1);

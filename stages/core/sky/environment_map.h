@@ -4,6 +4,7 @@
 #include <cstddef>
 #include <vector>
 
+#include "stages/core/math/frame.h"
 #include "stages/core/math/vector.h"
 #include "stages/core/sampling/distribution.h"
 
@@ -24,6 +25,13 @@ struct EnvironmentMap {
     Place place(Point2f uv) const;  // prefetches the texels
     Spectrum at(const Place& place) const;
     Spectrum eval(Point2f uv) const { return at(place(uv)); }
+    /// Returns the point of a unit direction in the map's axes, and the direction of a point.
+    static Point2f point(const Vector3f& d);
+    static Vector3f direction(Point2f uv);
+    /// Returns the point of a texel.
+    Point2f centre(int x, int y) const {
+        return {(float(x) + 0.5f) / float(width), height > 1 ? float(y) / float(height - 1) : 0.0f};
+    }
     /// Computes `density`. Returns false for a map of zero radiance, which has no density.
     bool prepare();
 };
@@ -45,5 +53,11 @@ inline EnvironmentMap::Place EnvironmentMap::place(Point2f uv) const {
 inline Spectrum EnvironmentMap::at(const Place& p) const {
     return lerp(p.fy, lerp(p.fx, texels[p.at[0]], texels[p.at[1]]), lerp(p.fx, texels[p.at[2]], texels[p.at[3]]));
 }
+
+/// Density of a sky's light samples, in axes of its own.
+struct SkyProposals {
+    EnvironmentMap map;
+    Frame<float> frame;  // world from local
+};
 
 }  // namespace loom

@@ -45,19 +45,30 @@ void add_arrived_light(PathState& path, PathRecorder record, const Spectrum& Li,
     }
 }
 
-/// Samples a light from a vertex.
-/// in:      q  survival probability of roulette at the vertex
-/// out:     whether a shadow ray must be traced; then `shadow` is filled
+/// Evaluates a light sample at a vertex.
+/// in:      here  p, end() and f_cos_pdf() of the vertex
+///          q     survival probability of roulette there
+/// out:     whether a shadow ray must be traced; then ray and contribution of `shadow` are filled, and
+///          pdf_bsdf  density of BSDF sampling, roulette folded in
+template <class Vertex>
+[[gnu::always_inline]] inline bool ask_light(const Spectrum& beta, const Vertex& here, float q,
+                                             const LightSample& light, ShadowRequest& shadow, float& pdf_bsdf) {
+    if (!(light.density() > 0)) return false;
+    const BsdfValue<float> value = f_cos_pdf(here, light.wi);
+    if (is_black(value.f_cos)) return false;
+    pdf_bsdf = light.delta ? 0.0f : value.pdf_w * q;
+    shadow.contribution = light_sample_contribution(beta, value.f_cos, light.Li, light.density(), pdf_bsdf);
+    shadow.ray = light.at_infinity ? spawn_ray(here.end(), light.wi) : spawn_segment(here.end(), light.end());
+    return true;
+}
+
+/// Samples a light from a vertex of a path, as ask_light().
 template <bool recording>
 bool sample_next_event(const Scene& scene, const PathState& path, const ShadingPoint& here, SurfaceIdx surface, float q,
                        const LightQuery& lights, ShadowRequest& shadow, std::uint32_t vertex) {
     const LightSample light = sample_light(scene, here.p, lights);
-    if (!(light.density() > 0)) return false;
-    const BsdfValue<float> value = f_cos_pdf(here, light.wi);
-    if (is_black(value.f_cos)) return false;
-    const float pdf_bsdf = light.delta ? 0.0f : value.pdf_w * q;
-    shadow.contribution = light_sample_contribution(path.beta, value.f_cos, light.Li, light.density(), pdf_bsdf);
-    shadow.ray = light.at_infinity ? spawn_ray(here.end(), light.wi) : spawn_segment(here.end(), light.end());
+    float pdf_bsdf = 0;
+    if (!ask_light(path.beta, here, q, light, shadow, pdf_bsdf)) return false;
     if constexpr (recording)
         shadow.edge = light_edge(vertex, LightTechnique::next_event, light, pdf_bsdf,
                                  medium_towards(path.media, here, surface, light.wi));

@@ -83,7 +83,7 @@ void CandidatePaths::light_edges(std::size_t last_vertex) {
                       n = end - begin;
     if (reach_.any_emitter || reach_.any_relit)
         for (std::size_t k = begin; k < end; ++k)
-            met_[e.vertex[k] - first_] |= reach_.emitters[e.emitter[k]] | reach_.relit[e.emitter[k]];
+            if (reach_.emitters[e.emitter[k]] | reach_.relit[e.emitter[k]]) met_[e.vertex[k] - first_] |= other_light;
     if (reach_.new_places.empty()) return;
     fill(n, e.vertex.data() + begin, e.y.data() + 4 * begin);
     answer(n, reach_.new_places);
@@ -101,7 +101,8 @@ void CandidatePaths::misses(std::size_t last_vertex) {
     for (std::size_t i = n; i-- > 0;) miss_of_[m.vertex[begin + i] - first_] = std::uint32_t(begin + i);
     if (reach_.any_emitter)
         for (std::size_t i = 0; i < n; ++i)
-            if (technique[i] != by_bsdf) met_[m.vertex[begin + i] - first_] |= reach_.emitters[m.emitter[begin + i]];
+            if (technique[i] != by_bsdf && reach_.emitters[m.emitter[begin + i]])
+                met_[m.vertex[begin + i] - first_] |= other_light;
     // An old shape may have occluded the occluded rays; a new shape may occlude the others.
     const auto ask = [&](const Obstacles& obstacles, bool through) {
         if (obstacles.empty()) return;
@@ -135,8 +136,8 @@ void CandidatePaths::find(std::size_t begin, std::size_t end, std::uint8_t* may)
     if (reach_.sky || reach_.dark_light)
         for (std::size_t j = first_; j < last; ++j) {
             const Ending ending = ending_of(v.flags[j]);
-            met_[j - first_] |=
-                (reach_.sky && ending == Ending::escaped) | (reach_.dark_light && ending == Ending::hit_emitter);
+            if ((reach_.sky && ending == Ending::escaped) || (reach_.dark_light && ending == Ending::hit_emitter))
+                met_[j - first_] |= other_light;
         }
     if (!reach_.new_places.empty()) arrivals(begin, end);
     light_edges(last);

@@ -36,10 +36,13 @@ class CandidatePaths {
     void find(std::size_t begin, std::size_t end, std::uint8_t* may);
     /// After find(), for a row of its vertices: false if the vertex, its arriving and its leaving rays need no test.
     bool may_touch(std::size_t vertex) const { return !tells_ || met_[vertex - first_] != 0; }
+    /// The same, false also where only its light or the end of its last ray has changed.
+    bool may_meet(std::size_t vertex) const { return !tells_ || (met_[vertex - first_] & meets) != 0; }
     /// Returns the row of misses of a vertex with a failed light sample, if the graph has misses and may_touch().
     std::size_t miss_of(std::size_t vertex) const { return miss_of_[vertex - first_]; }
 
   private:
+    static constexpr std::uint8_t meets = 1, other_light = 2;  // bits of met_
     void arrivals(std::size_t begin, std::size_t end);
     void light_edges(std::size_t last_vertex);
     void misses(std::size_t last_vertex);

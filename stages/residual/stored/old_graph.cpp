@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <deque>
 #include <filesystem>
 #include <optional>
 
@@ -106,90 +107,104 @@ std::optional<TraceCommand> parse(std::string command) {
     return parsed;
 }
 
-/// State of one thread, reused between chunks.
-class Worker {
+/// Where the pairs of one new scene go.
+struct Output {
+    GraphResidual result;
+    Film film;
+    tracing::NonfiniteLog old_nonfinite, new_nonfinite;
+
+    Output(const Sensor& sensor, const OldGraph& graph, const GraphJob& job, app::Report& report)
+        : film(sensor.width, sensor.height, graph.spp),
+          old_nonfinite(report, sensor.width, graph.path.seed, " of the old scene"),
+          new_nonfinite(report, sensor.width, graph.path.seed, " of the new scene") {
+        result.why_all = job.reach.everything;
+        for (auto& squares : result.squares) squares.resize(job.old_picture ? sensor.n_pixels() : 0);
+    }
+};
+
+/// Paths of a chunk of pixels in the old scene and in one new one. State of one thread.
+class PairsOfScene {
   public:
     tracing::Counts counts;
     std::uint64_t touched = 0, probed = 0, others = 0;  // probed paths that differ from the graph's
     std::string other;                                  // name of one of them
 
     /// in:  passes  of the graph
-    Worker(const ScenePair& scenes, const OldGraph& graph, const EditReach& reach,
-           const std::vector<StoredPaths>& passes, const Image* old_picture, tracing::NonfiniteLog& old_log,
-           tracing::NonfiniteLog& new_log, Film& film, GraphResidual& out, ControlSums* control)
+    PairsOfScene(const Scene& old_scene, const GraphJob& job, const OldGraph& graph,
+                 const std::vector<StoredPaths>& passes, Output& out)
         : graph_(graph),
           passes_(passes),
-          old_batch_(scenes.old_scene, graph.path),
-          resumed_(scenes.new_scene, reach, graph.path),
-          old_nonfinite_(old_log),
-          new_nonfinite_(new_log),
-          film_(film),
+          old_batch_(old_scene, graph.path),
+          resumed_({old_scene, job.new_scene}, job.reach, graph.path),
           out_(out),
-          control_(control),
-          n_pixels_(scenes.old_scene.sensor.n_pixels()) {
-        for (const StoredPaths& pass : passes) {
-            finders_.emplace_back(pass, reach);
-            first_hits_.emplace_back(pass);
-        }
-        for (int c = 0; old_picture && c < 3; ++c) old_mean_[c] = old_picture->find(rgb[c]);
+          control_(job.control),
+          n_pixels_(old_scene.sensor.n_pixels()) {
+        for (const StoredPaths& pass : passes) finders_.emplace_back(pass, job.reach);
+        for (int c = 0; job.old_picture && c < 3; ++c) old_mean_[c] = job.old_picture->find(rgb[c]);
     }
 
-    void run(std::uint64_t begin, std::uint64_t end) {
-        width_ = end - begin;
+    /// Starts the pixels [begin, end).
+    void start(std::uint64_t begin, std::uint64_t end) {
+        begin_ = begin, width_ = end - begin;
         sums_.assign(width_, {});
-        trace(begin);
-        probe();
-        add(begin);
-        for (std::uint64_t pixel = begin; pixel < end; ++pixel) film_.set(pixel, sums_[pixel - begin]);
-    }
-
-  private:
-    /// Fills flags_, [sample of all passes][pixel of the chunk], and pairs_ in this order. Adds the first hits of
-    /// untouched paths.
-    void trace(std::uint64_t begin) {
         flags_.resize(width_ * graph_.spp);
+        n_samples_ = 0;
         touched_.clear();
         pairs_.clear();
         kept_.clear();
         pairs_.reserve(flags_.size());  // their addresses must stay valid
         if (control_) kept_.reserve(flags_.size());
-        std::uint8_t* flags = flags_.data();
-        for (std::size_t i = 0; i < passes_.size(); ++i)
-            for (std::uint64_t s = 0; s < graph_.passes[i].tracing.samples_per_pixel; ++s, flags += width_) {
-                const std::size_t first = s * n_pixels_ + begin;
-                changes_.clear();
-                finders_[i].find(first, first + width_, flags, changes_);
-                for (std::size_t k = 0; k < width_; ++k) {
-                    if (flags[k]) continue;
-                    sums_[k].add(first_hits_[i].of(first + k));
-                    if (weighs_old(begin + k)) keep(i, first + k);
-                }
-                std::span<const std::uint32_t> again(changes_.again);
-                for (const PathChange& change : changes_.paths) {
-                    PathPair& pair = pairs_.emplace_back();
-                    pair.first = first_hits_[i].of(change.path);
-                    resumed_.add(passes_[i], change, again.first(change.n_again), pair);
-                    again = again.subspan(change.n_again);
-                    touched_.push_back({i, change.path});
-                }
-            }
+    }
+
+    /// Adds a sample of all pixels: queues the paths that the edit touches, and adds the first hits of the others.
+    /// in:      block  with the paths of that sample, in a pass
+    void follow(std::size_t pass, StoredBlock& block, std::size_t first, FirstHits& first_hits) {
+        std::uint8_t* const flags = flags_.data() + width_ * n_samples_++;
+        changes_.clear();
+        finders_[pass].find(first, first + width_, flags, changes_);
+        for (std::size_t k = 0; k < width_; ++k) {
+            if (flags[k]) continue;
+            sums_[k].add(first_hits.of(first + k));
+            if (weighs_old(begin_ + k)) keep(block, first + k);
+        }
+        std::span<const std::uint32_t> again(changes_.again);
+        for (const PathChange& change : changes_.paths) {
+            PathPair& pair = pairs_.emplace_back();
+            pair.first = first_hits.of(change.path);
+            resumed_.add(block, change, again.first(change.n_again), pair);
+            again = again.subspan(change.n_again);
+            touched_.push_back({pass, change.path});
+        }
+    }
+
+    /// Ends the pixels after their last sample.
+    void finish() {
         resumed_.finish();
         counts.add(resumed_.counts);
         resumed_.counts = {};
         touched += touched_.size();
+        probe();
+        add();
+        for (std::uint64_t k = 0; k < width_; ++k) out_.film.set(begin_ + k, sums_[k]);
     }
 
+  private:
     /// Whether the old image has another weight than 1 in a pixel, or may get one.
     bool weighs_old(std::uint64_t pixel) const {
         return control_ && (control_->fits || !(control_->alpha[pixel] == Spectrum(1)));
     }
     /// Computes what an untouched path brings, in both scenes.
-    void keep(std::size_t pass, std::size_t path) {
-        const PathGraph& graph = graph_.passes[pass];
+    void keep(StoredBlock& block, std::size_t path) {
+        const PathGraph& graph = block.paths().graph();
+        PathPair& pair = kept_.emplace_back();
+        if (const Spectrum* known = block.known_light(path)) {
+            pair.before = *known;
+            return;
+        }
         PathChange none;
         none.path = path;
         none.edge = first_row(graph.light_edges.vertex, graph.paths.first_vertex[path]);
-        resumed_.add(passes_[pass], none, {}, kept_.emplace_back());
+        resumed_.add(block, none, {}, pair);
     }
 
     /// Traces some of the touched paths in the old scene as well; they must equal those of the graph.
@@ -205,7 +220,7 @@ class Worker {
             const auto& [pass, path] = touched_[i * step];
             const PathResult& traced = probed_[i];
             counts.add(traced);
-            const Spectrum& known = pairs_[i * step].before;
+            const Spectrum& known = pairs_[i * step].stored;
             const auto& first = graph_.passes[pass].paths.first_vertex;
             const std::uint64_t n = first[path + 1] - first[path];
             constexpr double tolerance = 1e-4;
@@ -225,7 +240,7 @@ class Worker {
     }
 
     /// Adds the samples' contributions in their order; zeros before the first nonzero one are only counted.
-    void add(std::uint64_t begin) {
+    void add() {
         squares_.assign(old_mean_[0].empty() ? 0 : 3 * width_, 0.0);
         const std::uint8_t* flags = flags_.data();
         std::size_t t = 0, n_kept = 0;
@@ -234,27 +249,28 @@ class Worker {
                 PixelSums& sums = sums_[k];
                 if (!flags[k]) {
                     if (sums.L[0].n > 0) sums.add(Spectrum(0));
-                    if (!weighs_old(begin + k)) continue;
+                    if (!weighs_old(begin_ + k)) continue;
                     const Spectrum& L = kept_[n_kept++].before;
-                    add_controlled(begin + k, L, L);
+                    add_controlled(begin_ + k, L, L);
                     continue;
                 }
                 const PathPair& pair = pairs_[t];
                 const PathId id = passes_[touched_[t].pass].id(touched_[t].path);
                 ++t;
-                old_nonfinite_.check(pair.before, id);
-                new_nonfinite_.check(pair.after, id);
+                out_.old_nonfinite.check(pair.before, id);
+                out_.new_nonfinite.check(pair.after, id);
                 for (Moments& L : sums.L) L.n = std::max(L.n, sample);
                 sums.add(pair.after - pair.before, pair.first);
-                if (weighs_old(begin + k)) add_controlled(begin + k, pair.before, pair.after);
+                if (weighs_old(begin_ + k)) add_controlled(begin_ + k, pair.before, pair.after);
                 for (std::size_t c = 0; c < 3 && !squares_.empty(); ++c)
                     squares_[3 * k + c] +=
                         (double(pair.after[int(c)]) - pair.before[int(c)]) *
-                        (double(pair.after[int(c)]) + pair.before[int(c)] - 2.0 * old_mean_[c][begin + k]);
+                        (double(pair.after[int(c)]) + pair.before[int(c)] - 2.0 * old_mean_[c][begin_ + k]);
             }
         for (PixelSums& sums : sums_)
             for (Moments& L : sums.L) L.n = graph_.spp;
-        for (std::size_t k = 0; k < squares_.size(); ++k) out_.squares[k % 3][begin + k / 3] = float(squares_[k]);
+        for (std::size_t k = 0; k < squares_.size(); ++k)
+            out_.result.squares[k % 3][begin_ + k / 3] = float(squares_[k]);
     }
 
     void add_controlled(std::uint64_t pixel, const Spectrum& before, const Spectrum& after) {
@@ -269,14 +285,13 @@ class Worker {
     PathBatch old_batch_;
     ResumedPaths resumed_;
     std::vector<TouchedPaths> finders_;  // [pass]
-    std::vector<FirstHits> first_hits_;  // [pass]
-    tracing::NonfiniteLog &old_nonfinite_, &new_nonfinite_;
-    Film& film_;
-    GraphResidual& out_;
+    Output& out_;
     ControlSums* control_;
     std::uint64_t n_pixels_;
     std::span<const float> old_mean_[3];
-    std::size_t width_ = 0;  // pixels of the chunk
+    std::uint64_t begin_ = 0;  // first pixel of the chunk
+    std::size_t width_ = 0;    // its pixels
+    std::size_t n_samples_ = 0;
     std::vector<PixelSums> sums_;
     std::vector<double> squares_;  // [pixel and channel]
     std::vector<std::uint8_t> flags_;
@@ -286,6 +301,39 @@ class Worker {
     std::vector<PathPair> kept_;   // of untouched ones where weighs_old()
     std::vector<PathId> probes_;
     std::vector<PathResult> probed_;
+};
+
+/// State of one thread, reused between chunks: reads each block of the graph once for all new scenes.
+class Worker {
+  public:
+    std::vector<PairsOfScene> scenes;
+
+    Worker(const Scene& old_scene, std::span<const GraphJob> jobs, const OldGraph& graph,
+           const std::vector<StoredPaths>& passes, std::deque<Output>& outputs)
+        : graph_(graph), passes_(passes), n_pixels_(old_scene.sensor.n_pixels()) {
+        scenes.reserve(jobs.size());
+        for (std::size_t i = 0; i < jobs.size(); ++i)
+            scenes.emplace_back(old_scene, jobs[i], graph, passes, outputs[i]);
+        for (const StoredPaths& pass : passes) first_hits_.emplace_back(pass);
+    }
+
+    void run(std::uint64_t begin, std::uint64_t end) {
+        for (PairsOfScene& scene : scenes) scene.start(begin, end);
+        for (std::size_t i = 0; i < passes_.size(); ++i)
+            for (std::uint64_t s = 0; s < graph_.passes[i].tracing.samples_per_pixel; ++s) {
+                const std::size_t first = s * n_pixels_ + begin;
+                block_.start(passes_[i], first, first + (end - begin));
+                for (PairsOfScene& scene : scenes) scene.follow(i, block_, first, first_hits_[i]);
+            }
+        for (PairsOfScene& scene : scenes) scene.finish();
+    }
+
+  private:
+    const OldGraph& graph_;
+    const std::vector<StoredPaths>& passes_;
+    std::uint64_t n_pixels_;
+    StoredBlock block_;
+    std::vector<FirstHits> first_hits_;  // [pass]
 };
 
 }  // namespace
@@ -342,24 +390,18 @@ std::string GraphResidual::summary() const {
                        why_all.empty() ? "" : ": " + why_all);
 }
 
-GraphResidual render_residual(const ScenePair& scenes, const EditReach& reach, const OldGraph& graph, int threads,
-                              const Image* old_picture, app::Report& report, ControlSums* control) {
-    const Sensor& sensor = scenes.new_scene.sensor;
-    const std::uint64_t n_pixels = sensor.n_pixels();
-    GraphResidual out;
+std::vector<GraphResidual> render_residuals(const Scene& old_scene, std::span<const GraphJob> jobs,
+                                            const OldGraph& graph, int threads, app::Report& report) {
+    const std::uint64_t n_pixels = old_scene.sensor.n_pixels();
     std::vector<GraphReader> readers;
-    out.why_all = reach.everything;
     for (const PathGraph& pass : graph.passes) readers.emplace_back(pass);
     std::vector<StoredPaths> passes;
-    for (const GraphReader& reader : readers) passes.emplace_back(scenes.old_scene, reader, graph.path);
-    for (auto& squares : out.squares) squares.resize(old_picture ? n_pixels : 0);
+    for (const GraphReader& reader : readers) passes.emplace_back(old_scene, reader, graph.path);
+    std::deque<Output> outputs;
+    for (const GraphJob& job : jobs) outputs.emplace_back(old_scene.sensor, graph, job, report);
 
-    Film film(sensor.width, sensor.height, graph.spp);
-    tracing::NonfiniteLog old_log(report, sensor.width, graph.path.seed, " of the old scene"),
-        new_log(report, sensor.width, graph.path.seed, " of the new scene");
     app::Progress progress(report, "tracing", n_pixels * graph.spp);
-    tbb::enumerable_thread_specific<Worker> workers(
-        [&] { return Worker(scenes, graph, reach, passes, old_picture, old_log, new_log, film, out, control); });
+    tbb::enumerable_thread_specific<Worker> workers([&] { return Worker(old_scene, jobs, graph, passes, outputs); });
     // Large enough for full batches of touched paths where they are rare.
     constexpr std::uint64_t paths_per_chunk = 1 << 15;
     parallel_chunks(n_pixels, std::clamp<std::uint64_t>(paths_per_chunk / graph.spp, 16, paths_per_chunk), threads,
@@ -367,26 +409,38 @@ GraphResidual render_residual(const ScenePair& scenes, const EditReach& reach, c
                         workers.local().run(begin, end);
                         progress.add((end - begin) * graph.spp);
                     });
-    out.paths = n_pixels * graph.spp;
-    out.counts.nonfinite = old_log.count() + new_log.count();
-    std::uint64_t probed = 0, others = 0;
-    std::string other;
-    for (const Worker& worker : workers) {
-        out.counts.add(worker.counts);
-        out.touched += worker.touched;
-        probed += worker.probed;
-        others += worker.others;
-        if (other.empty()) other = worker.other;
+    std::vector<GraphResidual> results;
+    for (std::size_t i = 0; i < jobs.size(); ++i) {
+        GraphResidual& out = outputs[i].result;
+        out.paths = n_pixels * graph.spp;
+        out.counts.nonfinite = outputs[i].old_nonfinite.count() + outputs[i].new_nonfinite.count();
+        std::uint64_t probed = 0, others = 0;
+        std::string other;
+        for (const Worker& worker : workers) {
+            const PairsOfScene& scene = worker.scenes[i];
+            out.counts.add(scene.counts);
+            out.touched += scene.touched;
+            probed += scene.probed;
+            others += scene.others;
+            if (other.empty()) other = scene.other;
+        }
+        // A few probes may hit two coincident surfaces, and another of them than when the graph was made.
+        if (100 * others > probed) throw InputError(other + ": graph and scene do not belong together");
+        out.image = std::move(outputs[i].film).finish({});
+        LedgerLink& link = out.image.ledger.emplace_back();
+        link.method = old_graph_method;
+        link.samples = graph.spp;
+        link.seed = graph.path.seed;
+        link.var_mean = mean_var_mean(out.image);
+        results.push_back(std::move(out));
     }
-    // A few probes may hit two coincident surfaces, and another of them than when the graph was made.
-    if (100 * others > probed) throw InputError(other + ": graph and scene do not belong together");
-    out.image = std::move(film).finish({});
-    LedgerLink& link = out.image.ledger.emplace_back();
-    link.method = old_graph_method;
-    link.samples = graph.spp;
-    link.seed = graph.path.seed;
-    link.var_mean = mean_var_mean(out.image);
-    return out;
+    return results;
+}
+
+GraphResidual render_residual(const ScenePair& scenes, const EditReach& reach, const OldGraph& graph, int threads,
+                              const Image* old_picture, app::Report& report, ControlSums* control) {
+    const GraphJob job{scenes.new_scene, reach, old_picture, control};
+    return std::move(render_residuals(scenes.old_scene, {&job, 1}, graph, threads, report)[0]);
 }
 
 Image add_residual_of_same_samples(const Image& old_picture, const Image& residual, const GraphResidual& paths) {

@@ -2,6 +2,7 @@
 // Correlated difference from existing paths: those of a graph of the old scene.
 
 #include <cstdint>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -46,19 +47,30 @@ struct GraphResidual {
     std::string summary() const;
 };
 
-/// Renders the mean difference of the graph's paths and those with the same random stream in the new scene, new minus
-/// old. Only paths that the edit touches are traced, in the new scene. Their old contribution is read from the graph;
-/// one in 64 is traced in the old scene as well, as a probe. The other paths add zeros, in the order of the samples.
-/// [METHODS 2.3]
-/// in:      old_picture  image of the graph's own samples, for `squares`; null: none
-///          control      with weights alpha of an image of other samples; null: none
-/// out:     image  R, G, B, VarMean, samples: to the last bit those of render_residual() with these seeds; Albedo, N,
-///          Depth of the new scene up to rounding; ledger: its link, without the edit's text and scene
+/// One of the new scenes of a graph.
+struct GraphJob {
+    const Scene& new_scene;
+    const EditReach& reach;
+    const Image* old_picture = nullptr;  // of the graph's own samples, for `squares`; null: none
+    ControlSums* control = nullptr;      // with weights alpha of an image of other samples; null: none
+};
+
+/// Renders the mean difference of the graph's paths and those with the same random stream in a new scene, new minus old,
+/// for several new scenes: each block of the graph is read, and what its vertices need is computed, once for all of them.
+/// Only paths that an edit touches are traced, in its new scene. Their old contribution is read from the graph; one in 64
+/// is traced in the old scene as well, as a probe. The other paths add zeros, in the order of the samples. [METHODS 2.3]
+/// out:     [job] image  R, G, B, VarMean, samples: to the last bit those of render_residual() with these seeds; Albedo,
+///                N, Depth of the new scene up to rounding; ledger: its link, without the edit's text and scene. No job
+///                depends on the others.
+///          control  pairs, of untouched paths, too, where the weight is not 1 or may change
 /// differs: render_residual() has NaN where a path is not finite in both scenes; this function adds zero if the edit
 ///          does not touch it
-///          control  pairs, of untouched paths, too, where the weight is not 1 or may change
 /// throws:  InputError when more than one probe in a hundred has another number of vertices, or another contribution,
 ///          than in the graph
+std::vector<GraphResidual> render_residuals(const Scene& old_scene, std::span<const GraphJob> jobs,
+                                            const OldGraph& graph, int threads, app::Report& report);
+
+/// The same, of one new scene.
 GraphResidual render_residual(const ScenePair& scenes, const EditReach& reach, const OldGraph& graph, int threads,
                               const Image* old_picture, app::Report& report, ControlSums* control = nullptr);
 

@@ -17,22 +17,35 @@ bool same_bits(const Vector3f& a, const Vector3f& b) {
 
 }  // namespace
 
-ResumedPaths::ResumedPaths(const Scene& new_scene, const EditReach& reach, const PathOptions& options)
-    : scene_(new_scene), reach_(reach), options_(options), batch_(new_scene, options) {
+ResumedPaths::ResumedPaths(const ScenePair& scenes, const EditReach& reach, const PathOptions& options)
+    : old_scene_(scenes.old_scene),
+      scene_(scenes.new_scene),
+      reach_(reach),
+      options_(options),
+      shares_sky_(reach.sky && scene_.environment_idx >= 0 &&
+                  scene_.emitters[std::size_t(scene_.environment_idx)].proposals),
+      same_shapes_(reach.old_places.empty() && reach.new_places.empty()),
+      batch_(scene_, options) {
     states_.reserve(PathBatch::capacity);
     pairs_.reserve(PathBatch::capacity);
 }
 
-void ResumedPaths::add_light(PathPair& pair, const Spectrum& light, std::uint32_t ray) {
+void ResumedPaths::add_light(Spectrum& sum, const Spectrum& light, std::uint32_t ray) {
     if (ray == is_seen && first_term_ == terms_.size())
-        pair.after += light;
+        sum += light;
     else
-        terms_.push_back({&pair, light, ray});
+        terms_.push_back({&sum, light, ray});
 }
 
-void ResumedPaths::ask(PathPair& pair, const tracing::ShadowRequest& shadow) {
-    add_light(pair, shadow.contribution, std::uint32_t(shadow_rays_.size()));
-    shadow_rays_.push_back(shadow.ray);
+std::uint32_t ResumedPaths::ask(const Ray& ray) {
+    shadow_rays_.push_back(ray);
+    return std::uint32_t(shadow_rays_.size() - 1);
+}
+
+std::uint32_t ResumedPaths::ask_old(const Ray& ray) {
+    if (same_shapes_) return ask(ray);
+    old_shadow_rays_.push_back(ray);
+    return std::uint32_t(old_shadow_rays_.size() - 1) | in_old_scene;
 }
 
 ShadingPoint ResumedPaths::repainted(const ShadingPoint& here, std::uint32_t shape) const {
@@ -44,34 +57,29 @@ ShadingPoint ResumedPaths::repainted(const ShadingPoint& here, std::uint32_t sha
     return there;
 }
 
-bool ResumedPaths::sample_light_again(const ShadingPoint& here, SurfaceIdx surface, float q, int depth,
-                                      const PathState& path, tracing::ShadowRequest& shadow) const {
-    LightQuery lights;
-    lights.u = path.sampler.pair(dimension(depth, Dimension::light));
-    look_up_light(scene_, lights);
-    return tracing::sample_next_event<false>(scene_, path, here, surface, q, lights, shadow, 0);
-}
-
 /// One stored path, followed vertex by vertex in both scenes.
 class ResumedPaths::Walk {
   public:
-    Walk(ResumedPaths& owner, const StoredPaths& paths, const PathChange& change, std::span<const std::uint32_t> again,
+    Walk(ResumedPaths& owner, StoredBlock& block, const PathChange& change, std::span<const std::uint32_t> again,
          PathPair& pair)
         : owner_(owner),
-          paths_(paths),
-          g_(paths.graph()),
+          block_(block),
+          paths_(block.paths()),
+          g_(paths_.graph()),
           change_(change),
           again_(again),
           pair_(pair),
           first_(g_.paths.first_vertex[change.path]),
           last_(g_.paths.first_vertex[change.path + 1]),
-          end_(change.cut != PathChange::never ? first_ + change.cut
-               : change.repainted              ? last_
-               : again.empty()                 ? first_
-                                               : again.back() + 1),
-          sampler_(paths.sampler(change.path)),
+          end_(change.cut != PathChange::never  ? first_ + change.cut
+               : change.repainted || change.sky ? last_
+               : again.empty()                  ? first_
+                                                : again.back() + 1),
+          vertices_(block.path(change.path)),
+          sampler_(paths_.sampler(change.path)),
           path_(sampler_),
           edge_(change.edge),
+          known_(owner.shares_sky_ ? nullptr : block.known_light(change.path)),
           along_(change.cut > 0),
           resumes_(!along_) {}
 
@@ -80,47 +88,62 @@ class ResumedPaths::Walk {
     /// Whether the path in the new scene continues on its own.
     bool resumes() const { return resumes_; }
 
-    /// Adds directly visible light.
-    void add_first_light() {
-        pair_.before = rgb(g_.paths.Le, change_.path);
-        pair_.after = Spectrum(0);
-        if (change_.cut == 0) return;
-        const int seen = paths_.seen_emitter(change_.path);
-        pair_.after = seen < 0 ? pair_.before : new_light(std::size_t(seen), pair_.before);
-    }
-
     void follow() {
+        add_first_light();
+        owner_.first_term_ = owner_.terms_.size();
         for (std::size_t j = first_; j < last_ && !done(j); ++j) {
             Reached here = reach(j);
             const bool light_seen = add_light_samples(here);
-            if (done(j)) return;
-            const BsdfSample<float> s = here.vertex.redraw(sampler_, here.depth);
+            if (here.shares_sky) sample_skies(here);
+            if (done(j)) break;
             if (here.step_again)
                 step_again(here, light_seen);
             else if (along_)
-                step_as_before(here, s);
+                step_as_before(here);
             if (along_ && std::uint32_t(here.depth) == change_.cut) {
                 along_ = false;
                 resumes_ = true;
-                path_.ray = spawn_ray(paths_.end(j), direction(here));
+                path_.ray = spawn_ray(here.vertex.end, direction(here));
             }
-            beta_ = continued(beta_, s.weight, here.q);
-            add_light_hits(j);
+            beta_ = continued(beta_, here.vertex.weight, here.vertex.q);
+            if (owner_.shares_sky_)
+                old_is_straight_ &=
+                    goes_straight_on(here.vertex.lobe, paths_.reader().model(g_.vertices.material[j]).kind);
+            add_light_hits(here);
         }
+        if (known_)
+            pair_.before = pair_.stored = *known_;
+        else if (!owner_.shares_sky_)
+            pair_.before = pair_.stored, block_.set_light(change_.path, pair_.stored);
     }
 
   private:
     /// Vertex that the walk has reached.
     struct Reached {
         std::size_t j;
-        StoredVertex vertex;
-        Point3f p;
+        StoredVertex& vertex;
         int depth;
-        float q;          // survival probability in the old scene
-        bool ask_again;   // sample the light again
-        bool repaint;     // its BSDF differs in the new scene
-        bool step_again;  // step again with its random numbers
+        bool ask_again;             // sample the light again
+        bool repaint;               // its BSDF differs in the new scene
+        bool step_again;            // step again with its random numbers
+        bool by_proposals = false;  // both scenes' densities of the sky are the new scene's proposals
+        bool shares_sky = false;    // and its light sample is one of the sky
+        LightQuery lights = {};     // looked up, if ask_again
     };
+
+    /// Adds directly visible light.
+    void add_first_light() {
+        pair_.before = pair_.stored = rgb(g_.paths.Le, change_.path);
+        pair_.after = Spectrum(0);
+        if (change_.cut == 0) return;
+        if (change_.sky && first_ == last_) {
+            const bool dark = owner_.options_.max_depth == 0 || hides_sky(owner_.scene_, true);
+            if (!dark) pair_.after = environment(owner_.scene_, paths_.camera_ray(change_.path).d);
+            return;
+        }
+        const int seen = paths_.seen_emitter(change_.path);
+        pair_.after = seen < 0 ? pair_.before : new_light(std::size_t(seen), pair_.before);
+    }
 
     [[gnu::always_inline]] Reached reach(std::size_t j) {
         const int depth = int(j - first_) + 1;
@@ -131,14 +154,22 @@ class ResumedPaths::Walk {
         const bool step_again = along_ && (repaint || other_survival) && depth != owner_.options_.max_depth;
         if (ask_again) again_ = again_.subspan(1);
         if (along_) ++path_.result.n_vertices;
-        return {j,         StoredVertex(paths_, j), paths_.position(j), depth, paths_.survival(j), ask_again, repaint,
-                step_again};
+        Reached here{j, vertices_[j - first_], depth, ask_again, repaint, step_again};
+        if (ask_again) {
+            here.lights.u = StoredBlock::u_light(here.vertex, sampler_, depth);
+            look_up_light(owner_.scene_, here.lights);
+        }
+        here.by_proposals = along_ && owner_.shares_sky_;
+        here.shares_sky =
+            here.by_proposals && ask_again && int(here.lights.point.emitter_idx) == owner_.scene_.environment_idx;
+        return here;
     }
 
     /// Whether neither scene contributes from vertex j on.
     bool done(std::size_t j) const {
         const auto& of = g_.light_edges.vertex;
-        return (!along_ || j >= end_) && (edge_ == of.size() || of[edge_] >= last_);
+        const bool no_more_light = edge_ >= of.size() || of[edge_] >= last_;
+        return along_ ? j >= end_ && no_more_light : known_ || no_more_light;
     }
 
     /// Returns an emitter's light in the new scene; a relit one sends the same radiance to all points.
@@ -146,40 +177,100 @@ class ResumedPaths::Walk {
         return owner_.reach_.relit[emitter] ? owner_.scene_.emitters[emitter].radiance : old_light;
     }
 
+    /// Adds light of the stored path to what it brings in the old scene.
+    void add_stored(const Reached& here, const Spectrum& light, bool of_sky) {
+        pair_.stored += light;
+        if (owner_.shares_sky_ && !(here.by_proposals && of_sky)) owner_.add_light(pair_.before, light);
+    }
+
     /// Adds the stored light samples of a vertex. Returns whether there are any.
     [[gnu::always_inline]] bool add_light_samples(Reached& here) {
         const auto& e = g_.light_edges;
+        const bool adds_new = along_ && !here.ask_again && !here.step_again;
         bool seen = false;
         for (; edge_ < e.vertex.size() && e.vertex[edge_] == here.j &&
                e.technique[edge_] == std::uint8_t(LightTechnique::next_event);
              ++edge_) {
             const std::size_t k = edge_;
-            const Spectrum f_cos = here.vertex.f_cos(paths_.reader().light_direction(here.p, k)), Li = rgb(e.Li, k);
-            pair_.before += light_sample_contribution(beta_, f_cos, Li, e.pdf_nee_w[k], e.pdf_bsdf_w[k]);
-            if (along_ && !here.ask_again && !here.step_again)
-                owner_.add_light(pair_, light_sample_contribution(path_.beta, f_cos, new_light(e.emitter[k], Li),
-                                                                  e.pdf_nee_w[k], e.pdf_bsdf_w[k]));
             seen = true;
+            if (known_ && !adds_new) continue;
+            const Spectrum f_cos =
+                               block_.f_cos(here.vertex, here.j, paths_.reader().light_direction(here.vertex.end.p, k)),
+                           Li = rgb(e.Li, k);
+            if (!known_)
+                add_stored(here, light_sample_contribution(beta_, f_cos, Li, e.pdf_nee_w[k], e.pdf_bsdf_w[k]),
+                           int(e.emitter[k]) == owner_.old_scene_.environment_idx);
+            if (adds_new)
+                owner_.add_light(pair_.after, light_sample_contribution(path_.beta, f_cos, new_light(e.emitter[k], Li),
+                                                                        e.pdf_nee_w[k], e.pdf_bsdf_w[k]));
         }
         return seen;
     }
 
-    /// Adds the light that the ray from vertex j has hit.
-    [[gnu::always_inline]] void add_light_hits(std::size_t j) {
+    /// Evaluates a light sample at a vertex as it was in the old scene.
+    /// out:     whether a shadow ray must be traced
+    bool ask_light(Reached& here, const Spectrum& beta, const LightSample& light, tracing::ShadowRequest& shadow) {
+        float pdf_bsdf = 0;
+        return here.vertex.diffuse
+                   ? tracing::ask_light(beta, DiffusePoint(here.vertex), here.vertex.q, light, shadow, pdf_bsdf)
+                   : tracing::ask_light(beta, block_.whole(here.vertex, here.j), here.vertex.q, light, shadow,
+                                        pdf_bsdf);
+    }
+
+    /// Adds the new scene's sample of the old sky.
+    void sample_skies(Reached& here) {
+        LightQuery old_sky = here.lights;
+        old_sky.point.Li = environment(owner_.old_scene_, Vector3f(old_sky.point.y));
+        tracing::ShadowRequest shadow;
+        if (ask_light(here, beta_, sample_light(owner_.scene_, here.vertex.end.p, old_sky), shadow))
+            owner_.add_light(pair_.before, shadow.contribution, owner_.ask_old(shadow.ray));
+    }
+
+    /// Adds the light that the ray from a vertex has hit.
+    [[gnu::always_inline]] void add_light_hits(Reached& here) {
         const auto& e = g_.light_edges;
-        for (; edge_ < e.vertex.size() && e.vertex[edge_] == j; ++edge_) {
+        const bool escapes =
+            owner_.reach_.sky && here.j + 1 == last_ && ending_of(g_.vertices.flags[here.j]) == Ending::escaped;
+        const bool other_sky = escapes && along_;
+        if (escapes && (along_ || here.by_proposals)) add_skies(here, escape_direction(here));
+        for (; edge_ < e.vertex.size() && e.vertex[edge_] == here.j; ++edge_) {
             const std::size_t k = edge_;
             const Spectrum Li = rgb(e.Li, k);
-            pair_.before += light_hit_contribution(beta_, Li, e.pdf_bsdf_w[k], e.pdf_nee_w[k]);
-            if (along_)
-                owner_.add_light(pair_, light_hit_contribution(path_.beta, new_light(e.emitter[k], Li), path_.density,
-                                                               e.pdf_nee_w[k]));
+            if (!known_) add_stored(here, light_hit_contribution(beta_, Li, e.pdf_bsdf_w[k], e.pdf_nee_w[k]), escapes);
+            if (along_ && !other_sky)
+                owner_.add_light(pair_.after, light_hit_contribution(path_.beta, new_light(e.emitter[k], Li),
+                                                                     path_.density, e.pdf_nee_w[k]));
         }
     }
 
+    /// Returns the direction in which the path leaves the scene.
+    Vector3f escape_direction(Reached& here) {
+        const auto& e = g_.light_edges;
+        if (edge_ == e.vertex.size() || e.vertex[edge_] != here.j) return direction(here);
+        return {e.y[4 * edge_], e.y[4 * edge_ + 1], e.y[4 * edge_ + 2]};
+    }
+
+    /// Adds the sky's light along a ray that leaves the scene: of the new one, and of the old one where both have the new
+    /// one's densities.
+    void add_skies(Reached& here, const Vector3f& d) {
+        const Scene& scene = owner_.scene_;
+        const Lobe lobe = here.vertex.lobe;
+        LightQuery sky;
+        sky.kind = LightQuery::Kind::environment;
+        sky.d = d;
+        look_up_light(scene, sky);
+        const float pdf_nee = is_delta(lobe) ? 0.0f : sky.pdf_w;
+        if (along_ && !hides_sky(scene, path_.is_straight) && !is_black(sky.Le))
+            owner_.add_light(pair_.after, light_hit_contribution(path_.beta, sky.Le, path_.density, pdf_nee));
+        if (here.by_proposals && !hides_sky(owner_.old_scene_, old_is_straight_))
+            owner_.add_light(pair_.before, light_hit_contribution(beta_, environment(owner_.old_scene_, d),
+                                                                  g_.vertices.pdf_w[here.j], pdf_nee));
+    }
+
     /// Returns the direction in which the old path leaves a vertex.
-    Vector3f direction(Reached& here) const {
-        return here.j + 1 < last_ ? paths_.arrival(here.j + 1) : here.vertex.direction(sampler_, here.depth);
+    Vector3f direction(Reached& here) {
+        if (here.j + 1 < last_) return paths_.arrival(here.j + 1);
+        return block_.direction(here.vertex, here.j, sampler_, here.depth);
     }
 
     /// Continues in the new scene with the same random numbers.
@@ -187,12 +278,14 @@ class ResumedPaths::Walk {
     void step_again(Reached& here, bool light_seen) {
         // Sample a light and the next direction.
         const SurfaceIdx surface = surface_of(here.j);
-        const ShadingPoint& before = here.vertex.whole();
+        const ShadingPoint& before = block_.whole(here.vertex, here.j);
         const ShadingPoint now = here.repaint ? owner_.repainted(before, surface.shape) : before;
         if (here.repaint && here.depth == 1) pair_.first.albedo = albedo(now.bsdf, now.wo_local);
-        LightQuery lights;
-        lights.u = sampler_.pair(dimension(here.depth, Dimension::light));
-        look_up_light(owner_.scene_, lights);
+        LightQuery& lights = here.lights;
+        if (!here.ask_again) {
+            lights.u = StoredBlock::u_light(here.vertex, sampler_, here.depth);
+            look_up_light(owner_.scene_, lights);
+        }
         tracing::ShadowRequest shadow;
         const tracing::Step step =
             tracing::leave<false>(owner_.scene_, owner_.options_, here.depth, now, surface, lights,
@@ -203,12 +296,10 @@ class ResumedPaths::Walk {
             const auto was_asked = [&] {
                 return !is_black(f_cos_pdf(before, sample_light(owner_.scene_, before.p, lights).wi).f_cos);
             };
-            if (here.ask_again)
-                owner_.ask(pair_, shadow);
+            if (here.ask_again || (!light_seen && !was_asked()))
+                owner_.add_light(pair_.after, shadow.contribution, owner_.ask(shadow.ray));
             else if (light_seen)
-                owner_.add_light(pair_, shadow.contribution);
-            else if (!was_asked())
-                owner_.ask(pair_, shadow);
+                owner_.add_light(pair_.after, shadow.contribution);
         }
 
         // Follow the old path as long as the directions are equal.
@@ -220,18 +311,18 @@ class ResumedPaths::Walk {
 
     SurfaceIdx surface_of(std::size_t j) const { return {g_.vertices.shape[j], g_.vertices.material[j]}; }
 
-    /// in:  s  sample of the BSDF, the same in both scenes
-    [[gnu::always_inline]] void step_as_before(Reached& here, const BsdfSample<float>& s) {
+    [[gnu::always_inline]] void step_as_before(Reached& here) {
         const auto& v = g_.vertices;
         tracing::ShadowRequest shadow;
         if (here.ask_again &&
-            owner_.sample_light_again(here.vertex.whole(), surface_of(here.j), here.q, here.depth, path_, shadow))
-            owner_.ask(pair_, shadow);
-        pass_vertex(path_, here.p, paths_.reader().model(v.material[here.j]), surface_of(here.j), s, here.q,
-                    v.pdf_w[here.j]);
+            ask_light(here, path_.beta, sample_light(owner_.scene_, here.vertex.end.p, here.lights), shadow))
+            owner_.add_light(pair_.after, shadow.contribution, owner_.ask(shadow.ray));
+        pass_vertex(path_, here.vertex.end.p, paths_.reader().model(v.material[here.j]), surface_of(here.j),
+                    block_.sample(here.vertex), here.vertex.q, v.pdf_w[here.j]);
     }
 
     ResumedPaths& owner_;
+    StoredBlock& block_;
     const StoredPaths& paths_;
     const PathGraph& g_;
     const PathChange& change_;
@@ -239,26 +330,27 @@ class ResumedPaths::Walk {
     PathPair& pair_;
     std::size_t first_, last_;  // vertices
     std::size_t end_;           // from this vertex on the path in the new scene has no changes of its own
+    std::span<StoredVertex> vertices_;
     Sampler sampler_;
-    PathState path_;    // state in the new scene
-    Spectrum beta_{1};  // throughput in the old scene
-    std::size_t edge_;  // next light edge of the graph
-    bool along_;        // the new path follows the old one
-    bool resumes_;      // the new path continues on its own
+    PathState path_;         // state in the new scene
+    Spectrum beta_{1};       // throughput in the old scene
+    std::size_t edge_;       // next light edge of the graph
+    const Spectrum* known_;  // what the path brings in the old scene; null: not yet known
+    bool along_;             // the new path follows the old one
+    bool resumes_;           // the new path continues on its own
     bool other_weight_ = false;
+    bool old_is_straight_ = true;  // the old path has not been scattered; kept up where skies share samples
 };
 
-void ResumedPaths::add(const StoredPaths& paths, const PathChange& change, std::span<const std::uint32_t> again,
+void ResumedPaths::add(StoredBlock& block, const PathChange& change, std::span<const std::uint32_t> again,
                        PathPair& pair) {
-    Walk walk(*this, paths, change, again, pair);
-    walk.add_first_light();
-    first_term_ = terms_.size();
+    Walk walk(*this, block, change, again, pair);
     walk.follow();
     if (!walk.resumes()) return;
 
     // Pass the rest of the path to the batch.
     if (change.cut == 0) {
-        states_.emplace_back(scene_, walk.sampler(), paths.id(change.path), walk.sampler().pair(film_pair));
+        states_.emplace_back(scene_, walk.sampler(), block.paths().id(change.path), walk.sampler().pair(film_pair));
     } else {
         walk.path().result.first = pair.first;
         states_.push_back(walk.path());
@@ -267,16 +359,27 @@ void ResumedPaths::add(const StoredPaths& paths, const PathChange& change, std::
     if (states_.size() == PathBatch::capacity) finish();
 }
 
-void ResumedPaths::finish() {
-    const std::size_t n = shadow_rays_.size();
+/// Traces shadow rays and removes them.
+/// out:     [ray] whether it is occluded
+std::unique_ptr<bool[]> ResumedPaths::trace(const Scene& scene, std::vector<Ray>& rays) {
+    const std::size_t n = rays.size();
+    auto blocked = std::make_unique_for_overwrite<bool[]>(n);
+    if (n == 0) return blocked;
     pointers_.resize(n);
-    for (std::size_t i = 0; i < n; ++i) pointers_[i] = &shadow_rays_[i];
-    const auto blocked = std::make_unique_for_overwrite<bool[]>(n);
-    scene_.rays->occluded(pointers_.data(), n, blocked.get());
-    for (const Term& term : terms_)
-        if (term.ray == is_seen || !blocked[term.ray]) term.pair->after += term.light;
+    for (std::size_t i = 0; i < n; ++i) pointers_[i] = &rays[i];
+    scene.rays->occluded(pointers_.data(), n, blocked.get());
     counts.rays += n;
-    shadow_rays_.clear();
+    rays.clear();
+    return blocked;
+}
+
+void ResumedPaths::finish() {
+    const auto blocked = trace(scene_, shadow_rays_), blocked_before = trace(old_scene_, old_shadow_rays_);
+    for (const Term& term : terms_) {
+        const bool is_dark = term.ray != is_seen &&
+                             (term.ray & in_old_scene ? blocked_before[term.ray & ~in_old_scene] : blocked[term.ray]);
+        if (!is_dark) *term.sum += term.light;
+    }
     terms_.clear();
 
     under_way_.resize(states_.size());

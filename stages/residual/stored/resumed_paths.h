@@ -3,11 +3,14 @@
 // vertex that the edit changes.
 
 #include <cstdint>
+#include <memory>
 #include <span>
 #include <vector>
 
+#include "stages/core/edit/scene_pair.h"
 #include "stages/core/tracing/path_step.h"
 #include "stages/core/tracing/pixel_loop.h"
+#include "stages/residual/stored/stored_block.h"
 #include "stages/residual/stored/touched_paths.h"
 
 namespace loom::residual {
@@ -16,6 +19,7 @@ namespace loom::residual {
 struct PathPair {
     FirstHit first;  // in the new scene; depth up to rounding
     Spectrum before, after;
+    Spectrum stored;  // of the graph; differs from `before` where two skies have light samples in common
 };
 
 /// Up to its first changed ray a path equals the old one: its state follows from the graph, without a ray. Where an
@@ -23,16 +27,19 @@ struct PathPair {
 /// repainted surface the BSDF sample is drawn again with the same random stream. If the path continues as before, only
 /// its throughput changes. A visible light sample of an emitter that only changed its radiance stays visible. Sums are
 /// in the tracer's order: at each depth light that the ray has hit, then the light sample. [METHODS 2.3]
+///
+/// With SkyPair::shared, in both scenes the light samples of the sky and the weights of rays that escape are by the new
+/// scene's proposals, at each vertex that the path reaches as before; from its first changed ray on each scene has its own.
 /// State of one thread.
 class ResumedPaths {
   public:
-    ResumedPaths(const Scene& new_scene, const EditReach& reach, const PathOptions& options);
+    ResumedPaths(const ScenePair& scenes, const EditReach& reach, const PathOptions& options);
 
-    /// Adds a touched path.
+    /// Adds a touched path of a block.
     /// in:      again  rows of the change's vertices
     /// in, out: pair   first: of the old scene, then of the new one; this call or finish() fills the rest, so its
     /// address must stay valid until then
-    void add(const StoredPaths& paths, const PathChange& change, std::span<const std::uint32_t> again, PathPair& pair);
+    void add(StoredBlock& block, const PathChange& change, std::span<const std::uint32_t> again, PathPair& pair);
     /// Traces the shadow rays that add() has queued, and continues the paths that it has deferred.
     void finish();
 
@@ -40,28 +47,31 @@ class ResumedPaths {
 
   private:
     class Walk;
-    static constexpr std::uint32_t is_seen = ~0u;
-    /// Light that is added to a path if its shadow ray is unoccluded.
+    // Numbers of shadow rays: of one in the old scene, with the highest bit; of none, for light that is seen.
+    static constexpr std::uint32_t is_seen = ~0u, in_old_scene = 1u << 31;
+    /// Light that is added to a sum of a pair if its shadow ray is unoccluded.
     struct Term {
-        PathPair* pair;
+        Spectrum* sum;
         Spectrum light;
         std::uint32_t ray;
     };
-    void add_light(PathPair& pair, const Spectrum& light, std::uint32_t ray = is_seen);
-    void ask(PathPair& pair, const tracing::ShadowRequest& shadow);
+    void add_light(Spectrum& sum, const Spectrum& light, std::uint32_t ray = is_seen);
+    /// Queue a shadow ray and return its number.
+    std::uint32_t ask(const Ray& ray);
+    std::uint32_t ask_old(const Ray& ray);
+    std::unique_ptr<bool[]> trace(const Scene& scene, std::vector<Ray>& rays);
     ShadingPoint repainted(const ShadingPoint& here, std::uint32_t shape) const;
-    bool sample_light_again(const ShadingPoint& here, SurfaceIdx surface, float q, int depth, const PathState& path,
-                            tracing::ShadowRequest& shadow) const;
 
-    const Scene& scene_;
+    const Scene &old_scene_, &scene_;
     const EditReach& reach_;
     PathOptions options_;
+    bool shares_sky_, same_shapes_;
     PathBatch batch_;
     std::vector<PathState> states_;  // of paths to be resumed
     std::vector<PathPair*> pairs_;   // pairs of these paths
     std::vector<Term> terms_;        // ordered by path; for a path, all terms from the first that waits for its ray
     std::size_t first_term_ = 0;     // of the path that is being added
-    std::vector<Ray> shadow_rays_;
+    std::vector<Ray> shadow_rays_, old_shadow_rays_;
     std::vector<const Ray*> pointers_;
     std::vector<std::uint32_t> under_way_;
 };

@@ -2,7 +2,6 @@
 // The paths of a graph as the tracer computed them.
 
 #include <algorithm>
-#include <optional>
 #include <vector>
 
 #include "stages/core/graph/graph_reader.h"
@@ -74,58 +73,6 @@ class StoredPaths {
     const Scene& scene_;
     const GraphReader& reader_;
     PathOptions options_;
-};
-
-/// A vertex of which only a few values are read: a plain diffuse surface needs cosines alone, without a frame.
-class StoredVertex {
-  public:
-    StoredVertex(const StoredPaths& paths, std::size_t vertex) : paths_(paths), vertex_(vertex) {
-        const PathGraph& g = paths.graph();
-        const std::size_t material = g.vertices.material[vertex];
-        const BsdfModel& model = paths.reader().model(material);
-        const std::uint8_t textured = g.materials.textured[material];
-        diffuse_ = model.kind == BsdfKind::diffuse && model.opacity == 1 && !(textured & textured_parameter::opacity) &&
-                   g.vertices.n_side.empty();
-        if (!diffuse_) return;
-        bsdf_.diffuse = textured & textured_parameter::diffuse ? paths.reader().bsdf(vertex).diffuse : model.diffuse;
-        n_ = shading_normal(g, vertex);
-        wo_.z = dot(-paths.arrival(vertex), n_);
-        if (model.two_sided && wo_.z < 0) n_ = -n_, wo_.z = -wo_.z;
-    }
-
-    /// Returns the whole vertex.
-    const ShadingPoint& whole() {
-        if (!whole_) whole_ = paths_.shading_point(vertex_);
-        return *whole_;
-    }
-    Spectrum f_cos(const Vector3f& wi) {
-        return diffuse_ ? DiffuseFamily::f_cos_pdf(bsdf_, wo_, {0, 0, dot(wi, n_)}).f_cos
-                        : f_cos_pdf(whole(), wi).f_cos;
-    }
-    /// Draws the tracer's sample again.
-    /// in:  depth  index of the vertex in its path
-    /// out: of a diffuse vertex only weight and lobe
-    BsdfSample<float> redraw(const Sampler& sampler, int depth) {
-        const Point2f u = sampler.pair(dimension(depth, Dimension::direction));
-        if (!diffuse_) return draw(whole(), sampler, depth, u);
-        const BsdfValue<float> value = DiffuseFamily::f_cos_pdf(bsdf_, wo_, sample_cosine_hemisphere(u));
-        BsdfSample<float> s;
-        if (value.pdf_w > 0) s.weight = value.f_cos / value.pdf_w, s.lobe = Lobe::diffuse;
-        return s;
-    }
-    /// Returns the direction of that sample.
-    Vector3f direction(const Sampler& sampler, int depth) {
-        return whole().frame.to_world(paths_.redraw(whole(), sampler, depth).wi);
-    }
-
-  private:
-    const StoredPaths& paths_;
-    std::size_t vertex_;
-    bool diffuse_ = false;
-    Bsdf<float> bsdf_;  // diffuse: albedo only
-    Normal3f n_;        // diffuse: on the side of wo
-    Vector3f wo_;       // diffuse: z only
-    std::optional<ShadingPoint> whole_;
 };
 
 /// The tracer's records of first hits of paths, depth up to rounding. State of one thread.

@@ -71,7 +71,7 @@ void TouchedPaths::look_at(std::size_t path) {
 
 /// Tests the ray of a path without vertices.
 void TouchedPaths::look_at_camera_ray(const Rows& of) {
-    if (reach_.sky) return cut(of.in_block, 0);
+    if (reach_.sky) see_other_sky(of.in_block);
     if (reach_.new_places.empty()) return;
     const Ray ray = paths_.camera_ray(of.path);
     if (reach_.new_places.may_meet(ray.o, ray.d)) through_.add(ray, {of.in_block, 0, true});
@@ -97,8 +97,9 @@ void TouchedPaths::look_at_lights(const Rows& of) {
         const std::size_t emitter = e.emitter[k];
         if (reach_.relit[emitter]) touched_[of.in_block] = 1;
         if (e.technique[k] == std::uint8_t(LightTechnique::bsdf_hit)) {
-            // A ray may have ended on a shape that emits but reflects nothing.
-            if (reach_.emitters[emitter] || (e.y[4 * k + 3] == 1 && reach_.shapes[emitters[emitter].shape_idx]))
+            // A ray may have ended on a shape that emits but reflects nothing. What leaves the scene does so still.
+            if ((reach_.emitters[emitter] && e.y[4 * k + 3] == 1) ||
+                (e.y[4 * k + 3] == 1 && reach_.shapes[emitters[emitter].shape_idx]))
                 cut(of.in_block, std::uint32_t(e.vertex[k] - of.first + 1));
         } else if (reach_.emitters[emitter]) {
             sample_again(of.in_block, std::uint32_t(e.vertex[k] - first_vertex_));
@@ -146,8 +147,8 @@ inline void TouchedPaths::look_at_last_ray(const Rows& of, const Point3f& p, boo
     const std::size_t j = of.last - 1;
     const std::uint32_t n = std::uint32_t(of.last - of.first);
     const Ending ending = ending_of(paths_.graph().vertices.flags[j]);
-    if ((ending == Ending::escaped && reach_.sky) ||
-        (ending == Ending::hit_emitter && !hit_found && reach_.dark_light)) {
+    if (ending == Ending::escaped && reach_.sky) see_other_sky(of.in_block);
+    if (ending == Ending::hit_emitter && !hit_found && reach_.dark_light) {
         cut(of.in_block, n);
     } else if ((ending == Ending::escaped || ending == Ending::hit_emitter) && !hit_found && !ahead.empty()) {
         const Ray ray = paths_.sampled_ray(of.path, j);
@@ -164,12 +165,13 @@ void TouchedPaths::look_at_rays(const Rows& of) {
         if (!candidates_.may_touch(j)) continue;
         while (k < next_edge_ && e.vertex[k] < j) ++k;
         const Point3f p = paths_.position(j);
-        look_at_arriving_ray(of, j, p);
+        const bool may_meet = candidates_.may_meet(j);
+        if (may_meet) look_at_arriving_ray(of, j, p);
         bool light_found = false, hit_found = false;
         for (; k < next_edge_ && e.vertex[k] == j; ++k) {
             const bool by_hit = e.technique[k] == std::uint8_t(LightTechnique::bsdf_hit);
             (by_hit ? hit_found : light_found) = true;
-            if (reach_.new_places.empty() || (by_hit && j - of.first + 1 >= end)) continue;
+            if (!may_meet || reach_.new_places.empty() || (by_hit && j - of.first + 1 >= end)) continue;
             look_at_light_ray(of, k, p);
         }
         if (!light_found) look_at_failed_light(of.path, j);
@@ -206,6 +208,7 @@ void TouchedPaths::find(std::size_t begin, std::size_t end, std::uint8_t* touche
     touched_ = touched;
     cuts_.assign(end - begin, PathChange::never);
     repainted_.assign(end - begin, 0);
+    other_sky_.assign(end - begin, 0);
     again_.assign(first_vertex[end] - first_vertex_, 0);
     edges_.resize(end - begin);
     const std::size_t last_edge = first_row(edge_vertex, first_vertex[end], next_edge_);
@@ -229,6 +232,7 @@ void TouchedPaths::find(std::size_t begin, std::size_t end, std::uint8_t* touche
         change.edge = edges_[i];
         change.cut = cuts_[i];
         change.repainted = repainted_[i];
+        change.sky = other_sky_[i];
         for (std::size_t j = first; j < first + std::min<std::size_t>(n, change.cut); ++j) {
             if (!again_[j - first_vertex_]) continue;
             changes.again.push_back(std::uint32_t(j));

@@ -19,6 +19,7 @@ struct PathChange {
     // and found none
     std::uint32_t cut = never;
     bool repainted = false;     // an earlier vertex lies on EditReach::repainted
+    bool sky = false;           // its last ray leaves the scene, towards another sky
     std::uint32_t n_again = 0;  // earlier vertices whose light sample or its visibility may differ
 };
 
@@ -89,6 +90,7 @@ class TouchedPaths {
     void look_at_light_ray(const Rows& of, std::size_t edge, const Point3f& p);
     void look_at_failed_light(std::size_t path, std::size_t vertex);
     void look_at_last_ray(const Rows& of, const Point3f& p, bool hit_found);
+    void see_other_sky(std::uint32_t path) { other_sky_[path] = touched_[path] = 1; }
     void answer(Queue& queue, const Obstacles& obstacles);
     /// Marks that the ray to a vertex may differ.
     void cut(std::uint32_t path, std::uint32_t number) {
@@ -111,7 +113,7 @@ class TouchedPaths {
     std::uint8_t* touched_ = nullptr;
     std::vector<std::uint32_t> cuts_;
     std::vector<std::size_t> edges_;
-    std::vector<std::uint8_t> repainted_;
+    std::vector<std::uint8_t> repainted_, other_sky_;
     std::vector<std::uint8_t> again_;  // [vertex]
 };
 
