@@ -88,6 +88,9 @@ std::string image_markdown() {
 | `Albedo.R`, `Albedo.G`, `Albedo.B` ? | 1 | reflectance at the first hit |
 | `N.X`, `N.Y`, `N.Z` ? | 1 | shading normal at the first hit, world space, mean over the samples |
 | `Depth.Z` ? | m | distance from the camera to the first hit |
+| `Plus.R`, `Plus.G`, `Plus.B` ? | W m^-2 sr^-1 | of a residual: mean of what paths of the new scene bring that the edit touches |
+| `Minus.R`, `Minus.G`, `Minus.B` ? | W m^-2 sr^-1 | of a residual: mean of what paths of the old scene bring that the edit touches; `R`, `G`, `B` are Plus - Minus |
+| `Coverage.A` ? | 1 | share of the camera rays of a pixel whose first hits an edit changes, by which the old image has less weight |
 
 | attribute | what it is |
 |---|---|

@@ -14,6 +14,11 @@
 //                          refined radiance (Own), and by the clusters of its vertices (Cluster); input of a blend
 //                                                                W m^-2 sr^-1
 //
+//   Plus.R/G/B, Minus.R/G/B
+//                          of a residual: what paths of the new and of the old scene bring that the edit touches;
+//                          R, G, B are Plus - Minus              W m^-2 sr^-1
+//   Coverage.A             share of the pixel whose first hits an edit changes    1
+//
 // A file has only the layers that its stage computes; R, G, B are always present. Channels are float32 in memory and on
 // disk; row 0 is on top. The root attributes of all formats are text attributes of the header, including `samples` (per
 // pixel). Two are optional. `scene` is the content hash and name of the rendered scene; a residual has none. `ledger`
@@ -39,7 +44,7 @@ inline constexpr std::array<const char*, 6> estimate_layers{"Emitted",      "Dir
                                                             "IndirectPath", "IndirectOwn", "IndirectCluster"};
 
 struct Image {
-    static constexpr FormatId format{"image", 1, 1};
+    static constexpr FormatId format{"image", 1, 2};
 
     struct Channel {
         std::string name;           // "R", "Albedo.R", "VarMean.B", …

@@ -28,6 +28,7 @@ BASE_SPP ?= auto  ## samples per pixel of the image of what the frames share; au
 GRAPHS ?= 2  ## number of graphs
 METHOD ?= hybrid  ## hybrid: what the frames share plus what moves; pt: path tracing of each frame
 DENOISE ?= 0  ## 1: remove the noise of each frame
+# MASK=  ## weight of the image of what the frames share: none: 1; first-hit: 0 where the camera sees what moves, biased at edges (coverage)
 BATCH ?= 24  ## frames rendered by one process
 FPS ?= 24  ## frames per second of the movie
 # SEED=  ## seed of all random numbers (0)
@@ -109,12 +110,13 @@ $(graphs:%=$(base)/graph-%.h5) &: $(base)/static.hash $(base)/graphs.parameters 
 		-o $(base)/graph-%.h5
 
 # $(call of_hybrid,GRAPH), $(call of_pt,GRAPH): command of a batch, less its frames and its output.
-of_hybrid = $(residual) $(scene_parameters) --old $(base)/static.exr --old-graph $(base)/graph-$(1).h5
+of_hybrid = $(residual) $(scene_parameters) --old $(base)/static.exr --old-graph $(base)/graph-$(1).h5$(hybrid_parameters)
+hybrid_parameters := $(if $(strip $(MASK)), --mask $(strip $(MASK)))
 of_pt = $(trace) $(scene_parameters)$(pt_parameters)
 pt_parameters := $(if $(TRACE), $(TRACE)) --spp $(SPP)$(seeded)
 output := $(if $(hybrid),--new,-o)
 # What frames are made of besides their rows: another METHOD, and of pt other samples, make them again.
-$(eval $(call parameter,$(OUT)/method.parameters,$(METHOD)$(if $(hybrid),,$(sensor)$(pt_parameters))))
+$(eval $(call parameter,$(OUT)/method.parameters,$(METHOD)$(if $(hybrid),$(hybrid_parameters),$(sensor)$(pt_parameters))))
 
 # $(call batch,GRAPH,STATE,NAMES): the hash of a frame is written when the frame is there.
 define batch

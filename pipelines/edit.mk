@@ -16,7 +16,7 @@ OLD ?= scenes/cornell-box.xml  ## scene before the edit
 METHOD ?= auto  ## method of the residual: auto, correlated, independent, dynamic, or graph: difference of two path graphs, slightly biased
 SPP ?= 16  ## pairs of paths per pixel of the residual; auto: their cost is its budget; graph: of each of its PASSES
 # MAP=  ## auto: 0: spread camera paths evenly over the pixels (1)
-# CONTROL=  ## auto: 0: new image = old image + residual (1: the old image has the weight of least variance)
+# MASK=  ## weight of OLD's image in the new one: none: 1; GRAPH: first-hit, 0 where the camera sees a change; see loom-residual (coverage)
 # PASSES=  ## graph: number of passes, whose spread is the variance (4)
 # K=  ## graph: vertices of a cluster (as for make image)
 # ITERATIONS=  ## graph: steps of the refinement (6)
@@ -71,7 +71,7 @@ of_old = $(call quote,$(OLD))$(call defines,-D,$(DEFINES) $(OLD_DEFINES))$(senso
 old_parameters = $(of_old) --spp $(BASE_SPP)$(if $(base_seed), --seed $(base_seed))
 graph_seed = $(or $(GRAPH_SEED),$(shell echo $$(($(or $(base_seed),0) + 1))))
 graph_parameters = $(if $(filter same,$(GRAPH)),$(old_parameters),$(of_old) --spp $(SPP) --seed $(graph_seed)) --misses
-edit_parameters = $(scene_parameters) --method $(METHOD)$(if $(filter 0,$(MAP)), --no-map)$(if $(filter 0,$(CONTROL)), --no-control) \
+edit_parameters = $(scene_parameters) --method $(METHOD)$(if $(filter 0,$(MAP)), --no-map)$(if $(strip $(MASK)), --mask $(strip $(MASK))) \
 	$(if $(GRAPH),--old-graph $(BASE)/graph.h5,--spp $(SPP)$(if $(SEED), --seed $(SEED))) --old $(call quote,$(old_image))
 
 # A base with other values lies in another folder.

@@ -10,7 +10,7 @@
 #   error     MSE of the new image, its old one being taken as converged: that of the residual against a reference.
 #             The reference is the mean (a + b) / 2 of two residuals with their own seeds; its noise is taken out by
 #             (x - a)(x - b) = (x - (a + b) / 2)^2 - (a - b)^2 / 4, whatever its samples say of themselves
-#             The old image's weight is 1 (CONTROL=0): with another its noise would count
+#             The old image's weight is 1 (MASK=none): with another its noise would count
 #   cost      CPU seconds of the whole chain of residual.exr, reading the scenes not counted; the old image is there, and with
 #             GRAPH1 the old graph
 #   ratio     error of correlated path tracing given the same time, over that of the method: correlated paths are
@@ -153,7 +153,7 @@ values = $(subst +, ,$(call field,$(1),$(2)))
 # $(call edit,ROW,LONGER SIDE,METHOD,PAIRS,SEED,FOLDER,BASE_SPP,SETTINGS): all variables are named, none of this file's reaches it else.
 edit = $(MAKE) -s --no-print-directory -f pipelines/edit.mk -j1 BUILD=$(BUILD) OLD='$(call field,4,$(1))' NEW='$(or $(call field,5,$(1)),$(call field,4,$(1)))' \
 	DEFINES='$(call size,$(1),$(2))$(call values,6,$(1))' OLD_DEFINES= NEW_DEFINES='$(call values,7,$(1))' METHOD=$(3) SPP=$(4) SEED=$(5) \
-	BASE=$(call base,$(1),$(2) $(7)) BASE_SPP=$(7) BASE_SEED=1 GRAPH_SEED=$(5) OUT=$(6) EXPOSURE= CONTROL=0 $(8)
+	BASE=$(call base,$(1),$(2) $(7)) BASE_SPP=$(7) BASE_SEED=1 GRAPH_SEED=$(5) OUT=$(6) EXPOSURE= MASK=none $(8)
 run = $(call edit,$(call row_of,$(1)),$(SIZE),$(firstword $(subst +, ,$(call method_of,$(1)))),$(call part,2,$(1)),$(call seed,$(1)),$(2),$(BASE_SPP),$(call settings_of,$(1)))
 
 table-edit: $(OUT)/table.md

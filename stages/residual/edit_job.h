@@ -11,6 +11,7 @@
 #include "stages/core/scene/build.h"
 #include "stages/residual/residual.h"
 #include "stages/residual/stored/old_graph.h"
+#include "stages/residual/stored/path_parts.h"
 
 namespace loom::residual {
 
@@ -76,7 +77,8 @@ struct EditRun {
     Edit edit;
     Scenes scenes;
     Residual residual;
-    std::unique_ptr<EditReach> reach;    // only with a graph
+    std::unique_ptr<EditReach> reach;    // only with a graph, or for parts
+    std::unique_ptr<PartSums> parts;     // only with --parts
     std::optional<ControlSums> control;  // weights of the old image, if they differ from 1
     Spent spent;                         // on this edit, without loading
 };

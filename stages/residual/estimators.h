@@ -16,6 +16,8 @@ class Report;
 
 namespace loom::residual {
 
+class PartSums;
+
 enum class Method : std::uint8_t { automatic, correlated, independent, dynamic };
 
 const char* method_name(Method method);
@@ -63,8 +65,9 @@ Seeds seeds_of(Method method, std::uint64_t seed);
 ///   the two BSDFs is sampled in that scene alone.
 /// out:     image  R, G, B signed, VarMean of the differences, Albedo, N, Depth of the new scene; ledger: its link,
 ///          without the edit's text and scene; its var_sample is from the new scene's paths
+/// in, out: parts  null, or takes the parts of each pair; correlated only
 /// needs:   equal film sizes of the two scenes; method is not automatic
 Image render_residual(const ScenePair& scenes, Method method, const PathOptions& path, const Work& work,
-                      app::Report& report, Counts& counts);
+                      app::Report& report, Counts& counts, PartSums* parts = nullptr);
 
 }  // namespace loom::residual

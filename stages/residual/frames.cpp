@@ -109,7 +109,7 @@ void render_frames(const Options& options, app::Report& report) {
             const Cost before = report.cost();
             runs.push_back(start(i));
             runs.back()->spent.add(before, report.cost());
-            if (runs.back()->reach) jobs.push_back(graph_job(*runs.back(), base));
+            if (!options.old_graph.empty()) jobs.push_back(graph_job(*runs.back(), base));
         }
         const Cost before = report.cost();
         std::vector<GraphResidual> pairs;

@@ -18,6 +18,7 @@
 #include "stages/residual/edit_job.h"
 #include "stages/residual/frames.h"
 #include "stages/residual/sky_pair.h"
+#include "stages/residual/stored/path_parts.h"
 
 namespace loom::residual {
 namespace {
@@ -129,6 +130,13 @@ void check_endings(const Options& options) {
     if (options.as_printed && (options.method != Method::dynamic || options.no_mapping || !options.technique.empty()))
         throw InputError("--as-printed: needs --method dynamic, without --no-mapping or --technique");
     if (options.raw && options.technique.empty()) throw InputError("--raw: needs --technique");
+    if (options.parts && options.old_graph.empty() && options.method != Method::correlated)
+        throw InputError(
+            "--parts: needs pairs of paths with the same random numbers; give --old-graph or --method correlated");
+    if (options.mask == Mask::first_hit && options.old_graph.empty())
+        throw InputError("--mask first-hit: is by the first hits of a graph's samples; give --old-graph");
+    if (options.parts && options.output.empty())
+        throw InputError("--parts: Plus and Minus are layers of the residual; give -o");
     if (!options.residual.empty() && !options.output.empty())
         throw InputError(fmt::format("-o: the residual exists already, {}; give --new instead", options.residual));
     if (options.output.empty() && options.new_picture.empty())
@@ -160,7 +168,7 @@ Image render_by_dynamic_paths(const ScenePair& scenes, const Edit& edit, const O
     dynamic.pairs.limits.d_min = 0.01f * scenes.new_scene.radius;
     dynamic.pilot = options.method == Method::automatic;
     dynamic.adaptive_map = !options.no_map;
-    dynamic.old_picture = options.no_control ? nullptr : old_picture;
+    dynamic.old_picture = options.mask == Mask::none ? nullptr : old_picture;
     dynamic.pairs.as_printed = options.as_printed;
     if (options.as_printed)
         plan +=
@@ -245,8 +253,16 @@ void declare(app::Command& command, Options& options) {
     command.flag("--raw", options.raw, "with --technique: do not weight the paths against the other techniques");
     command.flag("--no-map", options.no_map,
                  "auto: spread camera paths evenly over the pixels, not by the pilot's variance");
-    command.flag("--no-control", options.no_control,
-                 "auto, --old-graph: make --new the plain sum of --old and the residual, without weights");
+    command.choice(
+        "--mask", options.mask,
+        "auto, --old-graph: weight of --old in --new. coverage: less where first hits differ, by rays of their "
+        "own (auto: of least variance by a pilot); none: 1, --new is --old plus the residual; first-hit: 0 in "
+        "pixels where the first hit of a sample of the graph differs, as in [HY], biased at edges",
+        {{"coverage", Mask::coverage}, {"none", Mask::none}, {"first-hit", Mask::first_hit}});
+    command.flag(
+        "--parts", options.parts,
+        "correlated, --old-graph: also write the parts of the residual, Plus - Minus: what paths of the new scene "
+        "bring that the edit touches, and those of the old scene");
     command.option("--spp", options.spp, "pairs of paths per pixel; auto: their cost is its budget",
                    app::Range<std::uint64_t>{1, 1u << 30});
     command.option("--first-sample", options.first_sample, "index of the first sample of each pixel");
@@ -385,18 +401,28 @@ void take_pairs(const Options& options, const Base& base, GraphResidual pairs, s
     residual.plan += "; old graph: " + residual.of_graph.summary();
     report.info("old graph: {}", residual.of_graph.summary());
     if (control) {
+        std::vector<float> covered;
+        if (options.mask == Mask::coverage)
+            for (const Spectrum& alpha : control->alpha) covered.push_back(1 - alpha.r);
         if (control->fits) control->fit(scenes.new_scene->sensor, base.image.samples);
         residual.controlled = controlled_picture(base.image, residual.image, *control);
+        if (!covered.empty()) std::ranges::copy(covered, residual.controlled->image.add("Coverage.A").begin());
         const auto n_below =
             std::count_if(control->alpha.begin(), control->alpha.end(), [](const Spectrum& a) { return a.r < 1; });
         const std::string weights =
-            control->fits
-                ? fmt::format("weight of the old image {:.3g} to {:.3g}, as lights differ", residual.controlled->least,
-                              residual.controlled->most)
+            control->fits ? fmt::format("weight of the old image {:.3g} to {:.3g}, as lights differ",
+                                        residual.controlled->least, residual.controlled->most)
+            : options.mask == Mask::first_hit
+                ? fmt::format(
+                      "weight of the old image 0 in {} pixels, where the first hit of a sample differs: biased at "
+                      "edges, as requested",
+                      n_below)
                 : fmt::format("weight of the old image below 1 in {} pixels, where first hits differ", n_below);
         report.info("{}", weights);
         residual.plan += "; " + weights;
     }
+    if (options.mask == Mask::none && !options.new_picture.empty())
+        residual.plan += "; weight of the old image 1, as requested";
     if (residual.same_samples)
         report.info("{}: has the samples of the graph, so the sum is the new scene's image of these samples",
                     options.old_picture);
@@ -473,6 +499,10 @@ Image new_image(const Options& options, const Image& old_picture, Residual& resi
     Image sum = residual.controlled     ? take_controlled(old_picture, residual.image, std::move(*residual.controlled))
                 : residual.same_samples ? add_residual_of_same_samples(old_picture, residual.image, residual.of_graph)
                                         : add_residual(old_picture, residual.image);
+    // They are of the residual.
+    std::erase_if(sum.channels, [](const Image::Channel& channel) {
+        return channel.name.starts_with("Plus.") || channel.name.starts_with("Minus.");
+    });
     sum.provenance.inputs.push_back(identify(options.old_picture));
     if (residual.existed) sum.provenance.inputs.push_back(identify(options.residual));
     return sum;
@@ -536,7 +566,7 @@ Base read_base(const Options& options, SceneDescription description, int max_dep
 
 std::unique_ptr<EditRun> start_edit(Options options, const Base& base, EditJob job, Edit edit, app::Report& report) {
     auto run =
-        std::make_unique<EditRun>(EditRun{std::move(options), std::move(job), std::move(edit), {}, {}, {}, {}, {}});
+        std::make_unique<EditRun>(EditRun{std::move(options), std::move(job), std::move(edit), {}, {}, {}, {}, {}, {}});
     const bool has_graph = !run->options.old_graph.empty();
     Residual& residual = run->residual;
     residual.plan = plan_of(has_graph ? Method::correlated : run->options.method, run->edit);
@@ -557,21 +587,31 @@ std::unique_ptr<EditRun> start_edit(Options options, const Base& base, EditJob j
     residual.existed = !run->options.residual.empty();
     if (residual.existed) residual.image = read_residual(run->options.residual, *scenes.new_scene, scenes.new_name);
     check_streams(run->options, base, residual);
-    if (!residual.existed && !residual.same_samples &&
+    // What both skies' light samples have in common has no parts.
+    if (!residual.existed && !residual.same_samples && !run->options.parts &&
         (run->options.method == Method::correlated || run->options.method == Method::automatic))
         pair_skies(run->edit, has_graph, report, scenes, residual.plan);
+    if (has_graph || run->options.parts)
+        run->reach = std::make_unique<EditReach>(*scenes.old_scene, *scenes.new_scene, run->edit);
+    if (run->options.parts) {
+        if (scenes.old_scene->nlos || scenes.new_scene->nlos) throw InputError("--parts: NLOS captures have none");
+        run->parts = std::make_unique<PartSums>(scenes.pair(), *run->reach, run->edit);
+        residual.plan += "; parts: Plus - Minus";
+    }
     if (!has_graph) return run;
-    run->reach = std::make_unique<EditReach>(*scenes.old_scene, *scenes.new_scene, run->edit);
     // With the graph's own samples any weight makes the same image.
-    if (!run->options.new_picture.empty() && !run->options.no_control && !residual.same_samples &&
+    if (!run->options.new_picture.empty() && run->options.mask != Mask::none && !residual.same_samples &&
         !scenes.new_scene->nlos)
-        run->control = graph_control(scenes.pair(), *run->reach, base.graph.path.seed, run->options.threads);
+        run->control = run->options.mask == Mask::coverage
+                           ? graph_control(scenes.pair(), *run->reach, base.graph.path.seed, run->options.threads)
+                           : first_hit_control(scenes.pair(), *run->reach, base.graph.path.sampler, base.graph.path.seed,
+                                               base.graph.samples(), run->options.threads);
     return run;
 }
 
 GraphJob graph_job(EditRun& run, const Base& base) {
     return {*run.scenes.new_scene, *run.reach, run.residual.same_samples ? &base.image : nullptr,
-            run.control ? &*run.control : nullptr};
+            run.control ? &*run.control : nullptr, run.parts.get()};
 }
 
 void finish_edit(EditRun& run, const Base& base, std::optional<GraphResidual> pairs, app::Report& report) {
@@ -587,8 +627,9 @@ void finish_edit(EditRun& run, const Base& base, std::optional<GraphResidual> pa
                                                  options.new_picture.empty() ? nullptr : &base.image, report,
                                                  residual.counts, residual.plan, residual.controlled);
     else
-        residual.image = render_residual(run.scenes.pair(), options.method, residual.path,
-                                         {options.first_sample, options.spp, options.threads}, report, residual.counts);
+        residual.image =
+            render_residual(run.scenes.pair(), options.method, residual.path,
+                            {options.first_sample, options.spp, options.threads}, report, residual.counts, run.parts.get());
     label_residual(options, run.scenes, run.edit, base.graph, run.job.command, report, residual);
     run.spent.add(before, report.cost());
     const Cost cost = cost_of(run, report);
@@ -600,7 +641,7 @@ void finish_edit(EditRun& run, const Base& base, std::optional<GraphResidual> pa
 void render_edit(const Options& options, const Base& base, EditJob job, const Edit& edit, app::Report& report) {
     const auto run = start_edit(options, base, std::move(job), edit, report);
     std::optional<GraphResidual> pairs;
-    if (run->reach) {
+    if (!options.old_graph.empty()) {
         const GraphJob of_graph = graph_job(*run, base);
         pairs = std::move(render_residuals(*base.scene, {&of_graph, 1}, base.graph, options.threads, report)[0]);
     }

@@ -8,6 +8,7 @@
 
 #include "formats/image.h"
 #include "stages/core/edit/edit.h"
+#include "stages/residual/control/coverage.h"
 #include "stages/residual/dynamic_estimator.h"
 #include "stages/residual/estimators.h"
 
@@ -32,7 +33,8 @@ struct Options {
     Method method = Method::automatic;
     bool no_mapping = false;  // auto, dynamic: no path mappings
     bool no_map = false;      // auto: spread camera paths evenly
-    bool no_control = false;  // auto, old_graph: --new is --old plus the residual, without weights
+    Mask mask = Mask::coverage;
+    bool parts = false;       // correlated, old_graph: layers Plus and Minus in the residual
     std::string technique;    // dynamic: an image of this family's paths alone; list: its names
     bool as_printed = false;  // dynamic: weights and Jacobian limit of [RP] as printed, biased
     bool raw = false;         // with technique: divide each path by the density of its own technique alone

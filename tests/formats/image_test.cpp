@@ -22,6 +22,7 @@ using testing::file_bytes;
 using testing::input_error_of;
 using testing::ScratchFolder;
 using testing::tiny_image;
+using testing::tiny_residual;
 using testing::tiny_sum;
 using testing::write_bytes;
 using testing::write_nonfinite;
@@ -55,6 +56,13 @@ TEST(Image, SceneAndLedgerReadBackAlsoFromVersion_1_1) {
     write_image(tiny_sum(), folder / "x.exr");
     expect_equal(tiny_sum(), read_image(folder / "x.exr"));
     expect_equal(tiny_sum(), read_image("tests/fixtures/image_1.1.exr"));
+}
+
+TEST(Image, PartsOfAResidualReadBackAlsoFromVersion_1_2) {
+    const ScratchFolder folder;
+    write_image(tiny_residual(), folder / "x.exr");
+    expect_equal(tiny_residual(), read_image(folder / "x.exr"));
+    expect_equal(tiny_residual(), read_image("tests/fixtures/image_1.2.exr"));
 }
 
 TEST(Image, DamagedLedgersSayWhatIsWrong) {

@@ -98,7 +98,7 @@ TEST(Inspect, ImagesAreSurveyedToo) {
     const Survey survey = survey_file(file);
     EXPECT_EQ(survey.attribute("samples"), "16");
     EXPECT_EQ(survey.datasets.size(), 13u);
-    EXPECT_TRUE(holds(inspect::text_of(survey, file), "image 1.1"));
+    EXPECT_TRUE(holds(inspect::text_of(survey, file), "image 1.2"));
     EXPECT_NO_THROW(parse_json(inspect::json_of(survey, file), "json"));
 }
 

@@ -35,6 +35,15 @@ Image tiny_sum() {
     return image;
 }
 
+Image tiny_residual() {
+    Image image = tiny_image();
+    image.ledger = {{{"after.xml", "00112233445566ff"}, "moved: box", "correlated", 16, 7, 0.5, 3}};
+    float value = -0.3f;
+    for (const char* name : {"Plus.R", "Plus.G", "Plus.B", "Minus.R", "Minus.G", "Minus.B", "Coverage.A"})
+        for (float& x : image.add(name)) x = value += 0.01f;
+    return image;
+}
+
 void expect_equal(const Image& a, const Image& b) {
     EXPECT_EQ(a.width, b.width);
     EXPECT_EQ(a.height, b.height);

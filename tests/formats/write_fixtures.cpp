@@ -25,6 +25,7 @@ TEST(Fixtures, DISABLED_WriteFixtures) {
                  [](const auto& path) { write_radiance(testing::tiny_radiance(), path); });
     unless_there("tests/fixtures/image_1.0.exr", [](const auto& path) { write_image(testing::tiny_image(), path); });
     unless_there("tests/fixtures/image_1.1.exr", [](const auto& path) { write_image(testing::tiny_sum(), path); });
+    unless_there("tests/fixtures/image_1.2.exr", [](const auto& path) { write_image(testing::tiny_residual(), path); });
 }
 
 }  // namespace

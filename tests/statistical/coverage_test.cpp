@@ -173,6 +173,52 @@ TEST_P(CoverageOfEdits, SumsAreUnbiasedWithAnyWeight) {
     EXPECT_NEAR(said, 1, 0.25);
 }
 
+// The mask of [HY] Eq. (10) is biased where a pixel sees more than what differs, and less so with more samples: it is an
+// option for comparison alone.
+TEST(MaskByFirstHits, IsBiasedAtEdges) {
+    const auto file = testing::scratch_file(".xml");
+    std::ofstream(file) << pole_text;
+    const auto described = [&](const char* x) { return read_scene(file.string(), {{"x", x}}); };
+    SceneDescription before = described("0.03"), after = described("9");
+    const Edit edit = find_edit(before, after);
+    const auto old_scene = build_scene(std::move(before)), new_scene = build_scene(std::move(after));
+    std::filesystem::remove(file);
+    const ScenePair scenes{*old_scene, *new_scene};
+    const EditReach reach(*old_scene, *new_scene, edit);
+    app::Report report;
+    report.set_quiet(true);
+    Counts counts;
+    std::vector<double> masked(replicates), fresh(replicates), by_coverage(replicates);
+    constexpr std::uint64_t spp = 8;
+    for (int i = 0; i < replicates; ++i) {
+        const auto mean = [&](const Image& image) { return region_means(image)[1][0]; };
+        PathOptions path = options_of(*old_scene);
+        path.sampler = SamplerKind::independent;
+        path.seed = std::uint64_t(700 + i);
+        const Image old_picture = trace::render_image(*old_scene, path, {0, 4 * spp, 1}, report, counts);
+        path.seed = std::uint64_t(500 + i);
+        fresh[std::size_t(i)] = mean(trace::render_image(*new_scene, path, {0, 4 * spp, 1}, report, counts));
+        path.seed = std::uint64_t(900 + i);
+        OldGraph graph;
+        graph.passes.push_back(testing::trace_graph(*old_scene, path, spp));
+        graph.files = {"graph.h5"};
+        graph.path = path;
+        graph.spp = spp;
+        const auto with = [&](std::optional<ControlSums> control) {
+            const GraphResidual residual = render_residual(scenes, reach, graph, 1, nullptr, report, &*control);
+            return mean(controlled_picture(old_picture, residual.image, *control).image);
+        };
+        masked[std::size_t(i)] = with(first_hit_control(scenes, reach, path.sampler, path.seed, graph.samples(), 1));
+        by_coverage[std::size_t(i)] = with(graph_control(scenes, reach, path.seed, 1));
+    }
+    const Estimate ours = estimate_of(masked), theirs = estimate_of(fresh), unbiased = estimate_of(by_coverage);
+    fmt::print("    image mean {:.5g} +- {:.2g} by first hits, {:.5g} +- {:.2g} by coverage, {:.5g} +- {:.2g} fresh\n",
+               ours.mean, ours.se, unbiased.mean, unbiased.se, theirs.mean, theirs.se);
+    EXPECT_GT(std::abs(ours.mean / theirs.mean - 1), 0.02);
+    EXPECT_LT(welch_p_value(ours, theirs), 1e-4);
+    EXPECT_GT(welch_p_value(unbiased, theirs), 1e-3);
+}
+
 INSTANTIATE_TEST_SUITE_P(
     Edits, CoverageOfEdits,
     ::testing::Values(

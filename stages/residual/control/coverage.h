@@ -2,13 +2,23 @@
 // How much the image of the old scene says about that of the new one, before any path is traced: nothing in pixels in
 // which the camera sees what an edit has changed.
 
+#include <cstdint>
 #include <optional>
+#include <vector>
 
 #include "stages/core/edit/edit_reach.h"
 #include "stages/core/edit/scene_pair.h"
+#include "stages/core/sampling/sampler.h"
 #include "stages/residual/control/controlled.h"
 
 namespace loom::residual {
+
+/// What determines the weight of the old image in the new one.
+enum class Mask : std::uint8_t {
+    coverage,  // graph_control(); of least variance where a pilot has found it
+    none,      // 1
+    first_hit  // first_hit_control()
+};
 
 /// Weights of the old image (ControlSums) for pairs of paths with the numbers of a graph.
 ///
@@ -23,5 +33,14 @@ namespace loom::residual {
 /// out:     none where all are 1
 std::optional<ControlSums> graph_control(const ScenePair& scenes, const EditReach& reach, std::uint64_t seed,
                                          int threads);
+
+/// Weights 0 in pixels where the first hit of a sample differs between the scenes, else 1: [HY] Eq. (10) for the pixels of
+/// an image. The samples determine their own weights: biased where some rays of a pixel hit what differs and others do not.
+/// in:      sampler, seed  of the pairs of paths
+///          samples        indices of those of each pixel
+/// out:     none where all are 1
+std::optional<ControlSums> first_hit_control(const ScenePair& scenes, const EditReach& reach, SamplerKind sampler,
+                                             std::uint64_t seed, const std::vector<std::uint64_t>& samples,
+                                             int threads);
 
 }  // namespace loom::residual

@@ -16,6 +16,7 @@
 #include "stages/core/app/values.h"
 #include "stages/core/tracing/film.h"
 #include "stages/core/tracing/graph_builder.h"
+#include "stages/residual/stored/path_parts.h"
 #include "stages/residual/stored/resumed_paths.h"
 
 namespace loom::residual {
@@ -138,9 +139,11 @@ class PairsOfScene {
           resumed_({old_scene, job.new_scene}, job.reach, graph.path),
           out_(out),
           control_(job.control),
+          parts_(job.parts),
           n_pixels_(old_scene.sensor.n_pixels()) {
         for (const StoredPaths& pass : passes) finders_.emplace_back(pass, job.reach);
         for (int c = 0; job.old_picture && c < 3; ++c) old_mean_[c] = job.old_picture->find(rgb[c]);
+        if (parts_) recorded_ = std::make_unique<RecordedPaths>(job.new_scene, graph.path);
     }
 
     /// Starts the pixels [begin, end).
@@ -185,6 +188,7 @@ class PairsOfScene {
         touched += touched_.size();
         probe();
         add();
+        if (parts_) divide();
         for (std::uint64_t k = 0; k < width_; ++k) out_.film.set(begin_ + k, sums_[k]);
     }
 
@@ -273,6 +277,27 @@ class PairsOfScene {
             out_.result.squares[k % 3][begin_ + k / 3] = float(squares_[k]);
     }
 
+    /// Divides the touched pairs into their parts.
+    void divide() {
+        for (std::size_t begin = 0; begin < touched_.size(); begin += PathBatch::capacity) {
+            const std::size_t n = std::min(PathBatch::capacity, touched_.size() - begin);
+            probes_.clear();
+            for (std::size_t k = begin; k < begin + n; ++k)
+                probes_.push_back(passes_[touched_[k].pass].id(touched_[k].path));
+            probed_.resize(n);
+            const StoredPaths& after = recorded_->trace(probes_, probed_);
+            for (std::size_t k = 0; k < n; ++k) {
+                counts.add(probed_[k]);
+                const auto& [pass, path] = touched_[begin + k];
+                const PathGraph& graph = graph_.passes[pass];
+                parts_->add(probes_[k].pixel,
+                            parts_->finder().of(passes_[pass], path,
+                                                first_row(graph.light_edges.vertex, graph.paths.first_vertex[path]),
+                                                after, k, recorded_->first_edge(k), passes_[pass].sampler(path)));
+            }
+        }
+    }
+
     void add_controlled(std::uint64_t pixel, const Spectrum& before, const Spectrum& after) {
         for (int c = 0; c < 3; ++c) control_->pairs[pixel][std::size_t(c)].add(double(before[c]), double(after[c]));
     }
@@ -287,6 +312,8 @@ class PairsOfScene {
     std::vector<TouchedPaths> finders_;  // [pass]
     Output& out_;
     ControlSums* control_;
+    PartSums* parts_;
+    std::unique_ptr<RecordedPaths> recorded_;  // with parts: of the new scene
     std::uint64_t n_pixels_;
     std::span<const float> old_mean_[3];
     std::uint64_t begin_ = 0;  // first pixel of the chunk
@@ -384,6 +411,13 @@ bool same_samples(const Image& old_picture, const std::string& file, const OldGr
                     file, made.seed, graph.files[0]));
 }
 
+std::vector<std::uint64_t> OldGraph::samples() const {
+    std::vector<std::uint64_t> all;
+    for (const PathGraph& pass : passes)
+        for (std::uint64_t s = pass.tracing.first_sample; s < end_of(pass); ++s) all.push_back(s);
+    return all;
+}
+
 std::string GraphResidual::summary() const {
     return fmt::format("{} of {} old paths traced again ({:.3g} %){}", touched, paths,
                        100.0 * double(touched) / double(std::max<std::uint64_t>(paths, 1)),
@@ -427,6 +461,7 @@ std::vector<GraphResidual> render_residuals(const Scene& old_scene, std::span<co
         // A few probes may hit two coincident surfaces, and another of them than when the graph was made.
         if (100 * others > probed) throw InputError(other + ": graph and scene do not belong together");
         out.image = std::move(outputs[i].film).finish({});
+        if (jobs[i].parts) jobs[i].parts->write(out.image, graph.spp);
         LedgerLink& link = out.image.ledger.emplace_back();
         link.method = old_graph_method;
         link.samples = graph.spp;
@@ -438,8 +473,8 @@ std::vector<GraphResidual> render_residuals(const Scene& old_scene, std::span<co
 }
 
 GraphResidual render_residual(const ScenePair& scenes, const EditReach& reach, const OldGraph& graph, int threads,
-                              const Image* old_picture, app::Report& report, ControlSums* control) {
-    const GraphJob job{scenes.new_scene, reach, old_picture, control};
+                              const Image* old_picture, app::Report& report, ControlSums* control, PartSums* parts) {
+    const GraphJob job{scenes.new_scene, reach, old_picture, control, parts};
     return std::move(render_residuals(scenes.old_scene, {&job, 1}, graph, threads, report)[0]);
 }
 

@@ -23,6 +23,8 @@ struct OldGraph {
     std::uint64_t spp = 0;           // samples per pixel of all passes together
 
     const Provenance& provenance() const { return passes[0].provenance; }
+    /// Returns the indices of the samples of each pixel.
+    std::vector<std::uint64_t> samples() const;
 };
 
 /// Reads the passes of an old graph.
@@ -35,6 +37,8 @@ OldGraph read_old_graph(const std::vector<std::string>& files, const Scene& old_
 /// Whether an image of the old scene has exactly the graph's samples, and so its noise.
 /// throws:  InputError with the file where the image may have some of them: equal seed, other samples
 bool same_samples(const Image& old_picture, const std::string& file, const OldGraph& graph);
+
+class PartSums;
 
 struct GraphResidual {
     Image image;
@@ -53,6 +57,7 @@ struct GraphJob {
     const EditReach& reach;
     const Image* old_picture = nullptr;  // of the graph's own samples, for `squares`; null: none
     ControlSums* control = nullptr;      // with weights alpha of an image of other samples; null: none
+    PartSums* parts = nullptr;  // takes the parts of each touched pair, whose new path is then traced whole; null: none
 };
 
 /// Renders the mean difference of the graph's paths and those with the same random stream in a new scene, new minus old,
@@ -72,7 +77,8 @@ std::vector<GraphResidual> render_residuals(const Scene& old_scene, std::span<co
 
 /// The same, of one new scene.
 GraphResidual render_residual(const ScenePair& scenes, const EditReach& reach, const OldGraph& graph, int threads,
-                              const Image* old_picture, app::Report& report, ControlSums* control = nullptr);
+                              const Image* old_picture, app::Report& report, ControlSums* control = nullptr,
+                              PartSums* parts = nullptr);
 
 /// Adds a residual to an old image of the same samples: returns the image of these samples in the new scene.
 /// in:      residual  paths.image, with its provenance and the scene of its link

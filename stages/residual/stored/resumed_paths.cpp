@@ -75,8 +75,8 @@ class ResumedPaths::Walk {
                : change.repainted || change.sky ? last_
                : again.empty()                  ? first_
                                                 : again.back() + 1),
-          vertices_(block.path(change.path)),
           sampler_(paths_.sampler(change.path)),
+          vertices_(block.path(change.path, sampler_)),
           path_(sampler_),
           edge_(change.edge),
           known_(owner.shares_sky_ ? nullptr : block.known_light(change.path)),
@@ -330,8 +330,8 @@ class ResumedPaths::Walk {
     PathPair& pair_;
     std::size_t first_, last_;  // vertices
     std::size_t end_;           // from this vertex on the path in the new scene has no changes of its own
-    std::span<StoredVertex> vertices_;
     Sampler sampler_;
+    std::span<StoredVertex> vertices_;
     PathState path_;         // state in the new scene
     Spectrum beta_{1};       // throughput in the old scene
     std::size_t edge_;       // next light edge of the graph

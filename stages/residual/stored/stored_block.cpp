@@ -14,9 +14,8 @@ void StoredBlock::start(const StoredPaths& paths, std::size_t begin, std::size_t
     wholes_.clear();
 }
 
-void StoredBlock::read(std::size_t path) {
+void StoredBlock::read(std::size_t path, const Sampler& sampler) {
     const auto& first = paths_->graph().paths.first_vertex;
-    const Sampler sampler = paths_->sampler(path);
     for (std::size_t j = first[path]; j < first[path + 1]; ++j)
         read(j, sampler, int(j - first[path]) + 1, vertices_[j - first_vertex_]);
     known_[path - begin_] = 1;

@@ -49,9 +49,10 @@ class StoredBlock {
 
     const StoredPaths& paths() const { return *paths_; }
     /// Returns the vertices of a path.
-    std::span<StoredVertex> path(std::size_t path) {
+    /// in:      sampler  its random numbers
+    std::span<StoredVertex> path(std::size_t path, const Sampler& sampler) {
         const auto& first = paths_->graph().paths.first_vertex;
-        if (!known_[path - begin_]) read(path);
+        if (!known_[path - begin_]) read(path, sampler);
         return std::span(vertices_).subspan(first[path] - first_vertex_, first[path + 1] - first[path]);
     }
     /// Returns a whole vertex, identical to the tracer's.
@@ -99,7 +100,7 @@ class StoredBlock {
         }
         return wholes_[vertex.whole];
     }
-    void read(std::size_t path);
+    void read(std::size_t path, const Sampler& sampler);
     void read(std::size_t j, const Sampler& sampler, int depth, StoredVertex& vertex);
 
     const StoredPaths* paths_ = nullptr;
