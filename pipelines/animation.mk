@@ -28,6 +28,7 @@ BASE_SPP ?= auto  ## samples per pixel of the image of what the frames share; au
 GRAPHS ?= 2  ## number of graphs
 METHOD ?= hybrid  ## hybrid: what the frames share plus what moves; pt: path tracing of each frame
 DENOISE ?= 0  ## 1: remove the noise of each frame
+# EXTRA=  ## further pairs of paths per pixel of each frame, where its graph finds noise (0)
 # MASK=  ## weight of the image of what the frames share: none: 1; first-hit: 0 where the camera sees what moves, biased at edges (coverage)
 BATCH ?= 24  ## frames rendered by one process
 FPS ?= 24  ## frames per second of the movie
@@ -111,7 +112,7 @@ $(graphs:%=$(base)/graph-%.h5) &: $(base)/static.hash $(base)/graphs.parameters 
 
 # $(call of_hybrid,GRAPH), $(call of_pt,GRAPH): command of a batch, less its frames and its output.
 of_hybrid = $(residual) $(scene_parameters) --old $(base)/static.exr --old-graph $(base)/graph-$(1).h5$(hybrid_parameters)
-hybrid_parameters := $(if $(strip $(MASK)), --mask $(strip $(MASK)))
+hybrid_parameters := $(if $(strip $(MASK)), --mask $(strip $(MASK)))$(if $(strip $(EXTRA)), --extra $(strip $(EXTRA)))
 of_pt = $(trace) $(scene_parameters)$(pt_parameters)
 pt_parameters := $(if $(TRACE), $(TRACE)) --spp $(SPP)$(seeded)
 output := $(if $(hybrid),--new,-o)

@@ -57,6 +57,7 @@ struct Residual {
     double load_s = 0;                            // CPU time of reading the new scene
     std::optional<ControlledPicture> controlled;  // only with --method auto
     Counts counts;
+    std::uint64_t n_extra = 0;  // pairs of --extra
     std::string plan;
 };
 

@@ -51,6 +51,7 @@ std::string plan_of_frames(const Options& options, const Animation& animation, c
 /// Returns the options and command of a frame alone.
 Options options_of_frame(const Options& options, const Frames::Frame& frame, std::string& command) {
     Options own = options;
+    own.frame = std::uint64_t(frame.number);
     own.only = fmt::format("{}:{}", frame.number, frame.number + 1);
     for (std::string* file : {&own.output, &own.new_picture, &own.png, &own.residual_png})
         *file = app::name_of_part(*file, fmt::format("{:04}", frame.number));

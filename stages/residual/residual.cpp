@@ -13,6 +13,7 @@
 #include "stages/core/plot/false_colours.h"
 #include "stages/core/sampling/streams.h"
 #include "stages/core/scene/build.h"
+#include "stages/residual/adaptive_pairs.h"
 #include "stages/residual/chain_of_edits.h"
 #include "stages/residual/control/coverage.h"
 #include "stages/residual/edit_job.h"
@@ -130,6 +131,11 @@ void check_endings(const Options& options) {
     if (options.as_printed && (options.method != Method::dynamic || options.no_mapping || !options.technique.empty()))
         throw InputError("--as-printed: needs --method dynamic, without --no-mapping or --technique");
     if (options.raw && options.technique.empty()) throw InputError("--raw: needs --technique");
+    if (options.extra > 0 && options.method != Method::automatic && options.method != Method::correlated)
+        throw InputError(
+            "--extra: its pairs have the same random numbers in both scenes; give --method correlated or auto");
+    if (options.extra > 0 && (options.parts || !options.residual.empty()))
+        throw InputError("--extra: leave out --parts and --residual");
     if (options.parts && options.old_graph.empty() && options.method != Method::correlated)
         throw InputError(
             "--parts: needs pairs of paths with the same random numbers; give --old-graph or --method correlated");
@@ -259,6 +265,10 @@ void declare(app::Command& command, Options& options) {
         "own (auto: of least variance by a pilot); none: 1, --new is --old plus the residual; first-hit: 0 in "
         "pixels where the first hit of a sample of the graph differs, as in [HY], biased at edges",
         {{"coverage", Mask::coverage}, {"none", Mask::none}, {"first-hit", Mask::first_hit}});
+    command.option("--extra", options.extra,
+                   "adaptive pairs of paths, so many per pixel in the mean: on top of those of --old-graph, where the "
+                   "difference is noisy; without it alone, in place of --spp, also fewer than one",
+                   app::Range<double>{0, 1 << 20});
     command.flag(
         "--parts", options.parts,
         "correlated, --old-graph: also write the parts of the residual, Plus - Minus: what paths of the new scene "
@@ -279,6 +289,11 @@ void declare(app::Command& command, Options& options) {
     command.example(
         "loom-residual scene.xml --frames frames.tsv --old static.exr --old-graph graph.h5 -o residual-%.exr --new "
         "frame-%.exr");
+}
+
+/// Method of the pairs: those of a graph, and adaptive ones, are correlated.
+static Method planned_method(const Options& options) {
+    return options.old_graph.empty() && !(options.extra > 0) ? options.method : Method::correlated;
 }
 
 std::string plan_of(Method method, const Edit& edit) {
@@ -392,19 +407,48 @@ PathOptions path_options(const Options& options, const Scene& new_scene, const L
     return path;
 }
 
+/// Seed of --extra pairs.
+std::uint64_t extra_seed(std::uint64_t seed) {
+    return mix64(seed ^ streams::salt("extra"));
+}
+
+/// Traces pairs of paths on top of those of a graph.
+ExtraPairs add_extra_pairs(const Options& options, const Scenes& scenes, const Edit& edit, const Base& base,
+                           const ControlSums* control, app::Report& report, Residual& residual) {
+    if (scenes.new_scene->nlos) throw InputError("--extra: not for NLOS captures");
+    if (residual.same_samples)
+        throw InputError(fmt::format(
+            "{}: has the samples of the graph, to which --extra adds others; give an image with another --seed",
+            options.old_picture));
+    AdaptiveOptions adaptive{options.extra, false, base.graph.path, options.threads};
+    adaptive.path.seed = extra_seed(adaptive.path.seed);
+    ExtraPairs extra =
+        trace_extra_pairs(scenes.pair(), edit, adaptive, residual.image, base.graph.spp, control, report);
+    residual.counts.add(extra.counts);
+    residual.n_extra = extra.n;
+    residual.plan += "; " + extra.summary;
+    report.info("{}", extra.summary);
+    return extra;
+}
+
 /// Takes what the old graph's pairs of paths say.
 void take_pairs(const Options& options, const Base& base, GraphResidual pairs, std::optional<ControlSums>& control,
-                const Scenes& scenes, app::Report& report, Residual& residual) {
+                const Scenes& scenes, const Edit& edit, app::Report& report, Residual& residual) {
     residual.of_graph = std::move(pairs);
     residual.image = residual.of_graph.image;
     residual.counts = residual.of_graph.counts;
     residual.plan += "; old graph: " + residual.of_graph.summary();
     report.info("old graph: {}", residual.of_graph.summary());
+    std::vector<float> covered;
+    if (control && options.mask == Mask::coverage)
+        for (const Spectrum& alpha : control->alpha) covered.push_back(1 - alpha.r);
+    // By weights before they are fitted to samples.
+    ControlSums* const weights_of_old = control ? &*control : nullptr;
+    std::optional<ExtraPairs> extra;
+    if (options.extra > 0) extra = add_extra_pairs(options, scenes, edit, base, weights_of_old, report, residual);
+    if (control && control->fits) control->fit(scenes.new_scene->sensor, base.image.samples);
+    if (extra) add_pairs(extra->sums, base.graph.spp, residual.image, weights_of_old);
     if (control) {
-        std::vector<float> covered;
-        if (options.mask == Mask::coverage)
-            for (const Spectrum& alpha : control->alpha) covered.push_back(1 - alpha.r);
-        if (control->fits) control->fit(scenes.new_scene->sensor, base.image.samples);
         residual.controlled = controlled_picture(base.image, residual.image, *control);
         if (!covered.empty()) std::ranges::copy(covered, residual.controlled->image.add("Coverage.A").begin());
         const auto n_below =
@@ -426,6 +470,34 @@ void take_pairs(const Options& options, const Base& base, GraphResidual pairs, s
     if (residual.same_samples)
         report.info("{}: has the samples of the graph, so the sum is the new scene's image of these samples",
                     options.old_picture);
+}
+
+/// Renders a residual of --extra pairs alone.
+void render_by_sparse_pairs(const Options& options, const Scenes& scenes, const Edit& edit, const Base& base,
+                            app::Report& report, Residual& residual) {
+    if (scenes.new_scene->nlos) throw InputError("--extra: not for NLOS captures");
+    AdaptiveOptions adaptive{options.extra, options.no_map, residual.path, options.threads};
+    adaptive.path.seed = extra_seed(residual.path.seed);
+    if (!options.frames.empty()) adaptive.path.seed = streams::frame(adaptive.path.seed, options.frame);
+    std::optional<ControlSums> control;
+    if (!options.new_picture.empty()) {
+        const EditReach reach(*scenes.old_scene, *scenes.new_scene, edit);
+        if (options.mask == Mask::coverage)
+            control = graph_control(scenes.pair(), reach, adaptive.path.seed, options.threads);
+        if (!control) control.emplace(std::vector<Spectrum>(scenes.new_scene->sensor.n_pixels(), Spectrum(1)));
+    }
+    SparseResidual sparse = render_sparse_residual(scenes.pair(), edit, adaptive,
+                                                   control ? control->alpha : std::vector<Spectrum>{}, report);
+    residual.image = std::move(sparse.image);
+    residual.counts = sparse.counts;
+    residual.n_extra = sparse.n;
+    residual.plan += "; " + sparse.summary;
+    report.info("{}", sparse.summary);
+    if (!control) return;
+    residual.controlled = controlled_picture(base.image, sparse.weighted, *control);
+    if (options.mask != Mask::coverage) return;
+    const auto covered = residual.controlled->image.add("Coverage.A");
+    for (std::size_t p = 0; p < covered.size(); ++p) covered[p] = 1 - control->alpha[p].r;
 }
 
 /// Checks that the random streams of a residual differ from those of the old image, or are the same samples.
@@ -487,7 +559,8 @@ Cost cost_of(const EditRun& run, const app::Report& report) {
     cost.load_s = run.job.share * run.job.loading.cpu_s + residual.load_s;
     cost.rays = residual.counts.rays;
     cost.samples = residual.existed                 ? 0
-                   : !run.options.old_graph.empty() ? residual.of_graph.touched
+                   : !run.options.old_graph.empty() ? residual.of_graph.touched + residual.n_extra
+                   : run.options.extra > 0          ? residual.n_extra
                                                     : run.scenes.new_scene->sensor.n_pixels() * run.options.spp;
     cost.sources = {run.scenes.old_name};
     if (run.scenes.new_name != run.scenes.old_name) cost.sources.push_back(run.scenes.new_name);
@@ -569,7 +642,7 @@ std::unique_ptr<EditRun> start_edit(Options options, const Base& base, EditJob j
         std::make_unique<EditRun>(EditRun{std::move(options), std::move(job), std::move(edit), {}, {}, {}, {}, {}, {}});
     const bool has_graph = !run->options.old_graph.empty();
     Residual& residual = run->residual;
-    residual.plan = plan_of(has_graph ? Method::correlated : run->options.method, run->edit);
+    residual.plan = plan_of(planned_method(run->options), run->edit);
     report_edit(run->edit, report);
     if (run->options.residual.empty()) report.info("plan: {}", residual.plan);
 
@@ -590,7 +663,7 @@ std::unique_ptr<EditRun> start_edit(Options options, const Base& base, EditJob j
     // What both skies' light samples have in common has no parts.
     if (!residual.existed && !residual.same_samples && !run->options.parts &&
         (run->options.method == Method::correlated || run->options.method == Method::automatic))
-        pair_skies(run->edit, has_graph, report, scenes, residual.plan);
+        pair_skies(run->edit, has_graph && !(run->options.extra > 0), report, scenes, residual.plan);
     if (has_graph || run->options.parts)
         run->reach = std::make_unique<EditReach>(*scenes.old_scene, *scenes.new_scene, run->edit);
     if (run->options.parts) {
@@ -619,9 +692,11 @@ void finish_edit(EditRun& run, const Base& base, std::optional<GraphResidual> pa
     Residual& residual = run.residual;
     const Cost before = report.cost();
     if (pairs)
-        take_pairs(options, base, std::move(*pairs), run.control, run.scenes, report, residual);
+        take_pairs(options, base, std::move(*pairs), run.control, run.scenes, run.edit, report, residual);
     else if (residual.existed)
         ;
+    else if (options.extra > 0)
+        render_by_sparse_pairs(options, run.scenes, run.edit, base, report, residual);
     else if (options.method == Method::automatic || options.method == Method::dynamic)
         residual.image = render_by_dynamic_paths(run.scenes.pair(), run.edit, options, residual.path,
                                                  options.new_picture.empty() ? nullptr : &base.image, report,
@@ -672,7 +747,7 @@ void run(const Options& options, app::Report& report) {
                 {}};
     const Edit edit = find_edit(old_description, job.description);
     if (options.plan) {
-        report.answer(answer_of(edit, plan_of(options.old_graph.empty() ? options.method : Method::correlated, edit)));
+        report.answer(answer_of(edit, plan_of(planned_method(options), edit)));
         return;
     }
     if (options.technique == "list") {

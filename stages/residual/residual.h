@@ -34,6 +34,8 @@ struct Options {
     bool no_mapping = false;  // auto, dynamic: no path mappings
     bool no_map = false;      // auto: spread camera paths evenly
     Mask mask = Mask::coverage;
+    double extra = 0;         // adaptive pairs per pixel on top of old_graph, or without it in place of spp; 0: none
+    std::uint64_t frame = 0;  // number of the frame, with frames
     bool parts = false;       // correlated, old_graph: layers Plus and Minus in the residual
     std::string technique;    // dynamic: an image of this family's paths alone; list: its names
     bool as_printed = false;  // dynamic: weights and Jacobian limit of [RP] as printed, biased

@@ -50,6 +50,7 @@ class ResidualFrames : public ::testing::Test {
     void trace(const std::string& output, const std::string& frames, const std::vector<std::string>& defines = {},
                std::uint64_t seed = 0) {
         trace::Options options;
+        options.seed = seed;
         options.scene = at("s.xml");
         options.output = at(output);
         options.static_frames = frames.empty() ? "" : at(frames);
@@ -165,6 +166,43 @@ TEST_F(ResidualFrames, HaveTheSameBytesAloneAndAmongOthers) {
     write("f.tsv", "frame\tx\n12\t.1\n4\t0\n2\t.2\n3\t-0.7\n");
     residual::run(options("more-"), report);
     EXPECT_EQ(bytes("more-new-0004.exr"), bytes("all-new-0004.exr"));
+}
+
+// Pairs on top of the graph, and alone: a frame has a map of its own.
+TEST_F(ResidualFrames, HaveTheSameBytesWithAdaptivePairs) {
+    write("f.tsv", "frame\tx\n3\t-0.7\n4\t0\n10\t.5\n");
+    trace("static.exr", "f.tsv");
+    trace("g.h5", "f.tsv", {}, 1);
+    for (const bool has_graph : {true, false}) {
+        const auto run = [&](const std::string& prefix, const std::string& only, int threads) {
+            residual::Options adaptive = options(prefix);
+            if (!has_graph) adaptive.old_graph.clear();
+            adaptive.extra = 0.7;
+            adaptive.only = only;
+            adaptive.threads = threads;
+            report.set_command("loom-residual s.xml --frames f.tsv" + (only.empty() ? "" : " --only " + only) +
+                               " --old static.exr --extra 0.7");
+            residual::run(adaptive, report);
+        };
+        run("all-", "", 2);
+        run("one-", "4:10", 1);
+        EXPECT_EQ(bytes("one-new-0004.exr"), bytes("all-new-0004.exr"));
+        EXPECT_EQ(bytes("one-residual-0004.exr"), bytes("all-residual-0004.exr"));
+        const Image residual = read_image(at("one-residual-0004.exr"));
+        EXPECT_EQ(residual.samples, has_graph ? 8u : 1u);
+        const auto green = residual.find("G");
+        EXPECT_GT(std::count_if(green.begin(), green.end(), [](float g) { return g != 0; }), 5);
+    }
+    residual::Options bad = options("");
+    bad.extra = 1;
+    trace("static.exr", "f.tsv", {}, 1);
+    EXPECT_NE(error(bad).find("has the samples of the graph, to which --extra adds others"), std::string::npos);
+    bad.parts = true;
+    EXPECT_NE(error(bad).find("leave out --parts"), std::string::npos);
+    bad.parts = false;
+    bad.method = residual::Method::independent;
+    bad.old_graph.clear();
+    EXPECT_NE(error(bad).find("same random numbers in both scenes"), std::string::npos);
 }
 
 TEST_F(ResidualFrames, ErrorsSayWhatIsWrong) {
