@@ -38,6 +38,8 @@ void declare(app::Command& command, Options& options) {
     command.file("--frames", options.frames,
                  "table of frames (.tsv, as for loom-residual): print a content hash of the static scene that they "
                  "share, and one of each frame by its number");
+    command.option("--absent", options.absent,
+                   "with --frames: a parameter with this value drops the shapes that use it from the frame");
     command.option("-D,--define", options.defines, "with --scene: NAME=VALUE of a scene parameter $NAME");
     command.option("--sensor", options.sensor, "with --scene: sensor, as given to loom-trace");
     command.flag("--check", options.check, "with --stamp: compare only; exit with 1 when contents differ");
@@ -56,7 +58,7 @@ namespace {
 
 std::string hashes_of_frames(const Options& options) {
     if (options.scene.empty()) throw InputError("--frames: needs --scene");
-    const Frames frames = read_frames(options.frames);
+    const Frames frames = read_frames(options.frames, options.absent);
     const Animation animation = find_animation(options.scene, parse_defines(options.defines), options.sensor, frames);
     std::map<std::uint32_t, std::string> by_number;
     for (std::size_t i = 0; i < frames.frames.size(); ++i)
@@ -88,6 +90,7 @@ int run(const Options& options, app::Report& report) {
         report.answer(hashes_of_frames(options));
         return app::exit_done;
     }
+    if (!options.absent.empty()) throw InputError("--absent: needs --frames");
     if (options.check || !options.scene.empty() || !options.defines.empty() || !options.sensor.empty())
         throw InputError("--scene, --define, --sensor, --check: only with --stamp or --frames");
     if (options.files.empty()) throw InputError("no input: give a file (loom-inspect FILE); see --help");

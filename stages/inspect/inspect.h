@@ -28,6 +28,7 @@ struct Options {
     bool iterations = false;           // print the convergence of the refinement in a radiance file, as TSV
     std::string stamp;                 // write the content hashes of the files to this file
     std::string scene;                 // with stamp: a scene and all files that it names; with frames: their scene
+    std::string absent;                // value of a parameter whose shapes a frame lacks
     std::string frames;                // print the content hashes of the static scene and of these frames
     std::vector<std::string> defines;  // of the scene, "NAME=VALUE"
     std::string sensor;                // of the scene, id or index; empty: the first

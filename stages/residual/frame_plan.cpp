@@ -92,10 +92,8 @@ FramePlan::FramePlan(const FramePilot& pilot, std::uint64_t spp, std::uint64_t n
     break_even = high;
 }
 
-FramePilot look_at_frames(const Animation& animation, const std::shared_ptr<const Scene>& still, const Frames& table,
-                          const std::vector<Frames::Frame>& frames, const std::filesystem::path& scene,
-                          const Defines& defines, const std::string& sensor, const PathOptions& path,
-                          std::uint64_t spp) {
+FramePilot look_at_frames(const Animation& animation, const std::shared_ptr<const Scene>& still,
+                          const std::vector<Frames::Frame>& frames, const PathOptions& path, std::uint64_t spp) {
     // Choose pixels, and frames in the middle of equal parts.
     const std::uint64_t n_pixels = still->sensor.n_pixels();
     const std::size_t n_frames = std::min(most_frames, frames.size());
@@ -116,7 +114,7 @@ FramePilot look_at_frames(const Animation& animation, const std::shared_ptr<cons
     const auto images = std::make_shared<TextureCache>();
     for (std::size_t k = 0; k < n_frames; ++k) {
         const Frames::Frame& frame = frames[(2 * k + 1) * frames.size() / (2 * n_frames)];
-        SceneDescription description = read_scene(scene, table.values_of(frame, defines), sensor);
+        SceneDescription description = animation.frames[frame.row];
         const Edit edit = find_edit(animation.still, description);
         KnownParts known = known_parts(still, edit);
         known.images = images;

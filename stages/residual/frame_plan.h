@@ -2,9 +2,7 @@
 // How many samples the image of the static scene should have, and from how many frames on it pays.
 
 #include <cstdint>
-#include <filesystem>
 #include <memory>
-#include <string>
 #include <vector>
 
 #include "stages/core/edit/animation.h"
@@ -27,7 +25,8 @@ struct FramePilot {
 /// A frame has the variance of the static image and of its difference,
 ///   V = V_s / n_s + V_d / n,
 /// F frames cost n_s + n (the graph) + F n c, path tracing of the same variance F V_fresh / V. For a given n variance times
-/// cost is least at n_s = n sqrt((1 + F c) V_s / V_d); more than the F n of path tracing is never taken.
+/// cost is least at n_s = n sqrt((1 + F c) V_s / V_d); more than the F n of path tracing is
+/// never taken: beyond, the static image alone would cost more than all frames of as many samples as are asked for.
 struct FramePlan {
     std::uint64_t still_spp = 1;   // of the static image
     double gain = 0;               // cost of path tracing of equal error over that of the frames
@@ -40,9 +39,7 @@ struct FramePlan {
 /// Looks at some paths of a few frames, at most a 25th of the paths that path tracing of all frames would take.
 /// in:      path  options of the pilot, its seed included
 /// throws:  InputError for a frame that is no scene
-FramePilot look_at_frames(const Animation& animation, const std::shared_ptr<const Scene>& still, const Frames& table,
-                          const std::vector<Frames::Frame>& frames, const std::filesystem::path& scene,
-                          const Defines& defines, const std::string& sensor, const PathOptions& path,
-                          std::uint64_t spp);
+FramePilot look_at_frames(const Animation& animation, const std::shared_ptr<const Scene>& still,
+                          const std::vector<Frames::Frame>& frames, const PathOptions& path, std::uint64_t spp);
 
 }  // namespace loom::residual

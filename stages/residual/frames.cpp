@@ -3,7 +3,10 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <filesystem>
 
+#include "formats/image.h"
+#include "formats/io/cost.h"
 #include "formats/io/error.h"
 #include "stages/core/app/command.h"
 #include "stages/core/edit/animation.h"
@@ -27,8 +30,8 @@ void check_frames(const Options& options) {
 }
 
 /// Returns the output of --plan, a value per line: what moves, how to render it, and why.
-std::string plan_of_frames(const Options& options, const Animation& animation, const Frames& table,
-                           const std::vector<Frames::Frame>& frames, const Defines& defines) {
+std::string plan_of_frames(const Options& options, const Animation& animation,
+                           const std::vector<Frames::Frame>& frames) {
     SceneDescription description = animation.still;
     const std::shared_ptr<const Scene> still = build_scene(std::move(description));
     PathOptions path;
@@ -36,8 +39,7 @@ std::string plan_of_frames(const Options& options, const Animation& animation, c
     path.seed = streams::pilot(options.seed);
     path.rr_depth = still->rr_depth;
     path.max_depth = max_depth_of(options, animation.still);
-    const FramePilot pilot =
-        look_at_frames(animation, still, table, frames, options.old_scene, defines, options.sensor, path, options.spp);
+    const FramePilot pilot = look_at_frames(animation, still, frames, path, options.spp);
     const FramePlan plan(pilot, options.spp, frames.size());
     return fmt::format(
         "{}\nmethod: {}\nsamples of the static image: {}\ngain over path tracing of equal error: {:.3g}\n"
@@ -46,6 +48,32 @@ std::string plan_of_frames(const Options& options, const Animation& animation, c
         animation.describe(), plan.gain >= 1 ? "hybrid" : "pt", plan.still_spp, plan.gain,
         plan.break_even > 0 ? std::to_string(plan.break_even) : "none", frames.size(), options.spp, pilot.fresh,
         pilot.difference, 100 * pilot.touched);
+}
+
+/// Adds the variances of a written frame: of the static image in it, and of all.
+void add_variances(const std::string& file, double& of_still, double& of_all) {
+    for (const auto& [name, value] : exr_attributes(file)) {
+        if (name != "ledger") continue;
+        const Ledger ledger = ledger_from_text(value, file);
+        if (ledger.size() < 2) continue;
+        of_still += accumulated_var_mean(ledger, ledger.size() - 1);
+        of_all += accumulated_var_mean(ledger, ledger.size());
+    }
+}
+
+/// Says how much of the frames' variance is that of the static image; warns where more samples of it would cost less than
+/// what all frames take.
+/// in:      frame_s  CPU time of a frame;  n_frames  of the table
+void report_share(const Options& options, double share, double frame_s, std::size_t n_frames, app::Report& report) {
+    report.info("variance: {:.3g} % is that of the static image, which all frames share", 100 * share);
+    if (share <= 0.5 || !std::filesystem::exists(cost_path(options.old_picture))) return;
+    const Cost cost = read_cost(options.old_picture);
+    const double still_s = cost.cpu_s - cost.load_s, frames_s = frame_s * double(n_frames);
+    if (still_s < frames_s)
+        report.warn(
+            "{}: its noise is {:.0f} % of the frames' variance; its samples took {:.3g} s of CPU time, {} frames take "
+            "{:.3g} s: more samples of it make the frames better for less",
+            options.old_picture, 100 * share, still_s, n_frames, frames_s);
 }
 
 /// Returns the options and command of a frame alone.
@@ -71,12 +99,11 @@ std::size_t frames_at_once(const Base& base) {
 
 void render_frames(const Options& options, app::Report& report) {
     check_frames(options);
-    const Frames table = read_frames(options.frames);
+    const Frames table = read_frames(options.frames, options.absent);
     const std::vector<Frames::Frame> frames = frames_of(table, options.only);
-    const Defines defines = parse_defines(options.defines);
-    Animation animation = find_animation(options.old_scene, defines, options.sensor, table);
+    Animation animation = find_animation(options.old_scene, parse_defines(options.defines), options.sensor, table);
     if (options.plan) {
-        report.answer(plan_of_frames(options, animation, table, frames, defines));
+        report.answer(plan_of_frames(options, animation, frames));
         return;
     }
     report.info("{}", animation.describe());
@@ -89,9 +116,10 @@ void render_frames(const Options& options, app::Report& report) {
     const int max_depth = max_depth_of(options, animation.still);
     const Base base = read_base(options, std::move(animation.still), max_depth, report, std::move(animation.fixed));
     const Cost loading = report.cost();
+    double of_still = 0, of_all = 0;
     app::Progress progress(report, "frames", frames.size());
     const auto start = [&](std::size_t i) {
-        EditJob job{read_scene(options.old_scene, table.values_of(frames[i], defines), options.sensor),
+        EditJob job{std::move(animation.frames[frames[i].row]),
                     options.old_scene,
                     commands[i],
                     loading,
@@ -122,8 +150,13 @@ void render_frames(const Options& options, app::Report& report) {
             if (!pairs.empty()) own = std::move(pairs[i]);
             finish_edit(*runs[i], base, std::move(own), report);
             runs[i].reset();
+            if (!options.new_picture.empty()) add_variances(of_frames[begin + i].new_picture, of_still, of_all);
             progress.add(1);
         }
+    }
+    if (of_all > 0) {
+        const double frame_s = (report.cost().cpu_s - loading.cpu_s) / double(frames.size());
+        report_share(options, of_still / of_all, frame_s, table.frames.size(), report);
     }
 }
 

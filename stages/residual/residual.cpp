@@ -227,6 +227,8 @@ void declare(app::Command& command, Options& options) {
     command.option(
         "--only", options.only,
         "with --frames: FIRST:END, the frames from FIRST on below END; FIRST:END:STEP, each STEP-th of them");
+    command.option("--absent", options.absent,
+                   "with --frames: a parameter with this value drops the shapes that use it from the frame");
     command.option("--sensor", options.sensor,
                    "sensor of both scenes, by id or by number from 0 in the order of the file (default: the first)");
     command.file("--old", options.old_picture,
@@ -734,6 +736,7 @@ void run(const Options& options, app::Report& report) {
         return;
     }
     if (!options.only.empty()) throw InputError("--only: needs --frames");
+    if (!options.absent.empty()) throw InputError("--absent: needs --frames");
     if (!options.plan && options.technique != "list") check_endings(options);
 
     const std::string& new_file = options.new_scene.empty() ? options.old_scene : options.new_scene;

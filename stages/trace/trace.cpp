@@ -178,6 +178,8 @@ void declare(app::Command& command, Options& options) {
     command.option(
         "--only", options.only,
         "with --frames: FIRST:END, the frames from FIRST on below END; FIRST:END:STEP, each STEP-th of them");
+    command.option("--absent", options.absent,
+                   "with --frames, --static: a parameter with this value drops the shapes that use it from the frame");
     command.threads(options.threads);
     command.flag("--plan", options.plan, "print the plan and stop");
     command.option("--replay", options.replay, "X,Y,SAMPLE: trace that path alone and print it");
@@ -257,6 +259,8 @@ void check_output(const Options& options, const std::string& ending) {
     check_output_path(options.output);
     if (options.frames.empty()) {
         if (!options.only.empty()) throw InputError("--only: needs --frames");
+        if (!options.absent.empty() && options.static_frames.empty())
+            throw InputError("--absent: needs --frames or --static");
         return;
     }
     if (!options.static_frames.empty()) throw InputError("--frames: traces whole scenes; leave out --static");
@@ -323,7 +327,8 @@ void finish_pass(const Passes& of, const std::string& output, const Counts& coun
 std::unique_ptr<Scene> load(const Options& options, std::string& of_frames) {
     const Defines defines = parse_defines(options.defines);
     if (options.static_frames.empty()) return load_scene(options.scene, defines, options.sensor);
-    Animation animation = find_animation(options.scene, defines, options.sensor, read_frames(options.static_frames));
+    Animation animation =
+        find_animation(options.scene, defines, options.sensor, read_frames(options.static_frames, options.absent));
     of_frames = "; " + animation.describe();
     return build_scene(std::move(animation.still));
 }
@@ -332,7 +337,7 @@ std::unique_ptr<Scene> load(const Options& options, std::string& of_frames) {
 void trace_frames(const Options& options, app::Report& report) {
     if (options.plan || !options.replay.empty())
         throw InputError("--frames: leave out --plan and --replay, or name a frame's values by -D");
-    const Frames table = read_frames(options.frames);
+    const Frames table = read_frames(options.frames, options.absent);
     const std::vector<Frames::Frame> frames = frames_of(table, options.only);
     const Defines defines = parse_defines(options.defines);
     const auto images = std::make_shared<TextureCache>();
@@ -343,7 +348,7 @@ void trace_frames(const Options& options, app::Report& report) {
         own.only = fmt::format("{}:{}", frame.number, frame.number + 1);
         own.output = app::name_of_part(options.output, fmt::format("{:04}", frame.number));
         const auto scene =
-            build_scene(read_scene(options.scene, table.values_of(frame, defines), options.sensor), {{}, {}, images});
+            build_scene(read_frame(options.scene, table, frame, defines, options.sensor), {{}, {}, images});
         PathOptions path = path_options(options, *scene);
         path.seed = streams::frame(options.seed, frame.number);
         const Cost loaded = report.cost();

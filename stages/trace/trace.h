@@ -24,6 +24,7 @@ struct Options {
     std::vector<std::string> defines;  // name=value
     std::string sensor;                // id or index, from 0; empty: the first
     std::string static_frames;         // table of frames: only what they have in common is traced
+    std::string absent;                // value of a parameter whose shapes a frame lacks
     std::string frames, only;          // table of frames: each is traced by itself, or those that `only` names
     std::uint64_t spp = 1;             // samples per pixel
     std::uint64_t first_sample = 0;    // index of the first sample

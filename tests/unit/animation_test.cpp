@@ -42,11 +42,12 @@ constexpr const char* scene_text = R"(<scene version="3.0.0">
 <emitter type="constant"/></scene>)";
 
 struct Case {
-    TextFile scene{".xml", scene_text};
-    TextFile table;
-    explicit Case(const std::string& rows) : table(".tsv", rows) {}
+    TextFile scene, table;
+    std::string absent;
+    explicit Case(const std::string& rows, std::string absent_value = {}, const std::string& text = scene_text)
+        : scene(".xml", text), table(".tsv", rows), absent(std::move(absent_value)) {}
 
-    Frames frames() const { return read_frames(table.path.string()); }
+    Frames frames() const { return read_frames(table.path.string(), absent); }
     Animation animation() const { return find_animation(scene.path, {}, "", frames()); }
     std::uint64_t hash() const { return build_scene(animation().still)->content_hash; }
 };
@@ -132,6 +133,74 @@ TEST(Animation, EqualFramesHaveEqualHashes) {
     const auto two = hashes("frame\tpaint\tx\n5\t0.6\t0.3\n6\t0.5\t0.2\n");
     EXPECT_EQ(two[1], one[1]);
     EXPECT_NE(two[0], one[0]);
+}
+
+std::size_t n_shapes(const SceneDescription& description) {
+    return description.root->children(Category::shape).size();
+}
+
+// Detected mutations: all shapes of the frame kept; the parameter taken as absent in all frames.
+TEST(Animation, ShapesOfAbsentParametersAreLeftOut) {
+    // Absent at first, in the middle, in the end.
+    for (const char* rows : {"frame\tx\n0\tnone\n1\t0\n2\t1\n", "frame\tx\n0\t0\n1\tnone\n2\t1\n",
+                             "frame\tx\n0\t0\n1\t1\n2\tnone\n", "frame\tx\n0\t0\n1\t0\n2\tnone\n"}) {
+        const Case c(rows, "none");
+        const Animation a = c.animation();
+        EXPECT_EQ(a.describe(), "static: without 'ball'") << rows;
+        EXPECT_EQ(n_shapes(a.still), 3u);
+        for (std::size_t i = 0; i < 3; ++i) {
+            const bool lacks = !c.frames().absent_in(c.frames().frames[i]).empty();
+            EXPECT_EQ(n_shapes(a.frames[i]), lacks ? 3u : 4u) << rows << i;
+        }
+        // The static scene is that of a ball which moves.
+        EXPECT_EQ(a.still_hash, Case("frame\tx\n0\t0\n1\t1\n").animation().still_hash);
+    }
+    // Absent in all frames: in none, and no shape differs.
+    EXPECT_EQ(Case("frame\tx\n0\tnone\n1\tnone\n", "none").animation().describe(),
+              "static: nothing differs between the frames");
+    // A frame without a parameter's shapes is a scene without them.
+    const Animation two = Case("frame\tx\tpaint\n0\t0\t.5\n1\tnone\tnone\n2\t0\tnone\n", "none").animation();
+    EXPECT_EQ(two.describe(), "static: without 'ball', 'box'");
+    EXPECT_EQ(n_shapes(two.frames[1]), 2u);
+    EXPECT_EQ(two.frame_hashes[1], two.still_hash);
+}
+
+TEST(Animation, LightsMayBeAbsent) {
+    const Animation a = Case("frame\tpower\n0\tnone\n1\t2\n2\t3\n", "none").animation();
+    EXPECT_EQ(a.describe(), "lights of the first frame: 'lamp'");
+    EXPECT_EQ(n_shapes(a.still), 3u);
+    EXPECT_EQ(n_shapes(a.frames[2]), 4u);
+}
+
+TEST(Animation, AbsentParametersAreOfShapesAlone) {
+    const auto error = [](const std::string& rows) { return error_of([&] { Case(rows, "none").animation(); }); };
+    const std::string wrong = error("frame\tfov\n0\t40\n4\tnone\n");
+    EXPECT_NE(wrong.find(":3: frame 4: "), std::string::npos) << wrong;
+    EXPECT_NE(wrong.find("$fov is absent ('none')"), std::string::npos) << wrong;
+    // Another value is one.
+    EXPECT_NE(error("frame\tx\n0\t1\n9\tNone\n").find(":3: frame 9: "), std::string::npos);
+}
+
+// A mesh that deforms is another file in each frame: removed and added. Without an id as with one.
+TEST(Animation, OtherMeshesAreMovingShapes) {
+    const auto obj = [](const char* name, double z) {
+        return TextFile(name, "v 0 0 " + std::to_string(z) + "\nv 1 0 0\nv 0 1 0\nf 1 2 3\n");
+    };
+    const TextFile one = obj("one.obj", 0), two = obj("two.obj", 0.5);
+    for (const std::string id : {"", " id=\"cloth\""}) {
+        std::string text = scene_text;
+        text.replace(text.find("<shape type=\"rectangle\""), 0,
+                     "<default name=\"mesh\" value=\"x\"/><shape type=\"obj\"" + id +
+                         "><string name=\"filename\" value=\"$mesh\"/></shape>");
+        const std::string a = one.path.string(), b = two.path.string();
+        const Animation animation =
+            Case("frame\tmesh\n0\t" + a + "\n1\t" + b + "\n2\t" + a + "\n", "", text).animation();
+        EXPECT_EQ(animation.describe(), id.empty() ? "static: without number 1 (obj)" : "static: without 'cloth'");
+        EXPECT_EQ(n_shapes(animation.still), 4u);
+        EXPECT_EQ(animation.frame_hashes[0], animation.frame_hashes[2]);
+        EXPECT_NE(animation.frame_hashes[0], animation.frame_hashes[1]);
+        for (const SceneDescription& frame : animation.frames) EXPECT_EQ(n_shapes(frame), 5u);
+    }
 }
 
 TEST(Animation, ErrorsNameTheFrame) {

@@ -7,6 +7,7 @@
 #include <filesystem>
 #include <map>
 #include <memory>
+#include <set>
 #include <string>
 #include <string_view>
 #include <utility>
@@ -130,8 +131,9 @@ using Defines = std::vector<std::pair<std::string, std::string>>;
 
 /// Reads a Mitsuba scene file (dialects 0.5, 0.6, 2 and 3) with its includes.
 /// in:     sensor  id of the sensor to keep, or its index in the order of the file, from 0; empty: the first
+///         absent  parameters whose shapes are left out: each <shape> element with their $name in it
 /// throws: InputError with file:line:column, the line, a caret and the allowed names
 SceneDescription read_scene(const std::filesystem::path& file, const Defines& defines = {},
-                            const std::string& sensor = {});
+                            const std::string& sensor = {}, const std::set<std::string>& absent = {});
 
 }  // namespace loom

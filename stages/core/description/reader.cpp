@@ -72,8 +72,10 @@ std::string said_of(Category category, std::string_view type) {
 
 class Reader {
   public:
-    Reader(const std::filesystem::path& file, const Defines& defines, const std::string& sensor)
+    Reader(const std::filesystem::path& file, const Defines& defines, const std::string& sensor,
+           const std::set<std::string>& absent)
         : substitutions_(defines) {
+        substitutions_.set_absent(absent);
         const std::string name = file.string();
         SceneFile main{XmlDocument(file, name), {file.parent_path()}, &resources_};
         scene_ = make_object(Category::scene, "scene", main.document.at(main.document.root()));
@@ -249,6 +251,28 @@ class Reader {
             if (child.type() == pugi::node_element) skip(e.with(child));
     }
 
+    /// Calls visit(text) for each attribute of an element and of those in it, until it returns true.
+    template <class Visit>
+    static bool any_attribute(const pugi::xml_node& element, Visit&& visit) {
+        const auto of_node = [&](const pugi::xml_node& node) {
+            for (const pugi::xml_attribute& attribute : node.attributes())
+                if (visit(attribute.value())) return true;
+            return false;
+        };
+        return of_node(element) || element.find_node(of_node);
+    }
+
+    /// Leaves out an element that uses an absent parameter; its $names count as used.
+    bool is_left_out(const Element& e) {
+        if (!any_attribute(e.node, [&](std::string_view text) { return substitutions_.has_absent(text); }))
+            return false;
+        any_attribute(e.node, [&](std::string_view text) {
+            substitutions_.leave_out(text);
+            return false;
+        });
+        return true;
+    }
+
     const PluginSchema& plugin_of(const Element& e, Category category, const Text& type) {
         const bool legacy = e.file->legacy;
         const PluginSchema* plugin = find_plugin(category, type.text);
@@ -262,6 +286,7 @@ class Reader {
 
     void read_nested(const Element& e, Category category, const std::shared_ptr<Object>& parent,
                      const PluginSchema& parent_plugin, int depth, const Text& given_name) {
+        if (category == Category::shape && is_left_out(e)) return;
         if (e.node == e.file->document.root())
             e.allow({"type", "id", "name", "version"});
         else
@@ -632,8 +657,9 @@ class Reader {
 
 }  // namespace
 
-SceneDescription read_scene(const std::filesystem::path& file, const Defines& defines, const std::string& sensor) {
-    return Reader(file, defines, sensor).take();
+SceneDescription read_scene(const std::filesystem::path& file, const Defines& defines, const std::string& sensor,
+                            const std::set<std::string>& absent) {
+    return Reader(file, defines, sensor, absent).take();
 }
 
 }  // namespace loom

@@ -30,6 +30,16 @@ bool is_name_character(char c) {
     return std::isalnum(static_cast<unsigned char>(c)) || c == '_';
 }
 
+/// Calls visit(begin, end, name) for each $name in a text, whose place is [begin, end).
+void for_each_name(std::string_view text, const auto& visit) {
+    for (std::size_t begin = text.find('$'); begin != std::string_view::npos;) {
+        std::size_t end = begin + 1;
+        while (end < text.size() && is_name_character(text[end])) ++end;
+        visit(begin, end, std::string(text.substr(begin + 1, end - begin - 1)));
+        begin = text.find('$', end);
+    }
+}
+
 }  // namespace
 
 XmlDocument::XmlDocument(const std::filesystem::path& file, const std::string& name)
@@ -93,14 +103,8 @@ void Substitutions::set_default(const std::string& name, const std::string& valu
 
 std::string Substitutions::apply(std::string_view text, const Location& at) {
     std::string result;
-    for (std::size_t i = 0; i < text.size();) {
-        if (text[i] != '$') {
-            result += text[i++];
-            continue;
-        }
-        std::size_t end = i + 1;
-        while (end < text.size() && is_name_character(text[end])) ++end;
-        const std::string name(text.substr(i + 1, end - i - 1));
+    std::size_t done = 0;
+    for_each_name(text, [&](std::size_t begin, std::size_t end, const std::string& name) {
         const auto found = values_.find(name);
         if (found == values_.end()) {
             std::vector<std::string> known;
@@ -108,11 +112,29 @@ std::string Substitutions::apply(std::string_view text, const Location& at) {
             fail(at, fmt::format("${} has no value: no <default> before this place and no -D {}=...; known: {}", name,
                                  name, nearest_first(name, known)));
         }
+        if (absent_.contains(name))
+            fail(at, fmt::format("${} is absent ('{}'), which drops shapes that use it; this use is in no shape", name,
+                                 found->second));
         used_.insert(name);
+        result += text.substr(done, begin - done);
         result += found->second;
-        i = end;
-    }
+        done = end;
+    });
+    result += text.substr(done);
     return result;
+}
+
+bool Substitutions::has_absent(std::string_view text) const {
+    bool any = false;
+    if (!absent_.empty())
+        for_each_name(text, [&](std::size_t, std::size_t, const std::string& name) { any |= absent_.contains(name); });
+    return any;
+}
+
+void Substitutions::leave_out(std::string_view text) {
+    for_each_name(text, [&](std::size_t, std::size_t, const std::string& name) {
+        if (values_.contains(name)) used_.insert(name);
+    });
 }
 
 void Substitutions::check_all_used() const {

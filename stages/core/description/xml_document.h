@@ -39,18 +39,24 @@ class XmlDocument {
 class Substitutions {
   public:
     explicit Substitutions(const std::vector<std::pair<std::string, std::string>>& defines);
+    /// Sets the names that only elements which are left out may use.
+    void set_absent(std::set<std::string> names) { absent_ = std::move(names); }
 
     void set_default(const std::string& name, const std::string& value);
     /// Replaces every $name in the text; names are letters, digits and underscores.
-    /// throws: InputError at `at` for a name without value; lists the defined names
+    /// throws: InputError at `at` for a name without value, or an absent one; lists the defined names
     std::string apply(std::string_view text, const Location& at);
+    /// Whether a text has the $name of an absent parameter.
+    bool has_absent(std::string_view text) const;
+    /// Counts the names in a text that is left out as used.
+    void leave_out(std::string_view text);
     /// throws: InputError when a define was never used; lists the names that the scene uses
     void check_all_used() const;
     std::map<std::string, std::string> used() const;
 
   private:
     std::map<std::string, std::string> values_, defines_;
-    std::set<std::string> used_;
+    std::set<std::string> used_, absent_;
 };
 
 }  // namespace loom

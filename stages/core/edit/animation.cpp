@@ -32,22 +32,21 @@ std::uint32_t frame_number(const std::string& text, const std::string& where) {
     return number;
 }
 
-/// Reads the description of a frame; an error also names the frame's line.
-SceneDescription describe_frame(const std::filesystem::path& scene, const Defines& defines, const std::string& sensor,
-                                const Frames& frames, const Frames::Frame& frame) {
-    try {
-        return read_scene(scene, frames.values_of(frame, defines), sensor);
-    } catch (const InputError& bad) {
-        throw InputError(fmt::format("{}:{}: frame {}: {}", frames.file, frame.line, frame.number, bad.what()));
-    }
-}
-
 std::string hash_of(const std::string& text) {
     return content_hash_text(content_hash(std::as_bytes(std::span(text))));
 }
 
 std::string name_of(const ObjectPtr& o, std::size_t place) {
     return o->has_own_id ? fmt::format("'{}'", o->id) : fmt::format("number {} ({})", place + 1, o->plugin);
+}
+
+bool is_light(const ObjectPtr& o) {
+    return o->category == Category::emitter || o->has_child(Category::emitter);
+}
+
+void add_missing(std::vector<std::string>& names, const std::set<std::string>& others) {
+    for (const std::string& name : others)
+        if (std::find(names.begin(), names.end(), name) == names.end()) names.push_back(name);
 }
 
 }  // namespace
@@ -57,11 +56,28 @@ Defines Frames::values_of(const Frame& frame, Defines others) const {
     return others;
 }
 
-Frames read_frames(const std::string& file) {
+std::set<std::string> Frames::absent_in(const Frame& frame) const {
+    std::set<std::string> names;
+    for (std::size_t i = 0; i < parameters.size(); ++i)
+        if (!absent.empty() && frame.values[i] == absent) names.insert(parameters[i]);
+    return names;
+}
+
+SceneDescription read_frame(const std::filesystem::path& scene, const Frames& frames, const Frames::Frame& frame,
+                            const Defines& defines, const std::string& sensor) {
+    try {
+        return read_scene(scene, frames.values_of(frame, defines), sensor, frames.absent_in(frame));
+    } catch (const InputError& bad) {
+        throw InputError(fmt::format("{}:{}: frame {}: {}", frames.file, frame.line, frame.number, bad.what()));
+    }
+}
+
+Frames read_frames(const std::string& file, const std::string& absent) {
     const Table table = read_tables({file});
     const std::size_t number_column = table.column("frame");
     Frames out;
     out.file = file;
+    out.absent = absent;
     for (std::size_t i = 0; i < table.names.size(); ++i) {
         const std::string& name = table.names[i];
         if (name.empty()) throw InputError(fmt::format("{}: column {} has no name", file, i + 1));
@@ -73,6 +89,7 @@ Frames read_frames(const std::string& file) {
     for (std::size_t row = 0; row < table.rows.size(); ++row) {
         Frames::Frame frame;
         frame.line = table.lines[row];
+        frame.row = row;
         const std::string where = fmt::format("{}:{}", file, frame.line);
         frame.number = frame_number(table.rows[row][number_column], where);
         if (!known.insert(frame.number).second)
@@ -127,11 +144,13 @@ Animation find_animation(const std::filesystem::path& scene, const Defines& defi
     CanonicalTexts texts;  // of objects that must live as long
     std::vector<SceneDescription> descriptions;
     for (const Frames::Frame& frame : frames.frames)
-        descriptions.push_back(describe_frame(scene, defines, sensor, frames, frame));
+        descriptions.push_back(read_frame(scene, frames, frame, defines, sensor));
 
+    // Shapes and lights that differ from those of the first frame, or that it lacks.
     const Object& first = *descriptions[0].root;
     const Objects shapes = first.children(Category::shape), emitters = first.children(Category::emitter);
     std::vector<char> shape_differs(shapes.size()), emitter_differs(emitters.size());
+    std::set<std::string> lacking, lacking_lights;
     for (std::size_t i = 1; i < descriptions.size(); ++i) {
         const Object& other = *descriptions[i].root;
         const auto where = [&] {
@@ -143,19 +162,18 @@ Animation find_animation(const std::filesystem::path& scene, const Defines& defi
                     "{}: has another {} than frame {}; frames need one view of the scene, and one length of paths",
                     where(), name(category), frames.frames[0].number));
         const auto compare = [&](const Objects& ours, const Objects& theirs, const SceneMatch& match,
-                                 std::vector<char>& differs, const char* kind) {
+                                 std::vector<char>& differs) {
             for (std::size_t k = 0; k < ours.size(); ++k) {
                 const std::uint32_t partner = match.new_of_old[k];
                 differs[k] |= partner == SceneMatch::none || texts.text(ours[k]) != texts.text(theirs[partner]);
             }
             for (std::size_t k = 0; k < theirs.size(); ++k)
                 if (match.old_of_new[k] == SceneMatch::none)
-                    throw InputError(fmt::format("{}: has a {} that frame {} lacks: {}", where(), kind,
-                                                 frames.frames[0].number, name_of(theirs[k], k)));
+                    (is_light(theirs[k]) ? lacking_lights : lacking).insert(name_of(theirs[k], k));
         };
         const Objects new_shapes = other.children(Category::shape), new_emitters = other.children(Category::emitter);
-        compare(shapes, new_shapes, match_shapes(shapes, new_shapes, texts), shape_differs, "shape");
-        compare(emitters, new_emitters, match_emitters(emitters, new_emitters, texts), emitter_differs, "light");
+        compare(shapes, new_shapes, match_shapes(shapes, new_shapes, texts), shape_differs);
+        compare(emitters, new_emitters, match_emitters(emitters, new_emitters, texts), emitter_differs);
     }
 
     Animation out;
@@ -167,7 +185,7 @@ Animation find_animation(const std::filesystem::path& scene, const Defines& defi
             std::erase_if(scene.nested, [&](const auto& child) { return child.first == shapes[k]; });
         };
         remove_from(*fixed);
-        if (shapes[k]->has_child(Category::emitter)) {
+        if (is_light(shapes[k])) {
             out.relit.push_back(name_of(shapes[k], k));
             continue;
         }
@@ -177,7 +195,9 @@ Animation find_animation(const std::filesystem::path& scene, const Defines& defi
     const bool has_less = fixed->nested.size() < root->nested.size();
     for (std::size_t k = 0; k < emitters.size(); ++k)
         if (emitter_differs[k]) out.relit.push_back(name_of(emitters[k], k));
-    out.still = std::move(descriptions[0]);
+    add_missing(out.moving, lacking);
+    add_missing(out.relit, lacking_lights);
+    out.still = descriptions[0];
     // Its content alone identifies it, so that other frames of the same static scene share its files.
     out.still_hash = hash_of(texts.text(*root));
     out.still.parameters = {{"static scene", out.still_hash}};
@@ -187,6 +207,7 @@ Animation find_animation(const std::filesystem::path& scene, const Defines& defi
         out.fixed->root = std::move(fixed);
     }
     out.still.root = std::move(root);
+    out.frames = std::move(descriptions);
     return out;
 }
 

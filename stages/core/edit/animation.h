@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <filesystem>
 #include <optional>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -20,19 +21,30 @@ struct Frames {
         std::uint32_t number = 0;
         std::vector<std::string> values;  // [parameter]
         std::size_t line = 0;             // of the file
+        std::size_t row = 0;              // index among the frames of the file
     };
     std::string file;
+    std::string absent;                   // value of a parameter whose shapes a frame lacks; empty: none
     std::vector<std::string> parameters;  // $names
     std::vector<Frame> frames;            // in the order of the file
 
     /// Returns the values of a frame after others.
     Defines values_of(const Frame& frame, Defines others = {}) const;
+    /// Returns the parameters that are absent in a frame.
+    std::set<std::string> absent_in(const Frame& frame) const;
 };
 
 /// Reads a table of frames, tab-separated: `frame` and the names of parameters in the first line, then a row per frame
 /// with its number and all values. Empty lines count for nothing.
+/// in:      absent  --absent: a frame drops the shapes that use a parameter of this value
 /// throws:  InputError with file, line and column: no `frame`, a number twice, a cell without value
-Frames read_frames(const std::string& file);
+Frames read_frames(const std::string& file, const std::string& absent = {});
+
+/// Reads the scene of a frame.
+/// in:      defines  values of other parameters
+/// throws:  InputError that also names the line of the frame
+SceneDescription read_frame(const std::filesystem::path& scene, const Frames& frames, const Frames::Frame& frame,
+                            const Defines& defines, const std::string& sensor);
 
 /// Returns the frames whose numbers --only names: FIRST:END, or FIRST:END:STEP; all if it is empty.
 /// throws:  InputError
@@ -41,8 +53,10 @@ std::vector<Frames::Frame> frames_of(const Frames& frames, const std::string& on
 struct Animation {
     SceneDescription still;  // without the shapes that move; built, its hash depends on what it holds alone
     std::optional<SceneDescription> fixed;  // without the lights with shapes that differ, too; none: `still` has none
-    std::vector<std::string> moving;        // ids of the shapes that differ between frames and emit nothing
-    std::vector<std::string> relit;         // ids of lights that differ, of which `still` has those of the first frame
+    std::vector<std::string>
+        moving;  // ids of the shapes that differ between frames, or that some lack, and emit nothing
+    std::vector<std::string> relit;        // ids of such lights, of which `still` has those of the first frame
+    std::vector<SceneDescription> frames;  // [frame], in the order of the table
     // Content hashes, whatever the names of files: of `still`, and of each frame's whole scene.
     std::string still_hash;
     std::vector<std::string> frame_hashes;
@@ -50,7 +64,8 @@ struct Animation {
 };
 
 /// Finds what the frames of a scene have in common. A light that differs stays as it is in the first frame, for the choice
-/// of a light among others depends on their number. Shapes and lights are matched as those of an edit (match_shapes()).
+/// of a light among others depends on their number; one that the first frame lacks is added in others. Shapes and lights
+/// are matched as those of an edit (match_shapes()).
 /// throws:  InputError of the scene with the frame's line; where camera, film or integrator differ, for which frames have
 ///          no common pixels or paths
 Animation find_animation(const std::filesystem::path& scene, const Defines& defines, const std::string& sensor,
