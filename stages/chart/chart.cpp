@@ -47,10 +47,16 @@ void declare(app::Command& command, Options& options) {
     command.files("tables", options.tables, "tables (TSV) of loom-compare --tsv, with a header line").required();
     command.output("-o,--output", options.output, "chart.svg; beside it chart.png, .tsv (data), .gp (commands), tables")
         .required();
-    command.choice<Kind>("--kind", options.kind,
-                         "curves: error against cost; parts: bias and variance against cost; stages: time by stage "
-                         "(from loom-compare --cost --tsv)",
-                         {{"curves", Kind::curves}, {"parts", Kind::parts}, {"stages", Kind::stages}});
+    command.choice<Kind>(
+        "--kind", options.kind,
+        "curves: error against cost; parts: bias and variance against cost; stages: time by stage "
+        "(from loom-compare --cost --tsv); frames: cost, touched share and expected error of frames "
+        "(from loom-compare --by-frame); spectrum: power of errors in time (from loom-compare --spectrum)",
+        {{"curves", Kind::curves},
+         {"parts", Kind::parts},
+         {"stages", Kind::stages},
+         {"frames", Kind::frames},
+         {"spectrum", Kind::spectrum}});
     command.option("--x", options.x, "column of the x axis (cpu_s, wall_s, samples, iteration, …)");
     command.option("--y", options.y, "column of the y axis");
     command.option("--by", options.by, "column whose values name the curves");
@@ -74,6 +80,10 @@ void run(const Options& given, app::Report& report) {
         files = stage_files(stem, table, options);
     } else if (options.kind == Kind::parts) {
         files = part_files(stem, table, options);
+    } else if (options.kind == Kind::frames) {
+        files = frame_files(stem, table, options);
+    } else if (options.kind == Kind::spectrum) {
+        files = spectrum_files(stem, table, options);
     } else {
         const std::vector<Curve> curves = curves_of(table, options.x, options.y, options.by);
         files = curve_files(stem, curves, options);

@@ -14,7 +14,7 @@ class Report;
 
 namespace loom::chart {
 
-enum class Kind { curves, parts, stages };
+enum class Kind { curves, parts, stages, frames, spectrum };
 
 struct Options {
     std::vector<std::string> tables;  // TSV
@@ -38,6 +38,14 @@ Files curve_files(const std::string& stem, const std::vector<Curve>& curves, con
 Files part_files(const std::string& stem, const Table& table, const Options& options);
 /// Plots stacked bars of each stage's cost per sample per pixel, by method, mean over the replicates.
 Files stage_files(const std::string& stem, const Table& table, const Options& options);
+
+/// Plots cost, share of paths that are traced again and expected error of each frame of an animation, one panel above the
+/// other, a curve per method (`loom-compare --by-frame`). A panel without a number is left out.
+Files frame_files(const std::string& stem, const Table& table, const Options& options);
+
+/// Plots the power of errors by frequency in time, a curve per method, a panel per scene (`loom-compare --spectrum`, `scene`
+/// added). Frequency 0 has its place: the axis is linear.
+Files spectrum_files(const std::string& stem, const Table& table, const Options& options);
 
 /// Describes slopes and equal-cost, equal-error comparisons as text.
 std::string summary(const std::vector<Curve>& curves, const Options& options);

@@ -31,6 +31,12 @@ std::string words_for(const std::string& column) {
                                                           {"mse", "MSE"},
                                                           {"rmse", "RMSE"},
                                                           {"mape", "MAPE"},
+                                                          {"frames", "number of frames"},
+                                                          {"frame_s", "CPU time of a frame (s)"},
+                                                          {"flicker", "flicker"},
+                                                          {"gain", "times better than path tracing, all costs counted"},
+                                                          {"frequency", "cycles per frame"},
+                                                          {"power", "power of the error"},
                                                           {"iteration", "step of the refinement"},
                                                           {"residual", "change of radiance, as a share"}};
     const auto at = words.find(column);
@@ -303,6 +309,114 @@ Files stage_files(const std::string& stem, const Table& table, const Options& op
         options.title.empty() ? "" : "set title " + in_quotes(options.title) + "\n",
         in_quotes(words_for(options.x) + " per sample per pixel"), double(bars.size()) - 0.3, ticks, plotted);
     return {{stem + ".gp", script(stem, 800, 140 + 40 * int(bars.size()), body, options)}, {stem + ".tsv", data}};
+}
+
+Files frame_files(const std::string& stem, const Table& table, const Options& options) {
+    struct Panel {
+        const char *column, *words;
+        double scale;
+        bool is_log;
+    };
+    constexpr std::array<Panel, 3> all{{{"render_s", "CPU time of a frame (s)", 1, false},
+                                        {"touched", "paths traced again (%)", 100, false},
+                                        {"expected_relmse", "relMSE by its variance", 1, true}}};
+    const std::size_t x = table.column("frame"), by = table.column(options.by);
+    const auto is_drawn = [&](std::size_t row, const Panel& panel) {
+        const double value = table.number(row, table.column(panel.column));
+        return panel.is_log ? value > 0 && std::isfinite(value) : std::isfinite(value);
+    };
+    std::vector<std::string> methods;
+    double first = std::numeric_limits<double>::infinity(), last = -first;
+    for (std::size_t row = 0; row < table.rows.size(); ++row) {
+        const std::string& method = table.rows[row][by];
+        if (std::find(methods.begin(), methods.end(), method) == methods.end()) methods.push_back(method);
+        first = std::min(first, table.number(row, x)), last = std::max(last, table.number(row, x));
+    }
+    std::string data = fmt::format("{}\tframe\tvalue\tquantity\n", options.by), panels;
+    std::size_t n_panels = 0, line = 1;
+    for (const Panel& panel : all) {
+        LogAxis y;
+        std::string plotted;
+        for (std::size_t m = 0; m < methods.size(); ++m) {
+            const std::size_t begin = line;
+            for (std::size_t row = 0; row < table.rows.size(); ++row) {
+                if (table.rows[row][by] != methods[m] || !is_drawn(row, panel)) continue;
+                const double value = panel.scale * table.number(row, table.column(panel.column));
+                y.add(value);
+                data += fmt::format("{}\t{}\t{}\t{}\n", methods[m], table.rows[row][x], value, panel.column);
+                ++line;
+            }
+            if (line == begin) continue;
+            plotted += fmt::format("{}{} every ::{}::{} using 2:3 with linespoints lw 2 pt {} ps 0.6 lc rgb '{}' {}",
+                                   plotted.empty() ? "" : ", ", in_quotes(stem + ".tsv"), begin, line - 1,
+                                   markers[m % markers.size()], colours[m % colours.size()],
+                                   methods.size() > 1 && n_panels == 0 ? "title " + in_quotes(methods[m]) : "notitle");
+        }
+        if (plotted.empty()) continue;
+        // Few ticks of a log axis lie in a narrow range.
+        panels += (panel.is_log && y.high > 5 * y.low ? "set logscale y\n" + y.commands("y")
+                                                      : "unset logscale y\nset ytics autofreq\nset yrange [0:*]\n") +
+                  fmt::format("set ylabel {}\nplot {}\n", in_quotes(panel.words), plotted);
+        ++n_panels;
+    }
+    if (n_panels == 0) throw InputError(fmt::format("{}: has no number to draw", table.file));
+    const double margin = 0.02 * (last - first) + 0.5;
+    std::string body =
+        fmt::format("set multiplot layout {},1{}\nset xrange [{}:{}]\nset xlabel 'frame'\n", n_panels,
+                    options.title.empty() ? "" : " title " + in_quotes(options.title), first - margin, last + margin);
+    if (methods.size() > 1) body += "set key outside top center horizontal\n";
+    body += "set lmargin 12\n" + panels + "unset multiplot\n";
+    return {{stem + ".gp", script(stem, 800, int(60 + 220 * n_panels), body, options)}, {stem + ".tsv", data}};
+}
+
+Files spectrum_files(const std::string& stem, const Table& table, const Options& options) {
+    const std::size_t x = table.column("frequency"), y = table.column("power"), by = table.column(options.by);
+    const bool has_scenes = table.has("scene");
+    std::vector<std::string> scenes, methods;
+    const auto scene_of = [&](std::size_t row) {
+        return has_scenes ? table.rows[row][table.column("scene")] : std::string();
+    };
+    for (std::size_t row = 0; row < table.rows.size(); ++row)
+        for (const auto& [list, name] : {std::pair{&scenes, scene_of(row)}, std::pair{&methods, table.rows[row][by]}})
+            if (std::find(list->begin(), list->end(), name) == list->end()) list->push_back(name);
+    const int columns = int(std::min<std::size_t>(scenes.size(), 3));
+    const int lines = (int(scenes.size()) + columns - 1) / columns;
+    std::string data = fmt::format("scene\t{}\tfrequency\tpower\n", options.by),
+                body = fmt::format("set multiplot layout {},{}{}\n", lines, columns,
+                                   options.title.empty() ? "" : " title " + in_quotes(options.title)) +
+                       fmt::format(
+                           "set logscale y\nset xrange [-0.02:0.52]\nset xlabel {}\nset ylabel {}\n"
+                           "set key outside top center horizontal\n",
+                           in_quotes(words_for("frequency")), in_quotes(words_for("power")));
+    std::size_t line = 1;
+    for (const std::string& scene : scenes) {
+        LogAxis power;
+        std::string plotted;
+        for (std::size_t m = 0; m < methods.size(); ++m) {
+            const std::size_t begin = line;
+            for (std::size_t row = 0; row < table.rows.size(); ++row) {
+                // No power has no place on a log axis.
+                if (scene_of(row) != scene || table.rows[row][by] != methods[m] || !(table.number(row, y) > 0))
+                    continue;
+                power.add(table.number(row, y));
+                data += fmt::format("{}\t{}\t{}\t{}\n", scene, methods[m], table.number(row, x), table.number(row, y));
+                ++line;
+            }
+            if (line == begin) continue;
+            plotted +=
+                fmt::format("{}{} every ::{}::{} using 3:4 with linespoints lw 2 pt {} ps 1 lc rgb '{}' title {}",
+                            plotted.empty() ? "" : ", ", in_quotes(stem + ".tsv"), begin, line - 1,
+                            markers[m % markers.size()], colours[m % colours.size()], in_quotes(methods[m]));
+        }
+        if (plotted.empty()) continue;
+        body += (scene.empty() ? "unset title\n" : fmt::format("set title {}\n", in_quotes(scene))) +
+                power.commands("y") + fmt::format("plot {}\n", plotted);
+    }
+    if (line == 1) throw InputError(fmt::format("{}: has no power to draw", table.file));
+    body += "unset multiplot\n";
+    return {{stem + ".gp",
+             script(stem, columns == 1 ? 800 : 560 * columns, columns == 1 ? 540 : 500 * lines, body, options)},
+            {stem + ".tsv", data}};
 }
 
 }  // namespace loom::chart

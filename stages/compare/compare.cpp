@@ -14,6 +14,7 @@
 #include "formats/io/error.h"
 #include "formats/io/field_checker.h"
 #include "formats/transient_cube.h"
+#include "stages/compare/by_frame.h"
 #include "stages/compare/difference.h"
 #include "stages/compare/inputs.h"
 #include "stages/compare/sequence.h"
@@ -397,6 +398,10 @@ void declare(app::Command& command, Options& options) {
         "flicker; with --tsv a row per frame");
     command.flag("--spectrum", options.spectrum,
                  "the same; print a TSV table of the power of the errors by frequency in time");
+    command.flag(
+        "--by-frame", options.by_frame,
+        "inputs are frames of animations, names with a % or with the number of the frame at their end: print a TSV "
+        "table of the cost and the expected error of each");
     command.flag("--json", options.json, "print JSON instead of text");
     command.flag("--tsv", options.tsv, "print a TSV table for loom-chart, a row per input");
     command.output("--difference", options.difference,
@@ -479,6 +484,10 @@ void warn_of_noise(const Group& group, app::Report& report) {
 
 int run(const Options& options, app::Report& report) {
     if (options.json && options.tsv) throw InputError("--json, --tsv: give only one of them");
+    if (options.by_frame) {
+        report.answer(table_by_frame(options));
+        return app::exit_done;
+    }
     if (is_sequence(options)) {
         report.answer(compare_sequences(options));
         return app::exit_done;

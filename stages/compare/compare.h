@@ -27,6 +27,7 @@ struct Options {
     bool json = false, tsv = false;   // instead of text
     bool sequence = false;            // inputs and reference are the frames of animations
     bool spectrum = false;            // of their errors in time
+    bool by_frame = false;            // inputs are frames of animations: cost and expected error of each
     std::string difference;           // difference image (.exr), false colours beside it (.png)
     double reach = 0;                 // range of the false colours; 0: the 99th percentile
     std::string parameter;            // cubes: compare the derivatives by this parameter; empty: the radiance

@@ -2,6 +2,7 @@
 // Images and their labels, as the command line names them.
 
 #include <cstdint>
+#include <map>
 #include <string>
 #include <vector>
 
@@ -22,5 +23,10 @@ struct NoisyImage {
 };
 /// throws:  InputError for a file without pixels, or with NaN or infinite values
 NoisyImage read_noisy_image(const std::string& file);
+
+/// Returns the files of a sequence by the numbers of its frames.
+/// in:      pattern  a name with a % for the number
+/// throws:  InputError without a %, without files, or with two files of one number
+std::map<std::uint64_t, std::string> files_of_sequence(const std::string& pattern);
 
 }  // namespace loom::compare

@@ -115,34 +115,6 @@ bool is_sequence(const Options& options) {
 
 namespace {
 
-/// Returns the files of a sequence by the numbers of its frames.
-std::map<std::uint64_t, std::string> files_of(const std::string& pattern) {
-    const std::size_t at = pattern.find('%');
-    if (at == std::string::npos)
-        throw InputError(fmt::format("{}: a sequence needs a % for the number of the frame", pattern));
-    const fs::path folder = fs::path(pattern).parent_path();
-    if (folder.string().find('%') != std::string::npos)
-        throw InputError(fmt::format("{}: the % must be in the name of the file", pattern));
-    const std::string name = fs::path(pattern).filename().string();
-    const std::string before = name.substr(0, name.find('%')), after = name.substr(name.find('%') + 1);
-    std::map<std::uint64_t, std::string> files;
-    std::error_code error;
-    for (const fs::directory_entry& entry : fs::directory_iterator(folder.empty() ? "." : folder, error)) {
-        const std::string file = entry.path().filename().string();
-        if (file.size() <= before.size() + after.size() || !file.starts_with(before) || !file.ends_with(after))
-            continue;
-        const std::string digits = file.substr(before.size(), file.size() - before.size() - after.size());
-        if (digits.find_first_not_of("0123456789") != std::string::npos) continue;
-        const auto number = app::parse_number<std::uint64_t>(digits);
-        if (!number) continue;
-        const auto [known, is_new] = files.try_emplace(*number, (folder / file).string());
-        if (!is_new)
-            throw InputError(fmt::format("{}: is the same frame as {}", (folder / file).string(), known->second));
-    }
-    if (files.empty()) throw InputError(fmt::format("{}: no such files", pattern));
-    return files;
-}
-
 std::string number_text(double x) {
     return std::isnan(x) ? "nan" : fmt::format("{:.4g}", x);
 }
@@ -189,12 +161,12 @@ std::string compare_sequences(const Options& options) {
         !options.reference_variance.empty() || !options.fail_above.empty() || !options.fail_below.empty())
         throw InputError("--sequence, --spectrum: allow no other options than --reference, --scene and --tsv");
     if (options.reference.empty()) throw InputError("--reference: missing; a sequence, with a % in its name");
-    const std::map<std::uint64_t, std::string> references = files_of(options.reference);
+    const std::map<std::uint64_t, std::string> references = files_of_sequence(options.reference);
     if (references.size() < 2) throw InputError(fmt::format("{}: one frame is no sequence", options.reference));
     std::vector<SequenceErrors> sequences;
     std::vector<std::map<std::uint64_t, std::string>> files;
     for (const Input& input : inputs_of(options.inputs)) {
-        files.push_back(files_of(input.file));
+        files.push_back(files_of_sequence(input.file));
         sequences.emplace_back(input.label, references.size());
         for (const auto& [number, reference] : references)
             if (!files.back().contains(number))

@@ -195,5 +195,35 @@ TEST(Chart, NamesAreQuoted) {
     EXPECT_NE(files.at("c.gp").find("title 'it''s `x`"), std::string::npos);
 }
 
+// What is not known is in no panel, and no frame without it in its curve.
+TEST(Chart, FramesHaveAPanelForEachKnownQuantity) {
+    const Table table{"t.tsv",
+                      {"scene", "method", "frame", "render_s", "touched", "expected_relmse"},
+                      {{"a", "hybrid", "3", "0.5", "0.25", "0.01"},
+                       {"a", "hybrid", "4", "0.25", "nan", "0"},
+                       {"a", "pt", "3", "2", "nan", "0.125"}}};
+    const Files files = frame_files("f", table, {});
+    EXPECT_EQ(
+        files.at("f.tsv"),
+        "method\tframe\tvalue\tquantity\nhybrid\t3\t0.5\trender_s\nhybrid\t4\t0.25\trender_s\npt\t3\t2\trender_s\n"
+        "hybrid\t3\t25\ttouched\nhybrid\t3\t0.01\texpected_relmse\npt\t3\t0.125\texpected_relmse\n");
+    const std::string& commands = files.at("f.gp");
+    EXPECT_NE(commands.find("layout 3,1"), std::string::npos);
+    EXPECT_NE(commands.find("every ::1::2 using 2:3"), std::string::npos);
+    EXPECT_NE(commands.find("every ::6::6 using 2:3"), std::string::npos);
+    Table unknown = table;
+    for (auto& row : unknown.rows) row[3] = row[4] = row[5] = "nan";
+    EXPECT_NE(error_of([&] { frame_files("f", unknown, {}); }).find("no number to draw"), std::string::npos);
+}
+
+TEST(Chart, SpectraHaveAPlaceForFrequencyZero) {
+    const Table table{"t.tsv",
+                      {"scene", "method", "frequency", "power"},
+                      {{"a", "x", "0", "0.5"}, {"a", "x", "0.5", "0"}, {"b", "y", "0", "2"}, {"a", "y", "0.25", "1"}}};
+    const Files files = spectrum_files("f", table, {});
+    EXPECT_EQ(files.at("f.tsv"), "scene\tmethod\tfrequency\tpower\na\tx\t0\t0.5\na\ty\t0.25\t1\nb\ty\t0\t2\n");
+    EXPECT_NE(files.at("f.gp").find("every ::3::3 using 3:4"), std::string::npos);
+}
+
 }  // namespace
 }  // namespace loom::chart

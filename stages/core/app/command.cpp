@@ -33,6 +33,12 @@ std::string without_place(const std::string& word) {
 
 }  // namespace
 
+std::optional<std::uint64_t> number_at_end(std::string_view path) {
+    std::string_view stem = path.substr(path.rfind('/') + 1);  // npos + 1 is 0
+    stem = stem.substr(0, stem.rfind('.'));
+    return parse_number<std::uint64_t>(stem.substr(stem.find_last_not_of("0123456789") + 1));
+}
+
 std::string name_of_part(std::string name, std::string_view part) {
     const auto at = name.rfind('%');
     return at == std::string::npos ? name : name.replace(at, 1, part);

@@ -7,6 +7,7 @@
 #include <charconv>
 #include <cmath>
 #include <concepts>
+#include <cstdint>
 #include <limits>
 #include <optional>
 #include <string>
@@ -59,6 +60,10 @@ std::string number_text(T value) {
 std::string base_name(std::string_view path);
 /// Returns the name of one output of several: its last % is replaced, where it has one.
 std::string name_of_part(std::string name, std::string_view part);
+
+/// Returns the number of a file of several, the digits at the end of its name: 12 of out/frame-0012.exr; nothing
+/// without digits.
+std::optional<std::uint64_t> number_at_end(std::string_view path);
 
 struct Labelled {
     std::string label, file;  // the label is empty when there is none
