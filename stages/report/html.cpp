@@ -3,10 +3,13 @@
 #include <fmt/format.h>
 
 #include <cmath>
+#include <fstream>
+#include <iterator>
 #include <set>
 #include <stdexcept>
 
 #include "formats/io/error.h"
+#include "stages/core/app/report.h"
 
 namespace loom::report {
 namespace {
@@ -84,6 +87,23 @@ std::string number(double value, double se) {
     return fmt::format("{}\u202f<small>±\u202f{}</small>", number(value), error);
 }
 
+std::string counted(double value) {
+    return value == 0 ? "–" : number(value);
+}
+
+std::string bytes(double value) {
+    return value == 0 ? "–" : escaped(app::bytes_text(std::uint64_t(value)));
+}
+
+std::string section(const std::string& id, const std::string& title, const std::string& body) {
+    return body.empty() ? "" : fmt::format("<section id=\"{}\">\n<h2>{}</h2>\n{}</section>\n", id, title, body);
+}
+
+std::string embedded_json(std::string json) {
+    replace_all(json, "<", "\\u003c");
+    return json;
+}
+
 std::string filled(std::string_view text, const std::map<std::string, std::string>& values) {
     std::string out;
     std::set<std::string> used;
@@ -115,6 +135,15 @@ std::string table(const Cells& head, const std::vector<Cells>& rows) {
         out += "</tr>\n";
     }
     return out + "</tbody></table></div>\n";
+}
+
+std::string chart_figure(const std::string& file, const std::string& prefix, int number, const std::string& title,
+                         const std::string& text) {
+    std::ifstream in(file, std::ios::binary);
+    if (!in) throw InputError(fmt::format("{}: cannot be read", file));
+    const std::string svg{std::istreambuf_iterator<char>(in), {}};
+    return fmt::format("<figure class=\"chart\">\n{}\n<figcaption><b>Figure {}. {}.</b> {}</figcaption>\n</figure>\n",
+                       inline_svg(svg, prefix, file), number, escaped(title), escaped(text));
 }
 
 std::string inline_svg(std::string_view svg, std::string_view prefix, std::string_view file) {

@@ -1,8 +1,12 @@
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
 #include <algorithm>
 #include <cctype>
 #include <map>
 
 #include "formats/chain.h"
+#include "stages/report/html.h"
 #include "stages/report/report.h"
 
 namespace loom::report {
@@ -74,6 +78,43 @@ std::vector<Made> lineage_of(const std::string& picture) {
         for (std::string& from : row.from)
             if (const auto known = own_name.find(from); known != own_name.end()) from = known->second;
     return rows;
+}
+
+double cpu_s_of(const std::vector<Made>& lineage) {
+    double sum = 0;
+    for (const Made& made : lineage) sum += made.cost.cpu_s;
+    return sum;
+}
+
+std::string lineage_details(const std::string& name, const std::vector<Made>& lineage, bool open) {
+    if (lineage.empty()) {
+        return fmt::format(
+            "<details><summary><b>{}</b> made by another program, its cost is not known</summary>"
+            "</details>\n",
+            name);
+    }
+    std::vector<Cells> rows;
+    std::string plans;
+    std::size_t n_files = 0;
+    for (const Made& made : lineage) {
+        std::string stage = made.cost.stage;
+        if (stage.starts_with("loom-")) stage = stage.substr(5);
+        n_files += made.names.size();
+        rows.push_back({fmt::format("<code>{}</code>", escaped(made.name)), escaped(stage),
+                        std::to_string(made.names.size()),
+                        fmt::format("<code>{}</code>", escaped(fmt::format("{}", fmt::join(made.from, ", ")))),
+                        number(made.cost.cpu_s), number(made.cost.wall_s), counted(double(made.cost.rays)),
+                        bytes(double(made.cost.peak_memory_bytes)), bytes(double(made.cost.bytes_written))});
+        if (made.cost.command.empty() && made.cost.plan.empty()) continue;
+        plans += fmt::format("<dt><code>{}</code></dt><dd>", escaped(made.name));
+        if (!made.cost.command.empty()) plans += fmt::format("<code>{}</code>", escaped(made.cost.command));
+        if (!made.cost.plan.empty()) plans += fmt::format("<p>{}</p>", escaped(made.cost.plan));
+        plans += "</dd>\n";
+    }
+    return fmt::format("<details{}>\n<summary><b>{}</b> {} files, {}\u202fs of CPU time</summary>\n{}{}</details>\n",
+                       open ? " open" : "", name, n_files, number(cpu_s_of(lineage)),
+                       table({"file", "stage", "n", "made from", "CPU s", "wall s", "rays", "peak", "size"}, rows),
+                       plans.empty() ? "" : fmt::format("<dl class=\"plans\">\n{}</dl>\n", plans));
 }
 
 }  // namespace loom::report

@@ -1,23 +1,13 @@
-"use strict";
 (() => {
-  // Pictures: linear RGB, decoded from half floats.
-  const halves = Float32Array.from({length: 65536}, (_, h) => {
-    const sign = h & 0x8000 ? -1 : 1, e = h >> 10 & 31, m = h & 1023;
-    if (e === 31) return m ? NaN : sign * Infinity;
-    return sign * (e === 0 ? m * 2 ** -24 : (1024 + m) * 2 ** (e - 25));
-  });
-  const pictures = JSON.parse(document.getElementById("data").textContent).pictures.map(p => {
-    const bytes = Uint8Array.from(atob(p.halves), c => c.charCodeAt(0)), rgb = new Float32Array(bytes.length / 2);
-    for (let i = 0; i < rgb.length; ++i) rgb[i] = halves[bytes[2 * i] | bytes[2 * i + 1] << 8];
-    return {name: p.name, width: p.width, height: p.height, rgb, drawn: {}};
-  });
+  const {luminance, srgb, byteOf} = pixels;
+  const pictures = JSON.parse(document.getElementById("data").textContent).pictures.map(p =>
+    ({name: p.name, width: p.width, height: p.height, rgb: pixels.decode(p.halves), drawn: {}}));
   const reference = pictures[pictures.length - 1], width = reference.width, height = reference.height;
   reference.name = "Reference";
   const byId = id => document.getElementById(id);
   const isCheck = location.hash === "#check", readable = {willReadFrequently: isCheck};
 
   // (x - r) / sqrt(r^2 + 0.01) of luminance.
-  const luminance = (rgb, i) => 0.212671 * rgb[3 * i] + 0.71516 * rgb[3 * i + 1] + 0.072169 * rgb[3 * i + 2];
   const errorAt = (picture, i) => {
     const r = luminance(reference.rgb, i);
     return (luminance(picture.rgb, i) - r) / Math.sqrt(r * r + 0.01);
@@ -28,11 +18,6 @@
 
   const state = {left: pictures.length - 1, right: Math.max(0, pictures.length - 2), split: 0.5, exposure: 0, reach: firstReach, asError: false, zoom: 1, x: 0.5, y: 0.5};
 
-  const srgb = new Uint8ClampedArray(4097);  // of [0, 1] in steps of 1/4096
-  for (let i = 0; i < srgb.length; ++i) {
-    const v = i / 4096;
-    srgb[i] = Math.round(255 * (v <= 0.0031308 ? 12.92 * v : 1.055 * v ** (1 / 2.4) - 0.055));
-  }
   // Dark blue, light blue, no colour, orange, dark red; linear.
   const stops = [[0.005, 0.03, 0.22], [0.12, 0.38, 0.72], [1, 1, 1], [0.90, 0.29, 0.10], [0.24, 0.005, 0.015]];
   const errorColour = t => {
@@ -47,12 +32,12 @@
     if (kept && kept.key === key) return kept.canvas;
     const canvas = kept ? kept.canvas : document.createElement("canvas");
     canvas.width = width; canvas.height = height;
-    const context = canvas.getContext("2d", readable), out = context.createImageData(width, height), scale = 4096 * 2 ** state.exposure;
+    const context = canvas.getContext("2d", readable), out = context.createImageData(width, height), scale = 2 ** state.exposure;
     for (let i = 0; i < width * height; ++i) {
       if (asError) {
         out.data.set(errorColour(errorAt(picture, i) / state.reach), 4 * i);
       } else {
-        for (let c = 0; c < 3; ++c) out.data[4 * i + c] = srgb[Math.min(4096, Math.max(0, Math.round(scale * picture.rgb[3 * i + c]))) || 0];
+        for (let c = 0; c < 3; ++c) out.data[4 * i + c] = byteOf(scale * picture.rgb[3 * i + c]);
       }
       out.data[4 * i + 3] = 255;
     }

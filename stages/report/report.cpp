@@ -18,6 +18,7 @@
 #include "stages/core/app/command.h"
 #include "stages/core/stats/student.h"
 #include "stages/core/table/table.h"
+#include "stages/report/animation.h"
 #include "stages/report/html.h"
 #include "stages/report/pixels.h"
 #include "stages/report/tour.h"
@@ -37,11 +38,7 @@ struct Picture {
     double relmse = unknown;    // mean over its replicates
 
     std::string name() const { return samples == 0 ? label : fmt::format("{}, {} spp", label, samples); }
-    double cpu_s() const {
-        double sum = 0;
-        for (const Made& made : lineage) sum += made.cost.cpu_s;
-        return lineage.empty() ? unknown : sum;
-    }
+    double cpu_s() const { return lineage.empty() ? unknown : cpu_s_of(lineage); }
 };
 
 Picture read_picture(const std::string& label, const std::string& file, const Options& options) {
@@ -113,14 +110,6 @@ std::string parts_table(const Table& errors) {
                         p_value(mean("p_image")), p_value(mean("p_tiles"))});
     }
     return table({"method", "spp", "bias²", "variance", "reference", "right", "2 to 8 px", "p image", "p tiles"}, rows);
-}
-
-/// Formats a count; other renderers do not count rays or bytes.
-std::string counted(double value) {
-    return value == 0 ? "–" : number(value);
-}
-std::string bytes(double value) {
-    return value == 0 ? "–" : escaped(app::bytes_text(std::uint64_t(value)));
 }
 
 std::string cost_table(const Table& errors) {
@@ -258,21 +247,12 @@ Figure figure_of(const std::string& stem) {
     return at == known.end() ? Figure{stem, ""} : at->second;
 }
 
-std::string text_of_file(const std::string& file) {
-    std::ifstream in(file, std::ios::binary);
-    if (!in) throw InputError(fmt::format("{}: cannot be read", file));
-    return {std::istreambuf_iterator<char>(in), {}};
-}
-
 std::string chart_figures(const Options& options, int next_figure) {
     std::string out;
     for (std::size_t k = 0; k < options.charts.size(); ++k) {
-        const std::string& file = options.charts[k];
-        const Figure figure = figure_of(fs::path(file).stem());
+        const Figure figure = figure_of(fs::path(options.charts[k]).stem());
         out +=
-            fmt::format("<figure class=\"chart\">\n{}\n<figcaption><b>Figure {}. {}.</b> {}</figcaption>\n</figure>\n",
-                        inline_svg(text_of_file(file), fmt::format("chart{}", k), file), next_figure + int(k),
-                        escaped(figure.title), escaped(figure.text));
+            chart_figure(options.charts[k], fmt::format("chart{}", k), next_figure + int(k), figure.title, figure.text);
     }
     return out;
 }
@@ -295,40 +275,7 @@ std::string plain_table(const Table& t) {
 }
 
 std::string lineage_section(const Picture& picture, bool is_reference) {
-    const std::string name = is_reference ? "Reference" : escaped(picture.name());
-    if (picture.lineage.empty()) {
-        return fmt::format(
-            "<details><summary><b>{}</b> made by another program, its cost is not known</summary>"
-            "</details>\n",
-            name);
-    }
-    std::vector<Cells> rows;
-    std::string plans;
-    for (const Made& made : picture.lineage) {
-        std::string stage = made.cost.stage;
-        if (stage.starts_with("loom-")) stage = stage.substr(5);
-        rows.push_back({fmt::format("<code>{}</code>", escaped(made.name)), escaped(stage),
-                        std::to_string(made.names.size()),
-                        fmt::format("<code>{}</code>", escaped(fmt::format("{}", fmt::join(made.from, ", ")))),
-                        number(made.cost.cpu_s), number(made.cost.wall_s), counted(double(made.cost.rays)),
-                        bytes(double(made.cost.peak_memory_bytes)), bytes(double(made.cost.bytes_written))});
-        if (made.cost.command.empty() && made.cost.plan.empty()) continue;
-        plans += fmt::format("<dt><code>{}</code></dt><dd>", escaped(made.name));
-        if (!made.cost.command.empty()) plans += fmt::format("<code>{}</code>", escaped(made.cost.command));
-        if (!made.cost.plan.empty()) plans += fmt::format("<p>{}</p>", escaped(made.cost.plan));
-        plans += "</dd>\n";
-    }
-    return fmt::format(
-        "<details{}>\n<summary><b>{}</b> {} files, {}\u202fs of CPU time</summary>\n{}{}</details>\n",
-        is_reference ? "" : " open", name,
-        [&] {
-            std::size_t n = 0;
-            for (const Made& made : picture.lineage) n += made.names.size();
-            return n;
-        }(),
-        number(picture.cpu_s()),
-        table({"file", "stage", "n", "made from", "CPU s", "wall s", "rays", "peak", "size"}, rows),
-        plans.empty() ? "" : fmt::format("<dl class=\"plans\">\n{}</dl>\n", plans));
+    return lineage_details(is_reference ? "Reference" : escaped(picture.name()), picture.lineage, !is_reference);
 }
 
 /// Returns the JSON that the page's script reads.
@@ -346,10 +293,7 @@ std::string data_of(const std::vector<const Picture*>& pictures) {
     }
     json.end_array();
     json.end_object();
-    std::string text = json.str();
-    // No label may end the element that contains the JSON.
-    for (std::size_t at = 0; (at = text.find('<', at)) != std::string::npos; at += 6) text.replace(at, 1, "\\u003c");
-    return text;
+    return embedded_json(json.str());
 }
 
 std::string figure_for(std::size_t index, const Picture& picture, bool is_reference) {
@@ -368,10 +312,6 @@ std::string figure_for(std::size_t index, const Picture& picture, bool is_refere
                              "bright</p></div>"
                            : fmt::format("<canvas data-picture=\"{}\" data-error></canvas>", index),
                        caption);
-}
-
-std::string section(const std::string& id, const std::string& title, const std::string& body) {
-    return body.empty() ? "" : fmt::format("<section id=\"{}\">\n<h2>{}</h2>\n{}</section>\n", id, title, body);
 }
 
 std::string subsection(const std::string& title, const std::string& text, const std::string& body) {
@@ -490,6 +430,7 @@ std::string page_of(const Options& options) {
         page_html,
         {{"title", escaped(options.title.empty() ? "Images and their errors" : options.title)},
          {"css", page_css},
+         {"pixels", pixels_js},
          {"js", page_js},
          {"lead", lead.empty() ? "" : fmt::format("<p class=\"lead\">{}</p>", lead)},
          {"facts", facts},
@@ -520,6 +461,11 @@ void declare(app::Command& command, Options& options) {
                  "table of loom-chart at equal cost (.equal-cost.tsv), even one with a header line only");
     command.file("--equal-error", options.equal_error, "table of loom-chart at equal error (.equal-error.tsv)");
     command.files("--chart", options.charts, "charts (SVG) of loom-chart, in their order on the page");
+    command.files("--animation", options.animation,
+                  "frames of an animation in their order, for a page without a reference");
+    command.file("--by-frame", options.by_frame, "table of loom-compare --by-frame of these frames");
+    command.option("--movie", options.movie, "movie of them, which the page links to");
+    command.option("--fps", options.fps, "frames that the page plays per second", app::Range<double>{0.1, 1000});
     command.file("--peers", options.peers, "table of make peers");
     command.option("--title", options.title, "title of the page, for example the scene");
     command.option("--made-by", options.made_by, "command that makes the page, shown at its end");
@@ -533,13 +479,23 @@ void declare(app::Command& command, Options& options) {
 void run(const Options& options, app::Report& report) {
     if (fs::path(options.output).extension() != ".html")
         throw InputError(fmt::format("{}: the output must end in .html", options.output));
-    if (options.tour.empty() && (options.pictures.empty() || options.reference.empty()))
-        throw InputError("images and --reference: missing; only a page of a --tour needs none");
+    if (!options.tour.empty() + !options.animation.empty() + !options.pictures.empty() > 1)
+        throw InputError("images, --tour, --animation: a page shows one of them");
+    if (options.tour.empty() && options.animation.empty() && (options.pictures.empty() || options.reference.empty()))
+        throw InputError("images and --reference: missing; only a page of a --tour or an --animation needs none");
+    if (options.animation.empty() && !(options.by_frame.empty() && options.movie.empty()))
+        throw InputError("--by-frame, --movie: need --animation");
     check_output_path(options.output);
     if (!options.tour.empty()) {
         const std::string page = tour_page(options.tour, options.title);
         write_text_file(options.output, page);
         report.done("{}: {}", options.output, app::bytes_text(page.size()));
+        return;
+    }
+    if (!options.animation.empty()) {
+        const std::string page = animation_page(options);
+        write_text_file(options.output, page);
+        report.done("{}: {} frames, {}", options.output, options.animation.size(), app::bytes_text(page.size()));
         return;
     }
     const std::string page = page_of(options);

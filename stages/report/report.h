@@ -23,6 +23,10 @@ struct Options {
     std::string title;                    // the scene
     std::string made_by;                  // command that makes the page again
     int longest_side = 512;               // px; larger images are reduced by an integer factor
+    std::vector<std::string> animation;   // frames; if any, the page is animation_page()
+    std::string by_frame;                 // TSV of loom-compare --by-frame
+    std::string movie;                    // linked to, not read
+    double fps = 24;                      // of the page's player
     std::string tour;                     // TSV of figures; if set, the page is tour_page()
     std::string output;                   // .html
 };
@@ -38,6 +42,13 @@ struct Made {
 /// Returns the lineage of an image, ancestors first.
 /// throws:  InputError as read_chain
 std::vector<Made> lineage_of(const std::string& picture);
+
+double cpu_s_of(const std::vector<Made>& lineage);
+
+/// Returns the lineage of an image as an element that opens.
+/// in:      name  HTML
+///          lineage  empty: made by another program
+std::string lineage_details(const std::string& name, const std::vector<Made>& lineage, bool open);
 
 /// Returns the page. It depends on inputs and options only: no clock, no folder, no network.
 /// throws:  InputError when inputs are inconsistent
