@@ -87,6 +87,7 @@ std::string image_markdown() {
 | `VarMean.R`, `VarMean.G`, `VarMean.B` ? | (W m^-2 sr^-1)^2 | variance of that mean: s^2 / samples |
 | `Albedo.R`, `Albedo.G`, `Albedo.B` ? | 1 | reflectance at the first hit |
 | `N.X`, `N.Y`, `N.Z` ? | 1 | shading normal at the first hit, world space, mean over the samples |
+| `Weight.R`, `Weight.G`, `Weight.B` ? | 1 | of a new image from a graph of the old scene: weight of the old image in it; 1 where the layer is missing |
 | `Depth.Z` ? | m | distance from the camera to the first hit |
 | `Plus.R`, `Plus.G`, `Plus.B` ? | W m^-2 sr^-1 | of a residual: mean of what paths of the new scene bring that the edit touches |
 | `Minus.R`, `Minus.G`, `Minus.B` ? | W m^-2 sr^-1 | of a residual: mean of what paths of the old scene bring that the edit touches; `R`, `G`, `B` are Plus - Minus |

@@ -6,6 +6,7 @@
 //   Albedo.R/G/B           reflectance at the first hit          1
 //   N.X/Y/Z                shading normal at the first hit       unit, world space
 //   Depth.Z                distance of the first hit             m
+//   Weight.R/G/B           of a new image from a graph: weight of the old image in it; 1 without the layer    1
 //
 //   Emitted.R/G/B          emission visible directly             W m^-2 sr^-1
 //   DirectOwn.R/G/B, DirectCluster.R/G/B
@@ -42,6 +43,9 @@ namespace loom {
 /// Layers that a blend combines.
 inline constexpr std::array<const char*, 6> estimate_layers{"Emitted",      "DirectOwn",   "DirectCluster",
                                                             "IndirectPath", "IndirectOwn", "IndirectCluster"};
+
+/// Layer with the weight of the old image in a new one.
+inline constexpr const char* weight_layer = "Weight";
 
 struct Image {
     static constexpr FormatId format{"image", 1, 2};

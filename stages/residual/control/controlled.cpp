@@ -55,13 +55,15 @@ ControlledPicture controlled_picture(const Image& old_picture, const Image& resi
     for (int c = 0; c < 3; ++c) {
         const std::string var_mean = std::string("VarMean.") + rgb[c];
         const auto L_old = old_picture.find(rgb[c]), V = old_picture.find(var_mean);
-        const auto L = out.image.add(rgb[c]), var = out.image.add(var_mean);
+        const auto L = out.image.add(rgb[c]), var = out.image.add(var_mean),
+                   weight = out.image.add(std::string(weight_layer) + "." + rgb[c]);
         for (std::size_t p = 0; p < L.size(); ++p) {
             const double alpha = control.alpha[p][c];
             const PairMoments& pair = control.pairs[p][std::size_t(c)];
             const double mean = pair.n > 0 ? pair.mean(alpha) : double(L[p]),
                          of_pairs = pair.n > 0 ? pair.var_mean(alpha) : double(var[p]);
             L[p] = float(alpha * L_old[p] + mean);
+            weight[p] = float(alpha);
             var[p] = float(sqr(alpha) * V[p] + of_pairs);
             before += V[p];
             after += sqr(alpha) * V[p];

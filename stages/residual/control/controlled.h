@@ -55,7 +55,7 @@ double best_control_weight(double of_image, double of_old, double of_both);
 
 /// The new image with the old one as control variate.
 struct ControlledPicture {
-    Image image;                 // R, G, B and VarMean of the new image; the other layers of the residual
+    Image image;                 // R, G, B, VarMean of the new image, its Weight; the other layers of the residual
     double old_variance = 1;     // remaining share of the old image's variance: sum alpha^2 V / sum V
     double var_mean = 0;         // of the edit's samples, mean over pixels and channels
     double least = 1, most = 1;  // smallest and largest weight
