@@ -4,6 +4,8 @@
 #   render each frame as that image plus the residual of what moves, from the graph's paths that it touches (loom-residual
 #   --frames), BATCH frames by a process;  draw them with one exposure (loom-frames)
 #
+#   OUT/report.html             page with the frames under a slider, their costs and errors
+#   OUT/frames.svg              CPU time, share of paths traced again and expected error of each frame, from frame-costs.tsv
 #   OUT/images/frame-NNNN.exr   frames;  frames/frame-NNNN.png, strip.png and movie.mp4 are drawn from them, or, with
 #                               DENOISE=1, from denoised/frame-NNNN.exr
 #   OUT/base/                   image and graphs of what the frames share
@@ -17,7 +19,7 @@
 ## make animation SCENE=scenes/animated/ball.xml FRAMES=scenes/animated/ball.tsv SPP=16
 
 .DELETE_ON_ERROR:
-.PHONY: animation
+.PHONY: animation report
 .DEFAULT_GOAL := animation
 include pipelines/variables.mk
 
@@ -34,6 +36,7 @@ BATCH ?= 24  ## frames rendered by one process
 FPS ?= 24  ## frames per second of the movie
 # SEED=  ## seed of all random numbers (0)
 # THREADS=  ## threads of each stage; no result depends on it (all)
+# ABSENT=  ## in FRAMES, value of a parameter whose shapes a frame lacks: ABSENT=none
 # DEFINES=  ## values of the scene's other parameters: DEFINES="resx=320 resy=180"
 # SENSOR=  ## sensor of the scene, by id or by number from 0 (the first)
 # TRACE=  ## further options of loom-trace: TRACE="--roulette throughput"
@@ -56,19 +59,29 @@ endif
 $(foreach v,SCENE FRAMES,$(if $(call exists,$($(v))),,$(error $(v)=$($(v)): no such file)))
 OUT ?= out/$(call scene_name,$(SCENE))/animation
 OUT := $(OUT)
+ifeq ($(abspath $(FRAMES)),$(abspath $(OUT)/frames.tsv))
+$(error FRAMES=$(FRAMES): the chart of the frames would overwrite it, OUT/frames.svg has its data beside it; name or place it otherwise)
+endif
 
 trace := $(BUILD)/bin/loom-trace
 residual := $(BUILD)/bin/loom-residual
 denoise := $(BUILD)/bin/loom-denoise
 draw := $(BUILD)/bin/loom-frames
+compare := $(BUILD)/bin/loom-compare
+chart := $(BUILD)/bin/loom-chart
+page := $(BUILD)/bin/loom-report
 base := $(OUT)/base
 threads = $(if $(THREADS), --threads $(THREADS))
 hybrid := $(filter hybrid,$(METHOD))
+# Of TRACE alone the length of paths counts for residuals.
+max_depth := $(patsubst --max-depth=%,%,$(lastword $(filter --max-depth=%,$(subst --max-depth$(space),--max-depth=,$(TRACE)))))
+depth = $(if $(max_depth), --max-depth $(max_depth))
+absent = $(if $(ABSENT), --absent $(ABSENT))
 scene_parameters = $(call quote,$(SCENE))$(call defines,-D,$(DEFINES))$(sensor)
-static_parameters = $(scene_parameters) --static $(call quote,$(FRAMES))$(if $(TRACE), $(TRACE))
+static_parameters = $(scene_parameters) --static $(call quote,$(FRAMES))$(absent)$(if $(TRACE), $(TRACE))
 seeded = $(if $(SEED), --seed $(SEED))
 
-listed := $(shell $(inspect) --quiet --frames $(call quote,$(FRAMES)) --scene $(scene_parameters) \
+listed := $(shell $(inspect) --quiet --frames $(call quote,$(FRAMES))$(absent) --scene $(scene_parameters) \
 	| OUT=$(call quote,$(OUT)) THERE=$(call quote,$(patsubst $(OUT)/images/frame-%.exr,%,$(wildcard $(OUT)/images/frame-*.exr))) awk -F '\t' -v graphs=$(if $(hybrid),$(GRAPHS),1) -v batch=$(BATCH) -f pipelines/animation.awk)
 static_hash := $(patsubst static:%,%,$(filter static:%,$(listed)))
 ifeq ($(static_hash),)
@@ -84,18 +97,20 @@ number = $(shell expr $(1) + 0)
 ifeq ($(BASE_SPP)$(hybrid),autohybrid)
 # What the pilot says goes to another make, whose targets depend on it. make -n without a plan ends with the pilot.
 planned = $$(sed -n 's/^$(1): //p' $(OUT)/plan.txt)
-animation: $(OUT)/plan.txt
+animation report: $(OUT)/plan.txt
 	@[ ! -e $< ] || { spp=$(call planned,samples of the static image); method=$(call planned,method); \
 		[ "$$spp" ] && [ "$$method" ] || { echo "$<: says no method and samples; remove it" >&2; exit 1; }; \
-		$(MAKE) --no-print-directory -f pipelines/animation.mk BASE_SPP="$$spp" METHOD="$$method"; }
+		$(MAKE) --no-print-directory -f pipelines/animation.mk BASE_SPP="$$spp" METHOD="$$method" $@; }
 
-$(eval $(call parameter,$(OUT)/plan.parameters,$(static_hash) $(frames) --spp $(SPP)$(seeded)))
+$(eval $(call parameter,$(OUT)/plan.parameters,$(static_hash) $(frames) --spp $(SPP)$(depth)$(seeded)))
 $(OUT)/plan.txt: $(OUT)/plan.parameters $(residual)
-	$(LAUNCH) $(residual) $(scene_parameters) --frames $(call quote,$(FRAMES)) --plan --spp $(SPP)$(seeded)$(threads) >$@.partial
+	$(LAUNCH) $(residual) $(scene_parameters) --frames $(call quote,$(FRAMES))$(absent) --plan --spp $(SPP)$(depth)$(seeded)$(threads) >$@.partial
 	@mv $@.partial $@
 else
-animation: $(OUT)/strip.png
+animation: $(OUT)/strip.png $(OUT)/report.html
 	@if [ -e $(OUT)/movie.mp4 ]; then echo $(OUT)/movie.mp4; else echo $(OUT)/frames; fi
+report: $(OUT)/strip.png $(OUT)/report.html
+	@echo $(OUT)/report.html
 
 # The table is named in commands alone: what it holds is in the hashes.
 $(eval $(call parameter,$(base)/static.hash,$(static_hash)))
@@ -111,7 +126,7 @@ $(graphs:%=$(base)/graph-%.h5) &: $(base)/static.hash $(base)/graphs.parameters 
 		-o $(base)/graph-%.h5
 
 # $(call of_hybrid,GRAPH), $(call of_pt,GRAPH): command of a batch, less its frames and its output.
-of_hybrid = $(residual) $(scene_parameters) --old $(base)/static.exr --old-graph $(base)/graph-$(1).h5$(hybrid_parameters)
+of_hybrid = $(residual) $(scene_parameters)$(depth) --old $(base)/static.exr --old-graph $(base)/graph-$(1).h5$(hybrid_parameters)
 hybrid_parameters := $(if $(strip $(MASK)), --mask $(strip $(MASK)))$(if $(strip $(EXTRA)), --extra $(strip $(EXTRA)))
 of_pt = $(trace) $(scene_parameters)$(pt_parameters)
 pt_parameters := $(if $(TRACE), $(TRACE)) --spp $(SPP)$(seeded)
@@ -124,19 +139,37 @@ define batch
 $(3:%=$(OUT)/images/frame-%.exr) &: $(if $(hybrid),$(base)/static.exr $(base)/graph-$(1).h5 $(residual),$(trace)) \
 		$(OUT)/method.parameters $(if $(filter missing,$(2)),FORCE)
 	@mkdir -p $(OUT)/images && rm -f $(3:%=$(OUT)/images/frame-%.hash)
-	$(LAUNCH) $(call of_$(METHOD),$(1)) --frames $(call quote,$(FRAMES)) \
+	$(LAUNCH) $(call of_$(METHOD),$(1)) --frames $(call quote,$(FRAMES))$(absent) \
 		--only $(call number,$(firstword $(3))):$(shell expr $(lastword $(3)) + 1):$(if $(hybrid),$(GRAPHS),1)$(threads) \
 		$(output) $(OUT)/images/frame-%.exr
 	@$(foreach n,$(3),echo $(call hash_of,$(n)) >$(OUT)/images/frame-$(n).hash;)
 endef
 $(foreach b,$(filter batch:%,$(listed)),$(eval $(call batch,$(word 2,$(subst :, ,$(b))),$(word 3,$(subst :, ,$(b))),$(subst $(comma), ,$(word 4,$(subst :, ,$(b)))))))
 
-$(names:%=$(OUT)/denoised/frame-%.exr): $(OUT)/denoised/%.exr: $(OUT)/images/%.exr $(denoise)
-	@mkdir -p $(@D)
+# The static image is denoised once, and apart from what moves.
+$(base)/denoised.exr: $(base)/static.exr $(denoise)
 	$(LAUNCH) $(denoise) $<$(threads) -o $@
+$(names:%=$(OUT)/denoised/frame-%.exr): $(OUT)/denoised/%.exr: $(OUT)/images/%.exr $(if $(hybrid),$(base)/static.exr $(base)/denoised.exr) $(denoise)
+	@mkdir -p $(@D)
+	$(LAUNCH) $(denoise) $<$(if $(hybrid), --base $(base)/static.exr --denoised-base $(base)/denoised.exr)$(threads) -o $@
 
 drawn := $(names:%=$(OUT)/$(if $(filter 1,$(DENOISE)),denoised,images)/frame-%.exr)
 $(eval $(call parameter,$(OUT)/draw.parameters,$(drawn) --fps $(FPS)$(if $(DRAW), $(DRAW))))
 $(OUT)/strip.png: $(drawn) $(OUT)/draw.parameters $(draw)
 	$(LAUNCH) $(draw) $(drawn) -o $@ --png --fps $(FPS) --movie $(OUT)/movie.mp4$(if $(DRAW), $(DRAW))
+
+$(OUT)/frame-costs.tsv: $(drawn) $(OUT)/draw.parameters $(compare)
+	$(LAUNCH) $(compare) --quiet --by-frame --scene $(call quote,$(call scene_name,$(SCENE))) $(drawn:%=$(METHOD)=%) >$@.partial
+	@mv $@.partial $@
+$(OUT)/frames.svg: $(OUT)/frame-costs.tsv $(chart)
+	$(chart) $< --kind frames -o $@
+again = make animation SCENE=$(call typed,$(SCENE)) FRAMES=$(call typed,$(FRAMES)) SPP=$(SPP) GRAPHS=$(GRAPHS) METHOD=$(METHOD)$(if \
+	$(hybrid), BASE_SPP=$(BASE_SPP))$(if $(DENOISE:0=), DENOISE=1)$(if $(ABSENT), ABSENT=$(ABSENT))$(if $(SEED), SEED=$(SEED))$(if \
+	$(DEFINES), DEFINES=$(call typed,$(DEFINES)))$(if $(SENSOR), SENSOR=$(call typed,$(SENSOR)))$(if $(TRACE), TRACE=$(call typed,$(TRACE)))
+longest_side = $(if $(LONGEST_SIDE), --longest-side $(LONGEST_SIDE))
+$(eval $(call parameter,$(OUT)/report.parameters,$(again)$(longest_side)))
+$(OUT)/report.html: $(OUT)/frames.svg $(OUT)/strip.png $(OUT)/report.parameters $(page)
+	$(page) --animation $(drawn) --by-frame $(OUT)/frame-costs.tsv --chart $(OUT)/frames.svg --fps $(FPS) \
+		$$(if [ -e $(OUT)/movie.mp4 ]; then echo --movie $(OUT)/movie.mp4; fi) --title $(call quote,$(call scene_name,$(SCENE))) \
+		--made-by $(call quote,$(again))$(longest_side) -o $@
 endif

@@ -1,11 +1,17 @@
 # Error, cost and flicker of animations as a static image plus what moves, against path tracing of each frame, a row per animation:
-# OUT/table.tsv and .md, OUT/error.svg, OUT/flicker.svg; pictures of each in OUT/ROW/METHOD-SPP/strip.png.
+# OUT/table.tsv and .md; error.svg, flicker.svg, gain.svg (by the number of frames), spectrum.svg (of the errors in time); strips of each in
+# OUT/ROW/METHOD-SPP/strip.png and strip-denoised.png.
 #
 #   error     of a frame against one of REFERENCE_SPP samples, whose own noise is taken off; mean over COUNT frames
 #   cost      CPU seconds of a frame, reading the scene not counted: of the frame alone, its static image (BASE_SPP samples) and
-#             graph being there; and with its share of theirs, for these frames and for 240
-#   times     error times cost of path tracing over that of the method, at the same number of samples
+#             graphs being there; and with its share of theirs, for these frames, for 24 and for 240
+#   times     of unbiased frames: error times cost of path tracing over that of the method, at the same number of samples; of
+#             denoised ones, whose error falls otherwise: error over that of denoised path tracing of equal cost, by a power law
+#             between the nearest two of PT_SPPS
 #   flicker   of loom-compare --sequence, and how much of the noise stands still where the scene does
+#
+# pt: path tracing of each frame; hybrid, auto: a static image of BASE_SPP samples, or as a pilot plans it; -d: denoised; single: hybrid
+# with one graph for all frames in place of two.
 #
 #   make chart-animation                                    all rows
 #   make chart-animation ROWS="ball cornell-lamp" SPPS=8
@@ -21,6 +27,7 @@ include pipelines/variables.mk
 
 # ROWS=  ## animations to run, by name (all)
 # SPPS=  ## samples per pixel of the graphs, and of path tracing (8 32)
+# PT_SPPS=  ## samples of path tracing (2 and SPPS)
 # COUNT=  ## number of frames (8)
 # SIZE=  ## longer side of a frame, px (128)
 # BASE_SPP=  ## samples per pixel of the static image (1024)
@@ -32,6 +39,7 @@ COUNT ?= 8
 SIZE ?= 128
 BASE_SPP ?= 1024
 REFERENCE_SPP ?= 1024
+PT_SPPS ?= 2 $(filter-out 2,$(SPPS))
 OUT ?= out/chart-animation
 OUT := $(OUT)
 shared := ../shared/scenes
@@ -85,46 +93,65 @@ $(tables): $(OUT)/%/frames.tsv: FORCE
 animation = $(MAKE) --no-print-directory -f pipelines/animation.mk BUILD=$(BUILD) SCENE=$(OUT)/$(1)/scene.xml FRAMES=$(OUT)/$(1)/frames.tsv \
 	DEFINES=$(call quote,$(call size_of,$(call field,3,$(1)),$(SIZE))) OUT=$(@D) $(2) >/dev/null
 # Runs of a row, METHOD-SPP: auto has its own static image, whose samples a pilot chooses.
-labels := $(foreach s,$(SPPS),$(foreach m,pt hybrid auto,$(m)-$(s)))
-marks_of = $(labels:%=$(OUT)/$(1)/%/strip.png)
+runs := $(PT_SPPS:%=pt-%) $(foreach s,$(SPPS),$(foreach m,hybrid auto,$(m)-$(s))) single-$(firstword $(SPPS))
+marks_of = $(runs:%=$(OUT)/$(1)/%/strip-denoised.png)
 marks := $(foreach w,$(ROWS),$(call marks_of,$(w)))
 part = $(word $(1),$(subst -, ,$(notdir $(2))))
 row_of = $(patsubst %/,%,$(dir $(1)))
 settings.pt := METHOD=pt
 settings.hybrid := METHOD=hybrid BASE_SPP=$(BASE_SPP)
+settings.single := METHOD=hybrid BASE_SPP=$(BASE_SPP) GRAPHS=1
 settings.auto := METHOD=hybrid BASE_SPP=auto
+settings_of = $(settings.$(call part,1,$(1))) SPP=$(call part,2,$(1)) $(if $(SEED),SEED=$(SEED))
 .SECONDEXPANSION:
-$(marks): $(OUT)/%/strip.png: $(OUT)/$$(call row_of,$$*)/scene.xml $(OUT)/$$(call row_of,$$*)/frames.tsv FORCE
-	@$(call animation,$(call row_of,$*),$(settings.$(call part,1,$*)) SPP=$(call part,2,$*) $(if $(SEED),SEED=$(SEED)))
+$(marks): $(OUT)/%/strip-denoised.png: $(OUT)/$$(call row_of,$$*)/scene.xml $(OUT)/$$(call row_of,$$*)/frames.tsv FORCE
+	@$(call animation,$(call row_of,$*),$(call settings_of,$*) DENOISE=1)
+	@mv $(@D)/strip.png $@
+	@$(call animation,$(call row_of,$*),$(call settings_of,$*))
+# The variance of independent samples is what they say, that of Sobol points is less.
 references := $(ROWS:%=$(OUT)/%/reference/strip.png)
 $(references): $(OUT)/%/reference/strip.png: $(OUT)/%/scene.xml $(OUT)/%/frames.tsv FORCE
-	@$(call animation,$*,METHOD=pt SPP=$(REFERENCE_SPP) SEED=77)
+	@$(call animation,$*,METHOD=pt SPP=$(REFERENCE_SPP) SEED=77 TRACE=$(call quote,--sampler independent))
 
-# Lines of the table for each row: errors by frame, costs by stage and frame, flicker.
+# Lines of the table for each row: errors by frame, costs by frame, flicker; gains by the number of frames; spectra.
 frames := $(shell seq -f %04g 0 $$(($(COUNT) - 1)))
-$(eval $(call parameter,$(OUT)/table.parameters,$(ROWS) $(SPPS) $(COUNT) $(SIZE) $(BASE_SPP) $(REFERENCE_SPP)))
+# $(call inputs,NUMBER): LABEL=FILE of all runs, their frames as they are and denoised. pt-8 is pt-d-8 when it is denoised.
+inputs = $(foreach l,$(runs),$(l)=$(l)/images/frame-$(1).exr $(subst -,-d-,$(l))=$(l)/denoised/frame-$(1).exr)
+$(eval $(call parameter,$(OUT)/table.parameters,$(ROWS) $(SPPS) $(PT_SPPS) $(COUNT) $(SIZE) $(BASE_SPP) $(REFERENCE_SPP)))
 measured := $(ROWS:%=$(OUT)/%/measured.tsv)
 $(measured): $(OUT)/%/measured.tsv: $(OUT)/%/reference/strip.png $$(call marks_of,$$*) $(OUT)/table.parameters $(compare) pipelines/chart-animation-row.awk
-	@cd $(@D) && { $(foreach n,$(frames),$(abspath $(compare)) --quiet --tsv $(foreach l,$(labels),$(l)=$(l)/images/frame-$(n).exr) -r reference/images/frame-$(n).exr;) \
-		$(abspath $(compare)) --quiet --cost --tsv $(foreach l,$(labels),$(foreach n,$(frames),$(l)=$(l)/images/frame-$(n).exr)); \
-		$(abspath $(compare)) --quiet --sequence --tsv $(foreach l,$(labels),$(l)=$(l)/images/frame-%.exr) -r reference/images/frame-%.exr; } \
-		| awk -v row=$* -v kind=$(call field,1,$*) -f $(abspath pipelines/chart-animation-row.awk) >$(@F)
+	@cd $(@D) && { $(foreach n,$(frames),$(abspath $(compare)) --quiet --tsv $(call inputs,$(n)) -r reference/images/frame-$(n).exr;) \
+		$(abspath $(compare)) --quiet --by-frame $(foreach n,$(frames),$(call inputs,$(n))); \
+		$(abspath $(compare)) --quiet --sequence --tsv $(call inputs,%) -r reference/images/frame-%.exr; \
+		$(abspath $(compare)) --quiet --spectrum $(call inputs,%) -r reference/images/frame-%.exr; } \
+		| awk -v row=$* -v kind=$(call field,1,$*) -v gains=gains.tsv -v spectra=spectra.tsv -f $(abspath pipelines/chart-animation-row.awk) >$(@F)
+# $(call joined,FILE): FILE of all rows as one table.
+joined = awk 'FNR > 1 || NR == 1' $(ROWS:%=$(OUT)/%/$(1)) >$@
 $(OUT)/table.tsv: $(measured)
-	@awk 'FNR > 1 || NR == 1' $(measured) >$@
+	@$(call joined,measured.tsv)
+$(OUT)/gains.tsv: $(measured)
+	@$(call joined,gains.tsv)
+$(OUT)/spectra.tsv: $(measured)
+	@$(call joined,spectra.tsv)
 $(OUT)/table.md: $(OUT)/table.tsv pipelines/chart-animation-page.awk
 	@awk -f pipelines/chart-animation-page.awk $< >$@
 # Errors below the noise of the references have no place on a log axis.
 $(OUT)/chart.tsv: $(OUT)/table.tsv
-	@awk -F '\t' 'NR == 1 { for (i = 1; i <= NF; ++i) at[$$i] = i } NR == 1 || ($$at["relmse"] > 0 && $$at["flicker"] > 0 && $$at["frame_s"] > 0)' $< >$@
+	@awk -F '\t' 'NR == 1 { for (i = 1; i <= NF; ++i) at[$$i] = i } NR == 1 || ($$at["method"] !~ /^single/ && $$at["relmse"] > 0 && $$at["flicker"] > 0 && $$at["frame_s"] > 0)' $< >$@
 $(OUT)/error.svg: $(OUT)/chart.tsv $(chart)
 	@$(chart) --quiet $< -o $@ --x frame_s --y relmse >$(@:.svg=.txt)
 $(OUT)/flicker.svg: $(OUT)/chart.tsv $(chart)
 	@$(chart) --quiet $< -o $@ --x frame_s --y flicker >$(@:.svg=.txt)
+$(OUT)/gain.svg: $(OUT)/gains.tsv $(chart)
+	@$(chart) --quiet $< -o $@ --x frames --y gain --no-front >$(@:.svg=.txt)
+$(OUT)/spectrum.svg: $(OUT)/spectra.tsv $(chart)
+	@$(chart) --quiet $< -o $@ --kind spectrum
 
-chart-animation: $(OUT)/table.md $(OUT)/error.svg $(OUT)/flicker.svg $(references)
+charts := $(patsubst %,$(OUT)/%.svg,error flicker gain spectrum)
+chart-animation: $(OUT)/table.md $(charts) $(references)
 ifneq ($(DOCS),)
 	@awk -v tables=$(OUT)/table.md -f pipelines/insert-tables.awk $(DOCS)/animation.md >$(OUT)/page.md && cp $(OUT)/page.md $(DOCS)/animation.md
-	@mkdir -p $(DOCS)/animation && cp $(OUT)/error.svg $(OUT)/flicker.svg $(DOCS)/animation/
+	@mkdir -p $(DOCS)/animation && cp $(charts) $(DOCS)/animation/
 endif
 	@cat $(OUT)/table.md >&2
 	@for f in $^; do case $$f in *.svg|*.md) echo $$f;; esac; done

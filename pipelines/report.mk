@@ -2,10 +2,18 @@
 #
 #   all that chart.mk makes; then loom-report puts the images of the most samples, the charts and the tables
 #   into a page, with the results of `make peers` in OUT, if there are any.
+#
+# With FRAMES the page of an animation, with all that animation.mk makes.
 ## make report SCENE=scenes/cornell-box.xml METHODS="pt west pathgraph"
+## make report SCENE=scenes/animated/ball.xml FRAMES=scenes/animated/ball.tsv
 
 .PHONY: report
 include pipelines/variables.mk
+
+ifneq ($(FRAMES),)
+report:
+	@$(MAKE) --no-print-directory -f pipelines/animation.mk report
+else
 
 # LONGEST_SIDE=  ## longest side of the images in the page, px; larger ones are reduced (512)
 METHODS ?= pt west pathgraph
@@ -31,3 +39,4 @@ $(OUT)/report.html: $(foreach m,$(METHODS),$(call shown,$(m))) $(reference_made)
 report: $(OUT)/report.html
 	@rm -rf $(OUT)/.warm-up*
 	@echo $<
+endif

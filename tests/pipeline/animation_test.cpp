@@ -2,9 +2,12 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <cstdlib>
 #include <regex>
 #include <set>
+#include <sstream>
 
+#include "formats/image.h"
 #include "tests/pipeline/process.h"
 
 namespace loom::pipeline {
@@ -44,6 +47,7 @@ class MakeAnimation : public PipelineTest {
     fs::path image(int number, const std::string& out = "x") const {
         return folder / out / fmt::format("images/frame-{:04}.exr", number);
     }
+    std::string in(const std::string& name) const { return (folder / name).string(); }
     std::string named(const std::string& name) const { return shell_word((folder / name).string()); }
     bool traced = false;
 };
@@ -125,6 +129,237 @@ TEST_F(MakeAnimation, traces_frames_by_themselves_and_denoises) {
         EXPECT_EQ(outcome.code, 2) << rest;
         EXPECT_NE(outcome.err.find(said), std::string::npos) << outcome.err;
     }
+}
+
+// Detected mutations: no shape dropped; the ball in the static scene, or in that of path tracing.
+TEST_F(MakeAnimation, shapes_appear_late_and_leave) {
+    const std::string head = row(0, "none") + row(1, "-0.2");
+    write(head + row(2, "0.3") + row(3, "none"));
+    EXPECT_NE(make().err.find(":2: frame 0: "), std::string::npos);
+    EXPECT_EQ(frames("ABSENT=none"), Numbers({0, 1, 2, 3}));
+    const auto colour = [](const fs::path& file) { return read_image(file).interleaved(""); };
+    EXPECT_EQ(colour(image(0)), colour(folder / "x/base/static.exr"));
+    EXPECT_EQ(colour(image(3)), colour(image(0)));
+    EXPECT_NE(colour(image(1)), colour(image(0)));
+    EXPECT_EQ(frames("ABSENT=none METHOD=pt", "y"), Numbers({0, 1, 2, 3}));
+    const Outcome alone =
+        sh("'" + stage("trace") + "' --quiet scenes/animated/ball.xml -D resx=12 -D resy=8 --spp 2 --static '" +
+           (folder / table).string() + "' --absent none -o '" + (folder / "s.exr").string() + "'");
+    EXPECT_EQ(alone.code, 0) << alone.err;
+    EXPECT_EQ(colour(folder / "s.exr"), colour(folder / "x/base/static.exr"));
+    // The ball comes later: one frame is another one, the static scene is not.
+    write(head + row(2, "none") + row(3, "none"));
+    EXPECT_EQ(frames("ABSENT=none"), Numbers({2}));
+    EXPECT_FALSE(traced);
+    EXPECT_EQ(colour(image(2)), colour(image(0)));
+    EXPECT_EQ(make("ABSENT='no ne'").code, 2);
+    EXPECT_EQ(sh("'" + stage("trace") + "' scenes/animated/ball.xml --absent none --spp 2 -o '" +
+                 (folder / "z.exr").string() + "'")
+                  .code,
+              2);
+}
+
+// A mesh from another file in each frame, without an id, against path tracing of the frames. Detected mutation: the first
+// frame's mesh left in the static scene (p < 1e-6).
+TEST_F(MakeAnimation, a_mesh_deforms) {
+    const auto obj = [&](const std::string& name, const std::string& top) {
+        std::ofstream(folder / name) << "v -0.5 0.3 0.3\nv 0.1 0.3 0.4\nv " << top << " 0.2\nf 1 2 3\n";
+    };
+    obj("a.obj", "-0.4 0.9"), obj("b.obj", "0.3 1.4");
+    std::string scene = bytes_of(fs::path(LOOM_SOURCE_DIR) / "scenes/animated/ball.xml");
+    const std::size_t at = scene.find("<shape type=\"sphere\"");
+    scene.replace(at, scene.find("</shape>", at) + 8 - at,
+                  "<shape type=\"obj\"><string name=\"filename\" value=\"$mesh\"/><ref id=\"red\"/></shape>");
+    scene.replace(scene.find("<default name=\"x\""), 0, "<default name=\"mesh\" value=\"a.obj\"/>");
+    std::ofstream(folder / "cloth.xml") << scene;
+    write("0\ta.obj\n1\tb.obj\n", "frame\tmesh\n");
+    const std::string variables = "SPP=64 BASE_SPP=256 DEFINES='resx=24 resy=18' SCENE=" + named("cloth.xml");
+    EXPECT_EQ(frames(variables), Numbers({0, 1}));
+    EXPECT_EQ(frames(variables + " METHOD=pt SEED=3 TRACE='--sampler independent'", "y"), Numbers({0, 1}));
+    for (const int number : {0, 1}) {
+        const Outcome outcome =
+            sh("'" + stage("compare") + "' --quiet '" + image(number).string() + "' -r '" +
+               image(number, "y").string() + "' --fail-below p_tiles=1e-4 --fail-below p_image=1e-4");
+        EXPECT_EQ(outcome.code, 0) << number << outcome.out;
+    }
+}
+
+TEST_F(MakeAnimation, length_of_paths_counts_for_residuals_and_plan) {
+    write(row(0, "-0.5") + row(1, "0.2"));
+    EXPECT_EQ(frames("TRACE='--max-depth 2'"), Numbers({0, 1}));
+    EXPECT_EQ(make("TRACE=--max-depth=2 BASE_SPP=auto", "y").code, 0);
+    EXPECT_NE(bytes_of(folder / "y/plan.parameters").find("--max-depth 2"), std::string::npos);
+    // Direct light varies less than all light.
+    const auto variance = [&](const std::string& out) {
+        const std::string plan = bytes_of(folder / out / "plan.txt");
+        return std::stod(plan.substr(plan.find("variance of a path ") + 19));
+    };
+    EXPECT_EQ(make("BASE_SPP=auto", "z").code, 0);
+    EXPECT_LT(variance("y"), 0.9 * variance("z"));
+}
+
+// The static image and what moves are denoised apart. Detected mutations: the old image added without its weight (error
+// above that of noise); the difference filtered with the bound of outliers and the whole image left out.
+TEST_F(MakeAnimation, denoises_what_moves_apart) {
+    write(row(0, "-0.5") + row(1, "0.2"));
+    const std::string variables = "DEFINES='resx=48 resy=36' SPP=8 BASE_SPP=256 ";
+    EXPECT_EQ(frames(variables + "DENOISE=1"), Numbers({0, 1}));
+    EXPECT_TRUE(fs::exists(folder / "x/base/denoised.exr"));
+    const std::string reference = in("r.exr"), frame = image(1).string();
+    ASSERT_EQ(sh("'" + stage("trace") +
+                 "' --quiet scenes/animated/ball.xml -D x=0.2 -D y=0.3 -D resx=48 -D resy=36 --spp 2048 "
+                 "--sampler independent --seed 9 -o " +
+                 reference)
+                  .code,
+              0);
+    ASSERT_EQ(sh("'" + stage("denoise") + "' --quiet --method filter " + frame + " -o " + in("whole.exr")).code, 0);
+    const std::string base = " --base " + in("x/base/static.exr"),
+                      clean = " --denoised-base " + in("x/base/denoised.exr"),
+                      apart = "'" + stage("denoise") + "' --quiet --method filter " + frame + base;
+    ASSERT_EQ(sh(apart + clean + " -o " + in("apart.exr")).code, 0);
+    const Image r = read_image(reference);
+    const auto error = [&](const std::string& name) {
+        const std::vector<float> x = read_image(name).interleaved(""), y = r.interleaved("");
+        double sum = 0;
+        for (std::size_t i = 0; i < x.size(); ++i) sum += (x[i] - y[i]) * (x[i] - y[i]) / (y[i] * y[i] + 0.01);
+        return sum / double(x.size());
+    };
+    EXPECT_LT(error(in("whole.exr")), 0.7 * error(frame));
+    EXPECT_LT(error(in("apart.exr")), 0.7 * error(in("whole.exr")));
+    // Denoising the static image here gives the same.
+    ASSERT_EQ(sh(apart + " -o " + in("here.exr")).code, 0);
+    EXPECT_NEAR(error(in("here.exr")), error(in("apart.exr")), 0.2 * error(in("apart.exr")));
+    const Outcome plan = sh(apart + " --plan");
+    EXPECT_NE(plan.out.find("the old image and the difference apart"), std::string::npos) << plan.out;
+    // What does not fit together.
+    const std::string other = " --base " + in("x/base/denoised.exr");
+    for (const auto& [command, said] :
+         {std::pair("'" + stage("denoise") + "' " + frame + other, "is not made from"),
+          std::pair("'" + stage("denoise") + "' " + in("x/base/static.exr") + base, "is no new image from a graph"),
+          std::pair("'" + stage("denoise") + "' " + frame + base + " --denoised-base " + in("whole.exr"), ", denoised"),
+          std::pair("'" + stage("denoise") + "' " + frame + clean, "needs --base")}) {
+        const Outcome outcome = sh(command + " -o " + in("z.exr"));
+        EXPECT_EQ(outcome.code, 2) << command;
+        EXPECT_NE(outcome.err.find(said), std::string::npos) << outcome.err;
+    }
+}
+
+TEST_F(MakeAnimation, ends_with_charts_and_a_page) {
+    write(row(0, "-0.5") + row(1, "-0.2") + row(12, "0.3"));
+    frames("SPP=4");
+    for (const char* name : {"frames.svg", "frames.png", "frame-costs.tsv", "report.html"})
+        EXPECT_TRUE(fs::exists(folder / "x" / name)) << name;
+    std::istringstream costs(bytes_of(folder / "x/frame-costs.tsv"));
+    std::string line;
+    std::getline(costs, line);
+    EXPECT_EQ(line, "scene\tmethod\tframe\tcpu_s\trender_s\tshared_s\ttouched\texpected_relmse\tstatic_share");
+    for (const int number : {0, 1, 12}) {
+        std::string scene, method;
+        int frame = -1;
+        double cpu_s = 0, render_s = 0, shared_s = 0, touched = 0, relmse = 0, static_share = 0;
+        std::getline(costs, line);
+        std::istringstream(line) >> scene >> method >> frame >> cpu_s >> render_s >> shared_s >> touched >> relmse >>
+            static_share;
+        EXPECT_EQ(scene + method, "ballhybrid");
+        EXPECT_EQ(frame, number);
+        EXPECT_GT(render_s, 0);
+        EXPECT_GT(cpu_s, render_s);
+        EXPECT_GT(shared_s, 0);
+        EXPECT_GT(touched, 0.01);
+        EXPECT_LT(touched, 0.5);
+        EXPECT_GT(relmse, 0);
+        EXPECT_GT(static_share, 0);
+        EXPECT_LT(static_share, 1);
+    }
+    const std::string page = bytes_of(folder / "x/report.html");
+    for (const char* part :
+         {"<tr data-frame=\"2\"><th scope=\"row\">12</th>", "max=\"2\"", "Frame by frame", "<svg", "Plan and lineage"})
+        EXPECT_NE(page.find(part), std::string::npos) << part;
+    for (const char* outside : {"https:", "src=", "@import", "<link"})
+        EXPECT_EQ(page.find(outside), std::string::npos) << outside;
+    EXPECT_EQ(frames("SPP=4"), Numbers());
+    EXPECT_EQ(bytes_of(folder / "x/report.html"), page);
+    // Path tracing has no graph; denoised frames no variance.
+    frames("METHOD=pt DENOISE=1", "y");
+    EXPECT_NE(bytes_of(folder / "y/frame-costs.tsv").find("\t0\tnan\tnan\tnan\n"), std::string::npos)
+        << bytes_of(folder / "y/frame-costs.tsv");
+    for (const std::string spp : {"auto", "2"}) {
+        const Outcome report = sh(fmt::format(
+            "make -s -f pipelines/report.mk BUILD='{}' OUT='{}' FRAMES={} SPP=2 DEFINES='resx=12 resy=8' BASE_SPP={}",
+            fs::path(stage("trace")).parent_path().parent_path().string(), in("r"), named(table), spp));
+        EXPECT_EQ(report.out, in("r/report.html") + "\n") << report.err;
+    }
+    // What comes from outside is text on the page, and no scheme in its link.
+    const std::string hostile = "</script><script>alert(1)</script>";
+    const std::string report =
+        "'" + stage("report") + "' --quiet --animation " + image(0).string() + " " + image(12).string();
+    ASSERT_EQ(sh(report + " --title '" + hostile + "' --made-by '" + hostile +
+                 "' --movie 'javascript:alert(1)\"<.mp4' -o " + in("p.html"))
+                  .code,
+              0);
+    const std::string other = bytes_of(folder / "p.html");
+    EXPECT_EQ(other.find("<script>alert"), std::string::npos);
+    EXPECT_EQ(other.find("href=\"javascript"), std::string::npos);
+    EXPECT_NE(other.find("javascript%3Aalert%281%29%22%3C.mp4\""), std::string::npos);
+    EXPECT_NE(other.find("\"number\": \"12\""), std::string::npos);
+    EXPECT_EQ(sh(report + " --by-frame " + in("x/frame-costs.tsv") + " -o " + in("q.html")).code, 2);
+    EXPECT_EQ(sh(report + " --tour " + in("x/frame-costs.tsv") + " -o " + in("q.html")).code, 2);
+    // A table where the chart's data would be.
+    fs::copy_file(folder / table, folder / "x/frames.tsv", fs::copy_options::overwrite_existing);
+    table = "x/frames.tsv";
+    const std::string before = bytes_of(folder / table);
+    const Outcome refused = make();
+    EXPECT_EQ(refused.code, 2);
+    EXPECT_NE(refused.err.find("would overwrite it"), std::string::npos) << refused.err;
+    EXPECT_EQ(bytes_of(folder / table), before);
+}
+
+// In a browser, from disk: the page moves its own controls (check() in animation.js) and says what did not follow.
+TEST_F(MakeAnimation, the_page_works_in_a_browser) {
+    if (std::getenv("LOOM_TEST_FULL") == nullptr) GTEST_SKIP() << "runs in make test-full";
+    if (sh("command -v chromium").code != 0) GTEST_SKIP() << "chromium is not installed (Debian: apt install chromium)";
+    write(row(0, "-0.5") + row(1, "-0.2") + row(2, "0.3") + row(12, "0.3"));
+    frames("SPP=4");
+    const Outcome shown =
+        sh("chromium --headless --no-sandbox --disable-gpu --disable-dev-shm-usage --enable-logging=stderr "
+           "--virtual-time-budget=10000 --user-data-dir='" +
+           (folder / "browser").string() + "' --dump-dom 'file://" + (folder / "x/report.html").string() + "#check'");
+    ASSERT_EQ(shown.code, 0) << shown.err;
+    EXPECT_NE(shown.out.find("data-check=\"right\""), std::string::npos) << shown.out.substr(0, 400);
+    EXPECT_EQ(shown.err.find("CONSOLE"), std::string::npos) << shown.err;
+}
+
+// A small chart of one row: the table's gain with all costs is that of the curve.
+TEST_F(MakeAnimation, is_charted_against_path_tracing) {
+    const Outcome made = sh("make -s -f pipelines/chart-animation.mk BUILD='" +
+                            fs::path(stage("trace")).parent_path().parent_path().string() + "' OUT=" + in("c") +
+                            " ROWS=ball COUNT=3 SIZE=16 SPPS=4 BASE_SPP=16 REFERENCE_SPP=64");
+    ASSERT_EQ(made.code, 0) << made.err;
+    for (const char* name : {"error.svg", "flicker.svg", "gain.svg", "spectrum.svg", "table.md"}) {
+        EXPECT_TRUE(fs::exists(folder / "c" / name)) << name;
+        EXPECT_NE(made.out.find((folder / "c" / name).string() + "\n"), std::string::npos) << made.out;
+    }
+    const auto cells = [](const std::string& text, const std::string& start, std::size_t column) {
+        std::istringstream lines(text);
+        for (std::string line; std::getline(lines, line);) {
+            if (!line.starts_with(start)) continue;
+            std::istringstream words(line);
+            std::string word;
+            for (std::size_t i = 0; i <= column; ++i) std::getline(words, word, '\t');
+            return word;
+        }
+        return std::string("none");
+    };
+    const std::string rows = bytes_of(folder / "c/table.tsv"), gains = bytes_of(folder / "c/gains.tsv");
+    for (const char* method :
+         {"pt\t2", "pt\t4", "pt-d\t4", "hybrid\t4", "hybrid-d\t4", "auto\t4", "auto-d\t4", "single\t4", "single-d\t4"})
+        EXPECT_NE(cells(rows, std::string("shape\tball\t") + method, 5), "none") << method << rows;
+    EXPECT_EQ(cells(rows, "shape\tball\thybrid\t4\t", 16), cells(gains, "ball\thybrid 4\t240\t", 3)) << rows << gains;
+    EXPECT_EQ(cells(rows, "shape\tball\thybrid\t4\t", 15), cells(gains, "ball\thybrid 4\t24\t", 3));
+    EXPECT_NE(bytes_of(folder / "c/spectra.tsv").find("ball\thybrid-d-4\t0\t"), std::string::npos);
+    const std::string page = bytes_of(folder / "c/table.md");
+    EXPECT_EQ(std::count(page.begin(), page.end(), '\n') > 15, true) << page;
+    EXPECT_NE(page.find("| ball | single 4 |"), std::string::npos) << page;
 }
 
 TEST_F(MakeAnimation, plans_the_samples_of_what_frames_share) {
