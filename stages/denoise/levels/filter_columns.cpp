@@ -97,7 +97,7 @@ constexpr int at(int j, int k) {
 
 /// Factorises A = L D L^T in place (D on the diagonal), then replaces b by A^-1 b.
 void solve(Lanes (&a)[nt * (nt + 1) / 2], Lanes (&b)[nt][3]) {
-    const Lanes rounding = 1e-6f * a[0];
+    const Lanes rounding = 1e-6f * a[0], left_out = 1e30f + Lanes{};
     for (int j = 0; j < nt; ++j) {
         Lanes scaled[nt];  // L_ji D_i
         for (int i = 0; i < j; ++i) {
@@ -108,8 +108,9 @@ void solve(Lanes (&a)[nt * (nt + 1) / 2], Lanes (&b)[nt][3]) {
             a[at(j, i)] = scaled[i] / a[at(i, i)];
             a[at(j, j)] -= scaled[i] * a[at(j, i)];
         }
-        // Rounding must not give a huge slope to a feature that is constant in the window.
-        a[at(j, j)] = a[at(j, j)] > rounding ? a[at(j, j)] : rounding;
+        // Rounding must not give a huge slope to a feature that is constant in the window, or depends on the others: it is
+        // left out. (With a small pivot the rounding errors of the others would grow by its inverse.)
+        a[at(j, j)] = a[at(j, j)] > rounding ? a[at(j, j)] : left_out;
     }
     for (int c = 0; c < 3; ++c) {
         for (int j = 1; j < nt; ++j)
