@@ -63,11 +63,13 @@ function add_point(cost, error,    k) {
     for (k = n_points++; k > 0 && costs[k - 1] > cost; --k) { costs[k] = costs[k - 1]; errors[k] = errors[k - 1] }
     costs[k] = cost; errors[k] = error
 }
-# Its error at a cost, by the line through the two nearest points in the logarithms; of one point as 1 / cost.
+# Its error at a cost, by the line through the two nearest points in the logarithms; of one point as 1 / cost. Beyond the last point it falls
+# no faster than noise does, as 1 / cost: what a filter gains from more samples ends.
 function denoised_pt(cost,    k, slope) {
     if (n_points == 0 || cost <= 0) return -1
     if (n_points == 1) return errors[0] * costs[0] / cost
     for (k = 0; k < n_points - 2 && costs[k + 1] < cost; ++k);
     slope = log(errors[k + 1] / errors[k]) / log(costs[k + 1] / costs[k])
+    if (cost > costs[n_points - 1]) { k = n_points - 1; if (slope < -1) slope = -1 }
     return errors[k] * exp(slope * log(cost / costs[k]))
 }

@@ -7,7 +7,7 @@
 #             graphs being there; and with its share of theirs, for these frames, for 24 and for 240
 #   times     of unbiased frames: error times cost of path tracing over that of the method, at the same number of samples; of
 #             denoised ones, whose error falls otherwise: error over that of denoised path tracing of equal cost, by a power law
-#             between the nearest two of PT_SPPS
+#             between the nearest two of PT_SPPS, beyond the last as 1 / cost at most
 #   flicker   of loom-compare --sequence, and how much of the noise stands still where the scene does
 #
 # pt: path tracing of each frame; hybrid, auto: a static image of BASE_SPP samples, or as a pilot plans it; -d: denoised; single: hybrid
