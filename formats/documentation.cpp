@@ -9,6 +9,7 @@
 #include "formats/image.h"
 #include "formats/path_graph.h"
 #include "formats/radiance.h"
+#include "formats/radiance_cache.h"
 #include "formats/transient_cube.h"
 
 namespace loom {
@@ -57,7 +58,8 @@ std::string section() {
 
 std::string formats_markdown() {
     return std::string(preamble) + section<PathGraph>() + section<Clusters>() + section<Radiance>() +
-           section<TransientCube>() + section<Derivative>() + section<Gradient>() + section<Doppler>() +
+           section<RadianceCache>() + section<TransientCube>() + section<Derivative>() + section<Gradient>() +
+           section<Doppler>() +
            fmt::format("\n## {} {}.{} (OpenEXR)\n\nfloat32, row 0 on top.\n\n{}", Image::format.name,
                        Image::format.major, Image::format.minor, image_markdown());
 }

@@ -46,12 +46,7 @@ Doppler read_doppler(const std::filesystem::path& path) {
 }
 
 bool is_doppler(const std::filesystem::path& path) {
-    try {
-        const auto filetype = text_attribute(open_hdf5(path).get(), "filetype");
-        return filetype && filetype->size() == 1 && filetype->front() == Doppler::format.name;
-    } catch (const InputError&) {
-        return false;
-    }
+    return filetype_of(path) == Doppler::format.name;
 }
 
 }  // namespace loom

@@ -176,12 +176,7 @@ double foreign_attribute(const std::filesystem::path& path, hid_t file, const ch
 }  // namespace
 
 bool is_transient_cube(const std::filesystem::path& path) {
-    try {
-        const auto filetype = text_attribute(open_hdf5(path).get(), "filetype");
-        return filetype && filetype->size() == 1 && filetype->front() == TransientCube::format.name;
-    } catch (const InputError&) {
-        return false;
-    }
+    return filetype_of(path) == TransientCube::format.name;
 }
 
 namespace {

@@ -10,6 +10,15 @@
 
 namespace loom {
 
+std::string filetype_of(const std::filesystem::path& path) {
+    try {
+        const auto filetype = text_attribute(open_hdf5(path).get(), "filetype");
+        return filetype && filetype->size() == 1 ? filetype->front() : std::string();
+    } catch (const InputError&) {
+        return {};
+    }
+}
+
 struct Hdf5Reader::Impl {
     std::filesystem::path path;
     Hdf5Handle file;

@@ -8,6 +8,9 @@
 
 namespace loom {
 
+/// Returns the root attribute `filetype` of an HDF5 file; empty for a file of another program, of another kind, or none.
+std::string filetype_of(const std::filesystem::path& path);
+
 /// Reads the fields of a format. It compares type, rank and width of each dataset before it reads a number. Its columns
 /// borrow the mapped file.
 class Hdf5Reader : public FieldVisitor<Hdf5Reader> {

@@ -16,6 +16,7 @@
 #include "formats/io/cost.h"
 #include "formats/io/error.h"
 #include "formats/io/json.h"
+#include "formats/radiance_cache.h"
 #include "formats/transient_cube.h"
 #include "stages/core/app/report.h"
 #include "stages/core/clusters/cluster_quality.h"
@@ -279,6 +280,23 @@ std::string gradient_text(const Gradient& g) {
     return text;
 }
 
+bool is_radiance_cache(const Survey& survey) {
+    return survey.attribute("filetype") == RadianceCache::format.name;
+}
+
+/// What a cache was made of, and its error by material.
+std::string cache_text(const RadianceCache& c) {
+    std::string text =
+        fmt::format("{} of {} {} of {} graphs; {} labels not finite\n", c.settings.method, c.settings.samples,
+                    c.is_grid() ? "training samples" : "vertices", c.graphs.size(), c.settings.nonfinite);
+    const auto& v = c.validation;
+    for (std::size_t m = 0; m < v.material.size(); ++m)
+        if (v.vertices[m] > 0)
+            text += fmt::format("{}: relative L2 {:.4g}, mean ratio {:.4g} ({} vertices held back)\n", v.material[m],
+                                v.relative_l2[m], v.mean_ratio[m], v.vertices[m]);
+    return text;
+}
+
 bool has_cost(const std::string& file) {
     return std::filesystem::exists(cost_path(file));
 }
@@ -467,6 +485,7 @@ std::string text_of(const Survey& survey, const std::string& file, const std::st
     if (is_path_graph(survey)) text += graph_text(GraphFacts(read_path_graph(file)));
     if (is_clusters(survey)) text += ClusterFacts(file, graph).text();
     if (is_transient_cube(file)) text += CubeFacts(file).text();
+    if (is_radiance_cache(survey)) text += cache_text(read_radiance_cache(file));
     if (is_gradient(survey)) text += gradient_text(read_gradient(file));
     if (has_ledger(survey)) text += LedgerFacts(survey, file).text();
     std::size_t name_width = 7;
