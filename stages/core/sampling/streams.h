@@ -94,6 +94,14 @@ constexpr std::uint64_t edit(std::uint64_t seed, std::uint64_t k) {
     return seed ^ mix64(k - 1);
 }
 
+// Radiance caches.
+
+/// Choice of the vertices of a graph that are held back, as `selection` with this seed.
+/// in:      graph_idx  of the graphs that a cache is made of
+constexpr std::uint64_t held_back(std::uint64_t seed, std::uint64_t graph_idx) {
+    return numbered(mix64(seed ^ salt("cache")), graph_idx + 1);
+}
+
 // Clusters and gathering.
 
 /// Rotations of the metric's position and normal axes, per pass.
