@@ -85,6 +85,7 @@ std::string image_markdown() {
 |---|---|---|
 | `R`, `G`, `B` | W m^-2 sr^-1 | mean radiance over the samples of a pixel |
 | `VarMean.R`, `VarMean.G`, `VarMean.B` ? | (W m^-2 sr^-1)^2 | variance of that mean: s^2 / samples |
+| `CacheError.R`, `CacheError.G`, `CacheError.B` ? | W m^-2 sr^-1 | of an image that used a radiance cache: expected error of the mean by it, beyond `VarMean` |
 | `Albedo.R`, `Albedo.G`, `Albedo.B` ? | 1 | reflectance at the first hit |
 | `N.X`, `N.Y`, `N.Z` ? | 1 | shading normal at the first hit, world space, mean over the samples |
 | `Weight.R`, `Weight.G`, `Weight.B` ? | 1 | of a new image from a graph of the old scene: weight of the old image in it; 1 where the layer is missing |

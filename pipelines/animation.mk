@@ -16,7 +16,12 @@
 #
 # BASE_SPP=auto asks loom-residual --plan (OUT/plan.txt): as many samples as give the least error for the time of all frames; and where
 # path tracing of equal error would cost less, METHOD=pt.
+#
+# CACHE=points: where the camera moves, frames have no image in common. They take what they share from a radiance cache
+# (OUT/cache/cache.h5, animation-cache.mk) and add the path-traced difference, SPP samples per pixel; biased, by about the layer
+# CacheError of each frame. BASE_SPP and GRAPHS are for a camera that stands still.
 ## make animation SCENE=scenes/animated/ball.xml FRAMES=scenes/animated/ball.tsv SPP=16
+## make animation SCENE=scenes/animated/walk.xml FRAMES=scenes/animated/walk.tsv CACHE=points
 
 .DELETE_ON_ERROR:
 .PHONY: animation report
@@ -29,6 +34,9 @@ SPP ?= 8  ## samples per pixel of each graph, and so of each frame's residual
 BASE_SPP ?= auto  ## samples per pixel of the image of what the frames share; auto: by a pilot, see OUT/plan.txt
 GRAPHS ?= 2  ## number of graphs
 METHOD ?= hybrid  ## hybrid: what the frames share plus what moves; pt: path tracing of each frame
+# CACHE=  ## points: a radiance cache in place of the image of what the frames share; needed where the camera moves (none)
+CACHE_VIEWS ?= 8  ## frames from whose cameras the cache is made
+CACHE_SPP ?= 4  ## samples per pixel of each of these views
 DENOISE ?= 0  ## 1: remove the noise of each frame
 # EXTRA=  ## further pairs of paths per pixel of each frame, where its graph finds noise (0)
 # MASK=  ## weight of the image of what the frames share: none: 1; first-hit: 0 where the camera sees what moves, biased at edges (coverage)
@@ -56,6 +64,12 @@ include pipelines/words.mk
 ifeq ($(filter hybrid pt,$(METHOD)),)
 $(error METHOD=$(METHOD): expected hybrid or pt)
 endif
+ifeq ($(filter points,$(CACHE))$(if $(CACHE),,none),)
+$(error CACHE=$(CACHE): expected points)
+endif
+ifeq ($(CACHE)$(METHOD),pointspt)
+$(error METHOD=pt CACHE=points: path tracing of each frame has no cache; leave out one of them)
+endif
 $(foreach v,SCENE FRAMES,$(if $(call exists,$($(v))),,$(error $(v)=$($(v)): no such file)))
 OUT ?= out/$(call scene_name,$(SCENE))/animation
 OUT := $(OUT)
@@ -72,7 +86,7 @@ chart := $(BUILD)/bin/loom-chart
 page := $(BUILD)/bin/loom-report
 base := $(OUT)/base
 threads = $(if $(THREADS), --threads $(THREADS))
-hybrid := $(filter hybrid,$(METHOD))
+hybrid := $(if $(CACHE),,$(filter hybrid,$(METHOD)))
 # Of TRACE alone the length of paths counts for residuals.
 max_depth := $(patsubst --max-depth=%,%,$(lastword $(filter --max-depth=%,$(subst --max-depth$(space),--max-depth=,$(TRACE)))))
 depth = $(if $(max_depth), --max-depth $(max_depth))
@@ -112,6 +126,10 @@ animation: $(OUT)/strip.png $(OUT)/report.html
 report: $(OUT)/strip.png $(OUT)/report.html
 	@echo $(OUT)/report.html
 
+ifneq ($(CACHE),)
+include pipelines/animation-cache.mk
+endif
+
 # The table is named in commands alone: what it holds is in the hashes.
 $(eval $(call parameter,$(base)/static.hash,$(static_hash)))
 $(eval $(call parameter,$(base)/image.parameters,$(sensor)$(if $(TRACE), $(TRACE)) --spp $(BASE_SPP)$(seeded)))
@@ -125,21 +143,23 @@ $(graphs:%=$(base)/graph-%.h5) &: $(base)/static.hash $(base)/graphs.parameters 
 	$(LAUNCH) $(trace) $(static_parameters) --spp $(SPP) --passes $(GRAPHS) --seed $(shell echo $$(($(or $(SEED),0) + 1))) --misses$(threads) \
 		-o $(base)/graph-%.h5
 
-# $(call of_hybrid,GRAPH), $(call of_pt,GRAPH): command of a batch, less its frames and its output.
+# $(call of_hybrid,GRAPH), $(call of_cache,), $(call of_pt,): command of a batch, less its frames and its output.
 of_hybrid = $(residual) $(scene_parameters)$(depth) --old $(base)/static.exr --old-graph $(base)/graph-$(1).h5$(hybrid_parameters)
 hybrid_parameters := $(if $(strip $(MASK)), --mask $(strip $(MASK)))$(if $(strip $(EXTRA)), --extra $(strip $(EXTRA)))
+of_cache = $(residual) $(scene_parameters)$(depth) --cache $(cache) --spp $(SPP)$(seeded)
 of_pt = $(trace) $(scene_parameters)$(pt_parameters)
 pt_parameters := $(if $(TRACE), $(TRACE)) --spp $(SPP)$(seeded)
-output := $(if $(hybrid),--new,-o)
+way := $(if $(CACHE),cache,$(METHOD))
+output := $(if $(filter pt,$(way)),-o,--new)
 # What frames are made of besides their rows: another METHOD, and of pt other samples, make them again.
-$(eval $(call parameter,$(OUT)/method.parameters,$(METHOD)$(if $(hybrid),$(hybrid_parameters),$(sensor)$(pt_parameters))))
+$(eval $(call parameter,$(OUT)/method.parameters,$(way)$(if $(hybrid),$(hybrid_parameters),$(sensor)$(pt_parameters))))
 
 # $(call batch,GRAPH,STATE,NAMES): the hash of a frame is written when the frame is there.
 define batch
-$(3:%=$(OUT)/images/frame-%.exr) &: $(if $(hybrid),$(base)/static.exr $(base)/graph-$(1).h5 $(residual),$(trace)) \
+$(3:%=$(OUT)/images/frame-%.exr) &: $(if $(hybrid),$(base)/static.exr $(base)/graph-$(1).h5 $(residual),$(if $(CACHE),$(cache) $(residual),$(trace))) \
 		$(OUT)/method.parameters $(if $(filter missing,$(2)),FORCE)
 	@mkdir -p $(OUT)/images && rm -f $(3:%=$(OUT)/images/frame-%.hash)
-	$(LAUNCH) $(call of_$(METHOD),$(1)) --frames $(call quote,$(FRAMES))$(absent) \
+	$(LAUNCH) $(call of_$(way),$(1)) --frames $(call quote,$(FRAMES))$(absent) \
 		--only $(call number,$(firstword $(3))):$(shell expr $(lastword $(3)) + 1):$(if $(hybrid),$(GRAPHS),1)$(threads) \
 		$(output) $(OUT)/images/frame-%.exr
 	@$(foreach n,$(3),echo $(call hash_of,$(n)) >$(OUT)/images/frame-$(n).hash;)

@@ -57,7 +57,10 @@ edits := \
 	light|cornell-glow|$(shared)/cornell-box/scene_v3.xml \
 	light|cornell-dimmed|$(shared)/cornell-box/scene_v3.xml \
 	light|teapot-sky|$(shared)/teapot/scene_v3.xml \
-	light|teapot-spin|$(shared)/teapot/scene_v3.xml
+	light|teapot-spin|$(shared)/teapot/scene_v3.xml \
+	walk|cornell-walk|$(shared)/cornell-box/scene_v3.xml \
+	walk|living-walk|$(shared)/living-room-2/scene_v3.xml \
+	walk|staircase-walk|$(shared)/staircase/scene_v3.xml
 here = $(wildcard $(call field,3,$(1)))
 needs := $(shared)
 include pipelines/rows.mk
@@ -79,6 +82,11 @@ rewrite.cornell-glow := $(call default,place,0);$(call added,$(call sphere,0.06,
 rewrite.cornell-dimmed := $(call default,light,17);s/(name="radiance" value=")17, 12, 4"/\1$$light"/
 rewrite.teapot-sky := $(call default,turn,0);/<emitter type="envmap"/$(comma)/<\/emitter>/s,</transform>,<rotate y="1" angle="$$turn"/>&,
 rewrite.teapot-spin := $(rewrite.teapot-sky)
+# The camera walks: two numbers of its matrix are parameters.
+walked := $(call default,cx,0);$(call default,cz,0);/<sensor/$(comma)/<\/sensor>/s,<matrix value="(([^ ]+ ){3})[^ ]+ (([^ ]+ ){7})[^ ]+,<matrix value="\1$$cx \3$$cz,
+rewrite.cornell-walk := $(rewrite.cornell-ball);$(walked)
+rewrite.living-walk := $(rewrite.living-ball);$(walked)
+rewrite.staircase-walk := $(rewrite.staircase-ball);$(walked)
 
 scenes := $(ROWS:%=$(OUT)/%/scene.xml)
 tables := $(ROWS:%=$(OUT)/%/frames.tsv)
@@ -93,8 +101,9 @@ $(tables): $(OUT)/%/frames.tsv: FORCE
 animation = $(MAKE) --no-print-directory -f pipelines/animation.mk BUILD=$(BUILD) SCENE=$(OUT)/$(1)/scene.xml FRAMES=$(OUT)/$(1)/frames.tsv \
 	DEFINES=$(call quote,$(call size_of,$(call field,3,$(1)),$(SIZE))) OUT=$(@D) $(2) >/dev/null
 # Runs of a row, METHOD-SPP: auto has its own static image, whose samples a pilot chooses.
-runs := $(PT_SPPS:%=pt-%) $(foreach s,$(SPPS),$(foreach m,hybrid auto,$(m)-$(s))) single-$(firstword $(SPPS))
-marks_of = $(runs:%=$(OUT)/$(1)/%/strip-denoised.png)
+# Where the camera moves there is a cache in its place.
+runs_of = $(PT_SPPS:%=pt-%) $(if $(filter walk,$(call field,1,$(1))),$(SPPS:%=cache-%),$(foreach s,$(SPPS),$(foreach m,hybrid auto,$(m)-$(s))) single-$(firstword $(SPPS)))
+marks_of = $(foreach r,$(call runs_of,$(1)),$(OUT)/$(1)/$(r)/strip-denoised.png)
 marks := $(foreach w,$(ROWS),$(call marks_of,$(w)))
 part = $(word $(1),$(subst -, ,$(notdir $(2))))
 row_of = $(patsubst %/,%,$(dir $(1)))
@@ -102,6 +111,7 @@ settings.pt := METHOD=pt
 settings.hybrid := METHOD=hybrid BASE_SPP=$(BASE_SPP)
 settings.single := METHOD=hybrid BASE_SPP=$(BASE_SPP) GRAPHS=1
 settings.auto := METHOD=hybrid BASE_SPP=auto
+settings.cache := CACHE=points CACHE_VIEWS=4 CACHE_SPP=16
 settings_of = $(settings.$(call part,1,$(1))) SPP=$(call part,2,$(1)) $(if $(SEED),SEED=$(SEED))
 .SECONDEXPANSION:
 $(marks): $(OUT)/%/strip-denoised.png: $(OUT)/$$(call row_of,$$*)/scene.xml $(OUT)/$$(call row_of,$$*)/frames.tsv FORCE
@@ -115,15 +125,15 @@ $(references): $(OUT)/%/reference/strip.png: $(OUT)/%/scene.xml $(OUT)/%/frames.
 
 # Lines of the table for each row: errors by frame, costs by frame, flicker; gains by the number of frames; spectra.
 frames := $(shell seq -f %04g 0 $$(($(COUNT) - 1)))
-# $(call inputs,NUMBER): LABEL=FILE of all runs, their frames as they are and denoised. pt-8 is pt-d-8 when it is denoised.
-inputs = $(foreach l,$(runs),$(l)=$(l)/images/frame-$(1).exr $(subst -,-d-,$(l))=$(l)/denoised/frame-$(1).exr)
+# $(call inputs,ROW,NUMBER): LABEL=FILE of all runs, their frames as they are and denoised. pt-8 is pt-d-8 when it is denoised.
+inputs = $(foreach l,$(call runs_of,$(1)),$(l)=$(l)/images/frame-$(2).exr $(subst -,-d-,$(l))=$(l)/denoised/frame-$(2).exr)
 $(eval $(call parameter,$(OUT)/table.parameters,$(ROWS) $(SPPS) $(PT_SPPS) $(COUNT) $(SIZE) $(BASE_SPP) $(REFERENCE_SPP)))
 measured := $(ROWS:%=$(OUT)/%/measured.tsv)
 $(measured): $(OUT)/%/measured.tsv: $(OUT)/%/reference/strip.png $$(call marks_of,$$*) $(OUT)/table.parameters $(compare) pipelines/chart-animation-row.awk
-	@cd $(@D) && { $(foreach n,$(frames),$(abspath $(compare)) --quiet --tsv $(call inputs,$(n)) -r reference/images/frame-$(n).exr;) \
-		$(abspath $(compare)) --quiet --by-frame $(foreach n,$(frames),$(call inputs,$(n))); \
-		$(abspath $(compare)) --quiet --sequence --tsv $(call inputs,%) -r reference/images/frame-%.exr; \
-		$(abspath $(compare)) --quiet --spectrum $(call inputs,%) -r reference/images/frame-%.exr; } \
+	@cd $(@D) && { $(foreach n,$(frames),$(abspath $(compare)) --quiet --tsv $(call inputs,$*,$(n)) -r reference/images/frame-$(n).exr;) \
+		$(abspath $(compare)) --quiet --by-frame $(foreach n,$(frames),$(call inputs,$*,$(n))); \
+		$(abspath $(compare)) --quiet --sequence --tsv $(call inputs,$*,%) -r reference/images/frame-%.exr; \
+		$(abspath $(compare)) --quiet --spectrum $(call inputs,$*,%) -r reference/images/frame-%.exr; } \
 		| awk -v row=$* -v kind=$(call field,1,$*) -v gains=gains.tsv -v spectra=spectra.tsv -f $(abspath pipelines/chart-animation-row.awk) >$(@F)
 # $(call joined,FILE): FILE of all rows as one table.
 joined = awk 'FNR > 1 || NR == 1' $(ROWS:%=$(OUT)/%/$(1)) >$@

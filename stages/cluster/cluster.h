@@ -81,6 +81,8 @@ struct Options {
     std::string with_output;          // clusters of the second graphs, named like `output`
     std::string scene, with_scene;    // scene files of the graphs
     std::vector<std::string> defines, with_defines;  // of those scenes, name=value
+    std::string absent;                              // in that table, value of a parameter whose shapes a frame lacks
+    std::string static_frames;                       // table of frames: `scene` stands for what they share
     std::string sensor;                              // of both scenes, id or index; empty: the first
     ClusterOptions cluster;
     bool plan = false;  // print the plan and stop

@@ -9,6 +9,7 @@
 #include "stages/cluster/cluster.h"
 #include "stages/core/app/command.h"
 #include "stages/core/clusters/cluster_quality.h"
+#include "stages/core/edit/animation.h"
 #include "stages/core/graph/graph_reader.h"
 #include "stages/core/scene/build.h"
 #include "stages/core/scene/embree.h"
@@ -60,6 +61,9 @@ void check(const Options& options) {
             throw InputError(fmt::format("{}: given twice", *twice));
     }
     if (options.scene.empty() && !options.defines.empty()) throw InputError("--define: needs --scene");
+    if (options.scene.empty() && !options.static_frames.empty()) throw InputError("--static: needs --scene");
+    if (!options.absent.empty() && options.static_frames.empty()) throw InputError("--absent: needs --static");
+    if (joint && !options.static_frames.empty()) throw InputError("--static: leave out --with");
     if (options.with_scene.empty() && !options.with_defines.empty())
         throw InputError("--with-define: needs --with-scene");
     if (joint && options.scene.empty() != options.with_scene.empty())
@@ -185,6 +189,11 @@ void declare(app::Command& command, Options& options) {
     command.file("--scene", options.scene,
                  "scene file of the graphs; turns on the visibility test between members of a cluster");
     command.option("-D,--define", options.defines, "NAME=VALUE of a parameter $NAME of that scene");
+    command.option("--absent", options.absent,
+                   "with --static: a parameter with this value drops the shapes that use it from the frame");
+    command.file(
+        "--static", options.static_frames,
+        "table of frames: the scene of the graphs is what the frames of --scene share, as in loom-trace --static");
     command.option("--sensor", options.sensor, "sensor of that scene, as given to loom-trace");
     command.files("--with", options.with,
                   "for each graph, a graph of an edited scene to cluster jointly with it, for differences of the two");
@@ -215,7 +224,11 @@ void declare(app::Command& command, Options& options) {
 void run(const Options& options, app::Report& report) {
     check(options);
     const auto load = [&](const std::string& file, const std::vector<std::string>& defines) {
-        return file.empty() ? nullptr : load_scene(file, parse_defines(defines), options.sensor);
+        if (options.static_frames.empty() || file.empty())
+            return file.empty() ? nullptr : load_scene(file, parse_defines(defines), options.sensor);
+        return build_scene(find_animation(file, parse_defines(defines), options.sensor,
+                                          read_frames(options.static_frames, options.absent), Cameras::each)
+                               .still);
     };
     const double before_s = report.cost().cpu_s;
     const auto scene = load(options.scene, options.defines),

@@ -59,7 +59,8 @@ namespace {
 std::string hashes_of_frames(const Options& options) {
     if (options.scene.empty()) throw InputError("--frames: needs --scene");
     const Frames frames = read_frames(options.frames, options.absent);
-    const Animation animation = find_animation(options.scene, parse_defines(options.defines), options.sensor, frames);
+    const Animation animation =
+        find_animation(options.scene, parse_defines(options.defines), options.sensor, frames, Cameras::each);
     std::map<std::uint32_t, std::string> by_number;
     for (std::size_t i = 0; i < frames.frames.size(); ++i)
         by_number.emplace(frames.frames[i].number, animation.frame_hashes[i]);

@@ -15,11 +15,6 @@
 namespace loom::residual {
 namespace {
 
-PathOptions with_seed(PathOptions path, std::uint64_t seed) {
-    path.seed = seed;
-    return path;
-}
-
 /// State of one thread, reused between chunks.
 struct Worker {
     PathBatch old_batch, new_batch;

@@ -52,6 +52,11 @@ struct Seeds {
 };
 Seeds seeds_of(Method method, std::uint64_t seed);
 
+inline PathOptions with_seed(PathOptions path, std::uint64_t seed) {
+    path.seed = seed;
+    return path;
+}
+
 /// Renders the mean difference of pairs of paths, new minus old.
 ///   delta_L = 1/n sum_i [L_new(u_i) - L_old(v_i)];  var_mean from the spread of the differences     [RP] §6
 /// independent: v_i is independent of u_i; var_mean is the sum of those of the two images.

@@ -11,6 +11,7 @@
 #include "stages/core/app/command.h"
 #include "stages/core/edit/animation.h"
 #include "stages/core/scene/build.h"
+#include "stages/residual/cached_frames.h"
 #include "stages/residual/edit_job.h"
 #include "stages/residual/frame_plan.h"
 
@@ -99,6 +100,10 @@ std::size_t frames_at_once(const Base& base) {
 
 void render_frames(const Options& options, app::Report& report) {
     check_frames(options);
+    if (!options.cache.empty()) {
+        render_cached_frames(options, report);
+        return;
+    }
     const Frames table = read_frames(options.frames, options.absent);
     const std::vector<Frames::Frame> frames = frames_of(table, options.only);
     Animation animation = find_animation(options.old_scene, parse_defines(options.defines), options.sensor, table);

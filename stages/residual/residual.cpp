@@ -229,6 +229,10 @@ void declare(app::Command& command, Options& options) {
         "with --frames: FIRST:END, the frames from FIRST on below END; FIRST:END:STEP, each STEP-th of them");
     command.option("--absent", options.absent,
                    "with --frames: a parameter with this value drops the shapes that use it from the frame");
+    command.file(
+        "--cache", options.cache,
+        "with --frames: radiance cache of the static scene by loom-learn, in place of --old; the camera may move. "
+        "The images are biased by the cache, whose error is their layer CacheError");
     command.option("--sensor", options.sensor,
                    "sensor of both scenes, by id or by number from 0 in the order of the file (default: the first)");
     command.file("--old", options.old_picture,
@@ -737,6 +741,7 @@ void run(const Options& options, app::Report& report) {
     }
     if (!options.only.empty()) throw InputError("--only: needs --frames");
     if (!options.absent.empty()) throw InputError("--absent: needs --frames");
+    if (!options.cache.empty()) throw InputError("--cache: needs --frames");
     if (!options.plan && options.technique != "list") check_endings(options);
 
     const std::string& new_file = options.new_scene.empty() ? options.old_scene : options.new_scene;

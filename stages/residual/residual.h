@@ -25,6 +25,7 @@ struct Options {
     std::string frames;                  // table of frames: the old scene is the static one, each row a new one
     std::string only;                    // FIRST:END: frames with these numbers alone
     std::string absent;                  // value of a parameter whose shapes a frame lacks
+    std::string cache;                   // radiance cache of the static scene: the camera of frames may move
     std::string sensor;                  // of both scenes: id or index, from 0; empty: the first
     std::string old_picture;             // image of the old scene, with VarMean
     std::vector<std::string> old_graph;  // passes over the old scene: only paths that the edit touches are traced

@@ -170,14 +170,16 @@ void declare(app::Command& command, Options& options) {
     command.file(
         "--static", options.static_frames,
         "table of frames (.tsv: `frame` and names of $parameters, a row per frame): trace the static scene that "
-        "they share, for loom-residual --frames");
+        "they share, for loom-residual --frames; with --only from the camera of each of those frames, a path graph for "
+        "a "
+        "radiance cache (loom-learn), with random numbers of its own; % in the output's name is the frame's number");
     command.file(
         "--frames", options.frames,
         "table of frames: trace each by itself, with random numbers of its own, into an image; % in the output's "
         "name is its number, with four digits");
     command.option(
         "--only", options.only,
-        "with --frames: FIRST:END, the frames from FIRST on below END; FIRST:END:STEP, each STEP-th of them");
+        "with --frames, --static: FIRST:END, the frames from FIRST on below END; FIRST:END:STEP, each STEP-th of them");
     command.option("--absent", options.absent,
                    "with --frames, --static: a parameter with this value drops the shapes that use it from the frame");
     command.threads(options.threads);
@@ -258,9 +260,13 @@ void check_output(const Options& options, const std::string& ending) {
                         options.first_sample, options.spp));
     check_output_path(options.output);
     if (options.frames.empty()) {
-        if (!options.only.empty()) throw InputError("--only: needs --frames");
         if (!options.absent.empty() && options.static_frames.empty())
             throw InputError("--absent: needs --frames or --static");
+        if (options.only.empty()) return;
+        if (options.static_frames.empty()) throw InputError("--only: needs --frames or --static");
+        if (options.passes > 1) throw InputError("--only: makes one graph of each frame; leave out --passes");
+        if (options.output.find('%') == std::string::npos)
+            throw InputError(fmt::format("{}: needs a % for the number of the frame", options.output));
         return;
     }
     if (!options.static_frames.empty()) throw InputError("--frames: traces whole scenes; leave out --static");
@@ -368,6 +374,38 @@ void trace_frames(const Options& options, app::Report& report) {
     }
 }
 
+/// Traces the static scene from the cameras of some frames. A view has the same bytes alone and among others.
+void trace_views(const Options& options, const std::string& ending, app::Report& report) {
+    if (options.plan || !options.replay.empty()) throw InputError("--only: leave out --plan and --replay");
+    const Frames table = read_frames(options.static_frames, options.absent);
+    const std::vector<Frames::Frame> frames = frames_of(table, options.only);
+    const Defines defines = parse_defines(options.defines);
+    Animation animation = find_animation(options.scene, defines, options.sensor, table, Cameras::each);
+    const std::string of_frames = animation.describe();
+    const std::unique_ptr<Scene> scene = build_scene(std::move(animation.still));
+    for (const std::string& note : scene->notes) report.info("{}", note);
+    Cost loading = report.cost();
+    loading.wall_s /= double(frames.size()), loading.cpu_s /= double(frames.size());
+    for (const Frames::Frame& frame : frames) {
+        const Cost before = report.cost();
+        set_camera(*scene, *animation.frames[frame.row].root);
+        Options own = options;
+        own.output = app::name_of_part(options.output, fmt::format("{:04}", frame.number));
+        own.seed = streams::frame(options.seed, frame.number);
+        const PathOptions path = path_options(own, *scene);
+        const Passes view{
+            own,
+            *scene,
+            path,
+            app::command_of_part(report.command(), {{" --only " + options.only,
+                                                     fmt::format(" --only {}:{}", frame.number, frame.number + 1)}}),
+            plan(*scene, path, ending == ".h5" ? &options.columns : nullptr) + "; " + of_frames,
+            ending,
+            loading};
+        finish_pass(view, own.output, trace_pass(view, 0, own.output, report), before, report);
+    }
+}
+
 }  // namespace
 
 void run(const Options& options, app::Report& report) {
@@ -375,6 +413,10 @@ void run(const Options& options, app::Report& report) {
     if (!options.plan && options.replay.empty()) check_output(options, ending);
     if (!options.frames.empty()) {
         trace_frames(options, report);
+        return;
+    }
+    if (!options.static_frames.empty() && !options.only.empty()) {
+        trace_views(options, ending, report);
         return;
     }
 

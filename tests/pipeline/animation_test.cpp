@@ -392,6 +392,59 @@ TEST_F(MakeAnimation, plans_the_samples_of_what_frames_share) {
     EXPECT_EQ(make("BASE_SPP=most").code, 2);
 }
 
+TEST_F(MakeAnimation, walks_with_a_cache) {
+    const std::string walk = "SCENE=scenes/animated/walk.xml ",
+                      cached = walk + "CACHE=points CACHE_VIEWS=2 CACHE_SPP=2 ";
+    const auto at = [](int number, const std::string& x, const std::string& eye) {
+        return fmt::format("{}\t{}\t{}, 1, 3\n", number, x, eye);
+    };
+    const std::string head = "frame\tx\teye\n", first = at(0, "-.5", "0") + at(1, "-.3", ".1"),
+                      last = at(3, ".1", ".3");
+    write(first + at(2, "-.1", ".2") + last, head);
+    // Without a cache the error says what to do.
+    for (const char* spp : {"2", "auto"}) {
+        const Outcome outcome = make(walk + "BASE_SPP=" + spp, "bad");
+        EXPECT_EQ(outcome.code, 2);
+        EXPECT_NE(outcome.err.find("has another sensor than frame 0. Where the camera moves"), std::string::npos)
+            << outcome.err;
+        EXPECT_NE(outcome.err.find("make animation CACHE=points"), std::string::npos) << outcome.err;
+    }
+    EXPECT_EQ(frames(walk + "METHOD=pt", "pt"), Numbers({0, 1, 2, 3}));
+    EXPECT_EQ(frames(cached), Numbers({0, 1, 2, 3}));
+    const fs::path cache = folder / "x/cache/cache.h5", view = folder / "x/cache/view-0002.h5";
+    EXPECT_TRUE(fs::exists(cache));
+    EXPECT_TRUE(fs::exists(view));
+    EXPECT_FALSE(fs::exists(folder / "x/cache/view-0001.h5"));
+    EXPECT_FALSE(fs::exists(folder / "x/base"));
+    EXPECT_EQ(frames(cached), Numbers());
+    const Outcome inspected = sh(stage("inspect") + " --quiet " + named("x/images/frame-0001.exr"));
+    EXPECT_NE(inspected.out.find("CacheError.R"), std::string::npos) << inspected.out;
+    EXPECT_NE(inspected.out.find("biased"), std::string::npos) << inspected.out;
+    // A row whose view is not in the cache: that frame. One whose view is: the cache, and so all of them.
+    const std::string before = bytes_of(cache);
+    write(at(0, "-.5", "0") + at(1, "-.3", ".15") + at(2, "-.1", ".2") + last, head);
+    EXPECT_EQ(frames(cached), Numbers({1}));
+    EXPECT_EQ(bytes_of(cache), before);
+    write(first + at(2, "-.1", ".25") + last, head);
+    EXPECT_EQ(frames(cached), Numbers({0, 1, 2, 3}));
+    EXPECT_NE(bytes_of(cache), before);
+    // Batches, threads and a cache made alone change no byte.
+    EXPECT_EQ(frames(cached + "BATCH=1 THREADS=1", "y"), Numbers({0, 1, 2, 3}));
+    for (int number = 0; number < 4; ++number)
+        EXPECT_EQ(bytes_of(image(number)), bytes_of(image(number, "y"))) << number;
+    EXPECT_EQ(frames(cached + "SPP=3"), Numbers({0, 1, 2, 3}));
+    // A camera that stands still may have one as well.
+    write(row(0, "-.5") + row(1, ".2"));
+    EXPECT_EQ(frames(cached, "still"), Numbers({0, 1}));
+    for (const char* wrong : {"CACHE=magic", "CACHE=points METHOD=pt", "CACHE=points CACHE_VIEWS=0"})
+        EXPECT_EQ(make(wrong).code, 2) << wrong;
+    // By hand: views without a number in their name, or as passes.
+    const std::string run =
+        stage("trace") + " scenes/animated/walk.xml --spp 1 --static " + named(table) + " --only 0:1 -o ";
+    EXPECT_NE(sh(run + named("v.h5")).err.find("needs a %"), std::string::npos);
+    EXPECT_NE(sh(run + named("v-%.h5") + " --passes 2").err.find("leave out --passes"), std::string::npos);
+}
+
 TEST_F(MakeAnimation, takes_any_name_of_a_table_and_no_wrong_one) {
     table = "it's a; touch PWNED.tsv";
     write(row(0, "0") + row(1, "0.1"));

@@ -33,8 +33,8 @@ std::string error_of(const auto& f) {
 }
 
 constexpr const char* scene_text = R"(<scene version="3.0.0">
-<default name="x" value="0"/><default name="paint" value="0.5"/><default name="power" value="1"/><default name="fov" value="40"/>
-<sensor type="perspective"><float name="fov" value="$fov"/><film type="hdrfilm"><integer name="width" value="4"/><integer name="height" value="4"/></film></sensor>
+<default name="x" value="0"/><default name="paint" value="0.5"/><default name="power" value="1"/><default name="fov" value="40"/><default name="width" value="4"/>
+<sensor type="perspective"><float name="fov" value="$fov"/><film type="hdrfilm"><integer name="width" value="$width"/><integer name="height" value="4"/></film></sensor>
 <shape type="rectangle" id="floor"/>
 <shape type="sphere" id="ball"><transform name="to_world"><translate x="$x" z="1"/></transform></shape>
 <shape type="cube" id="box"><bsdf type="diffuse"><rgb name="reflectance" value="$paint, 0.5, 0.5"/></bsdf></shape>
@@ -201,6 +201,38 @@ TEST(Animation, OtherMeshesAreMovingShapes) {
         EXPECT_NE(animation.frame_hashes[0], animation.frame_hashes[1]);
         for (const SceneDescription& frame : animation.frames) EXPECT_EQ(n_shapes(frame), 5u);
     }
+}
+
+TEST(Animation, CamerasMayMoveWhereThatIsAllowed) {
+    const auto found = [](const char* rows) {
+        const Case c(rows);
+        return find_animation(c.scene.path, {}, "", c.frames(), Cameras::each);
+    };
+    const char* stands = "frame\tx\n0\t0\n4\t1\n";
+    const Animation animation = found("frame\tfov\tx\n0\t40\t0\n4\t41\t1\n"),
+                    other = found("frame\tx\tfov\n7\t2\t50\n8\t0\t60\n"), still = found(stands);
+    EXPECT_TRUE(animation.camera_moves);
+    EXPECT_EQ(animation.describe(), "static: without 'ball'; the camera moves");
+    EXPECT_EQ(animation.moving, std::vector<std::string>{"'ball'"});
+    // Whatever the cameras, the static scene is the same; one that stands still is a part of it.
+    EXPECT_EQ(animation.still_hash, other.still_hash);
+    EXPECT_EQ(build_scene(animation.still)->content_hash, build_scene(other.still)->content_hash);
+    EXPECT_NE(animation.frame_hashes[0], animation.frame_hashes[1]);
+    EXPECT_FALSE(still.camera_moves);
+    EXPECT_EQ(still.still_hash, Case(stands).animation().still_hash);
+    EXPECT_NE(still.still_hash, animation.still_hash);
+    // The static scene from the camera of another frame.
+    const SceneDescription aimed = with_camera_of(animation.still, other.still);
+    EXPECT_EQ(aimed.root->children(Category::shape).size(), 3u);
+    const auto here = build_scene(animation.still), there = build_scene(SceneDescription(aimed));
+    EXPECT_EQ(there->sensor.tan_half_fov_x, build_scene(other.still)->sensor.tan_half_fov_x);
+    EXPECT_NE(there->sensor.tan_half_fov_x, here->sensor.tan_half_fov_x);
+    set_camera(*here, *aimed.root);
+    EXPECT_EQ(there->sensor.tan_half_fov_x, here->sensor.tan_half_fov_x);
+    EXPECT_NE(error_of([&] {
+                  found("frame\tx\twidth\n0\t0\t4\n1\t0\t5\n");
+              }).find(":3: frame 1: has another kind of sensor or another film than frame 0"),
+              std::string::npos);
 }
 
 TEST(Animation, ErrorsNameTheFrame) {

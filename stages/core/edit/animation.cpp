@@ -111,8 +111,9 @@ std::string Animation::describe() const {
         return names.empty() ? std::string() : fmt::format("{} {}", what, fmt::join(names, ", "));
     };
     const std::string out = list("static: without", moving), lights = list("lights of the first frame:", relit);
-    if (out.empty() && lights.empty()) return "static: nothing differs between the frames";
-    return out + (out.empty() || lights.empty() ? "" : "; ") + lights;
+    std::string text = out + (out.empty() || lights.empty() ? "" : "; ") + lights;
+    if (camera_moves) return text.empty() ? "static: all but the camera" : text + "; the camera moves";
+    return text.empty() ? "static: nothing differs between the frames" : text;
 }
 
 std::vector<Frames::Frame> frames_of(const Frames& frames, const std::string& only) {
@@ -140,7 +141,7 @@ std::vector<Frames::Frame> frames_of(const Frames& frames, const std::string& on
 }
 
 Animation find_animation(const std::filesystem::path& scene, const Defines& defines, const std::string& sensor,
-                         const Frames& frames) {
+                         const Frames& frames, Cameras cameras) {
     CanonicalTexts texts;  // of objects that must live as long
     std::vector<SceneDescription> descriptions;
     for (const Frames::Frame& frame : frames.frames)
@@ -151,16 +152,28 @@ Animation find_animation(const std::filesystem::path& scene, const Defines& defi
     const Objects shapes = first.children(Category::shape), emitters = first.children(Category::emitter);
     std::vector<char> shape_differs(shapes.size()), emitter_differs(emitters.size());
     std::set<std::string> lacking, lacking_lights;
+    bool camera_moves = false;
     for (std::size_t i = 1; i < descriptions.size(); ++i) {
         const Object& other = *descriptions[i].root;
         const auto where = [&] {
             return fmt::format("{}:{}: frame {}", frames.file, frames.frames[i].line, frames.frames[i].number);
         };
-        for (const Category category : {Category::sensor, Category::integrator})
-            if (texts.text(first.child(category)) != texts.text(other.child(category)))
+        const auto differs = [&](const ObjectPtr& a, const ObjectPtr& b) { return texts.text(a) != texts.text(b); };
+        if (differs(first.child(Category::integrator), other.child(Category::integrator)))
+            throw InputError(fmt::format("{}: has another integrator than frame {}; frames need one length of paths",
+                                         where(), frames.frames[0].number));
+        if (const ObjectPtr a = first.child(Category::sensor), b = other.child(Category::sensor); differs(a, b)) {
+            if (cameras == Cameras::one)
                 throw InputError(fmt::format(
-                    "{}: has another {} than frame {}; frames need one view of the scene, and one length of paths",
-                    where(), name(category), frames.frames[0].number));
+                    "{}: has another sensor than frame {}. Where the camera moves, the frames have no image in "
+                    "common, but a radiance cache: loom-residual --cache (make animation CACHE=points), or "
+                    "trace each frame by itself: loom-trace --frames (make animation METHOD=pt)",
+                    where(), frames.frames[0].number));
+            if (!a || !b || a->plugin != b->plugin || differs(a->child(Category::film), b->child(Category::film)))
+                throw InputError(fmt::format("{}: has another kind of sensor or another film than frame {}", where(),
+                                             frames.frames[0].number));
+            camera_moves = true;
+        }
         const auto compare = [&](const Objects& ours, const Objects& theirs, const SceneMatch& match,
                                  std::vector<char>& differs) {
             for (std::size_t k = 0; k < ours.size(); ++k) {
@@ -198,8 +211,13 @@ Animation find_animation(const std::filesystem::path& scene, const Defines& defi
     add_missing(out.moving, lacking);
     add_missing(out.relit, lacking_lights);
     out.still = descriptions[0];
+    out.camera_moves = camera_moves;
     // Its content alone identifies it, so that other frames of the same static scene share its files.
-    out.still_hash = hash_of(texts.text(*root));
+    const auto without_camera = std::make_shared<Object>(*root);
+    if (camera_moves)
+        std::erase_if(without_camera->nested,
+                      [](const auto& child) { return child.first->category == Category::sensor; });
+    out.still_hash = hash_of(texts.text(*without_camera));
     out.still.parameters = {{"static scene", out.still_hash}};
     out.still.files.clear();
     if (has_less) {
@@ -208,6 +226,16 @@ Animation find_animation(const std::filesystem::path& scene, const Defines& defi
     }
     out.still.root = std::move(root);
     out.frames = std::move(descriptions);
+    return out;
+}
+
+SceneDescription with_camera_of(const SceneDescription& scene, const SceneDescription& frame) {
+    SceneDescription out = scene;
+    auto root = std::make_shared<Object>(*scene.root);
+    const ObjectPtr camera = frame.root->child(Category::sensor);
+    for (auto& child : root->nested)
+        if (child.first->category == Category::sensor && camera) child.first = camera;
+    out.root = std::move(root);
     return out;
 }
 

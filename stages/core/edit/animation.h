@@ -50,8 +50,12 @@ SceneDescription read_frame(const std::filesystem::path& scene, const Frames& fr
 /// throws:  InputError
 std::vector<Frames::Frame> frames_of(const Frames& frames, const std::string& only);
 
+/// Whether the frames of an animation may have cameras of their own.
+enum class Cameras : std::uint8_t { one, each };
+
 struct Animation {
-    SceneDescription still;  // without the shapes that move; built, its hash depends on what it holds alone
+    // With the camera of the first frame, without the shapes that move; built, its hash depends on what it holds alone.
+    SceneDescription still;
     std::optional<SceneDescription> fixed;  // without the lights with shapes that differ, too; none: `still` has none
     std::vector<std::string>
         moving;  // ids of the shapes that differ between frames, or that some lack, and emit nothing
@@ -60,16 +64,21 @@ struct Animation {
     // Content hashes, whatever the names of files: of `still`, and of each frame's whole scene.
     std::string still_hash;
     std::vector<std::string> frame_hashes;
+    bool camera_moves = false;
     std::string describe() const;  // in one line
 };
 
 /// Finds what the frames of a scene have in common. A light that differs stays as it is in the first frame, for the choice
 /// of a light among others depends on their number; one that the first frame lacks is added in others. Shapes and lights
-/// are matched as those of an edit (match_shapes()).
-/// throws:  InputError of the scene with the frame's line; where camera, film or integrator differ, for which frames have
-///          no common pixels or paths
+/// are matched as those of an edit (match_shapes()). With Cameras::each the hash of the static scene does not depend on the
+/// camera where that differs.
+/// throws:  InputError of the scene with the frame's line; where film or integrator differ, or with Cameras::one the
+///          camera, for which frames have no common pixels or paths
 Animation find_animation(const std::filesystem::path& scene, const Defines& defines, const std::string& sensor,
-                         const Frames& frames);
+                         const Frames& frames, Cameras cameras = Cameras::one);
+
+/// Returns a description with the camera of another one.
+SceneDescription with_camera_of(const SceneDescription& scene, const SceneDescription& frame);
 
 /// Returns the geometry that the new scene of an edit has from the old one. Nothing is known where a shape of the old one is
 /// moved or removed, nor in an NLOS capture.

@@ -518,6 +518,11 @@ std::unique_ptr<Scene> build_scene(SceneDescription description, const KnownPart
     return scene;
 }
 
+void set_camera(Scene& scene, const Object& root) {
+    scene.sensor = read_view(root).sensor;
+    scene.sensor_media = find_sensor_media(scene);
+}
+
 Defines parse_defines(const std::vector<std::string>& texts) {
     Defines defines;
     for (const std::string& text : texts) {

@@ -38,6 +38,10 @@ struct View {
 /// throws:  InputError with the location in the file
 View read_view(const Object& root);
 
+/// Points the camera of a scene as a description has it; the rest of the scene stays as it is. No other thread may use it.
+/// throws:  InputError with the location in the file
+void set_camera(Scene& scene, const Object& root);
+
 /// Parses texts NAME=VALUE, as given on a command line.
 /// throws:  InputError
 Defines parse_defines(const std::vector<std::string>& texts);
