@@ -10,6 +10,7 @@
 #include "stages/core/app/command.h"
 #include "stages/core/compute/parallel.h"
 #include "stages/core/graph/graph_reader.h"
+#include "stages/learn/grid.h"
 #include "stages/learn/points.h"
 
 namespace loom::learn {
@@ -104,14 +105,17 @@ bool PreferredVertices::operator()(std::size_t vertex, const Bsdf<float>& bsdf) 
     return is_first_[vertex] || (!counts_bounces_ && kind == BsdfKind::diffuse && bsdf.opacity == 1);
 }
 
-RadianceCache learn(const std::vector<LearnInput>& inputs, const LearnOptions& options) {
+RadianceCache learn(const std::vector<LearnInput>& inputs, const LearnOptions& options, app::Report* report) {
     RadianceCache cache;
-    cache.settings.method = "points";
+    cache.settings.method = options.method == Method::grid ? "grid" : "points";
     cache.settings.seed = options.seed;
     cache.settings.smallest_roughness = options.smallest_roughness;
     for (const LearnInput& in : inputs) cache.graphs.push_back(in.graph_id.hash);
-    fill_points(inputs, options, cache);
-    if (cache.n_points() == 0) return cache;
+    if (options.method == Method::grid)
+        fill_grid(inputs, options, cache, report);
+    else
+        fill_points(inputs, options, cache);
+    if (cache.settings.samples == 0) return cache;
 
     const std::unique_ptr<CacheReader> reader = make_cache_reader(std::move(cache));
     Validation found =
@@ -161,11 +165,25 @@ auto of_graph(const std::vector<std::string>& files, const InputId& graph, const
     throw InputError(fmt::format("{}: none of the inputs was made from it; run: {}", graph.name, make));
 }
 
-std::string plan_of(const std::vector<LearnInput>& inputs) {
+std::string plan_of(const std::vector<LearnInput>& inputs, const LearnOptions& options) {
     std::uint64_t clusters = 0;
     bool zero = false;
     for (const LearnInput& in : inputs)
         clusters += in.clusters.n_clusters(), zero |= in.radiance.settings.start == "zero";
+    if (options.method == Method::grid) {
+        bool directional = false, textured = false;
+        for (const LearnInput& in : inputs) {
+            directional |= needs_directions(in.graph);
+            textured |= needs_demodulation(in.graph);
+        }
+        std::string on = options.seconds
+                             ? fmt::format("{} s of training", *options.seconds)
+                             : fmt::format("{} training samples", options.samples.value_or(default_samples));
+        std::string off = "means of clusters (method grid)";
+        (directional ? on : off) += directional ? ", inputs by direction" : ", inputs by direction (all is diffuse)";
+        (textured ? on : off) += textured ? ", reflectance divided out" : ", division by reflectance (no textures)";
+        return fmt::format("on: hash grid and network, {}; off: {}", on, off);
+    }
     return fmt::format(
         "on: means of {} clusters of {} graphs, reflectance divided out{}; off: hash grid and network (method points)",
         clusters, inputs.size(),
@@ -180,8 +198,17 @@ void declare(app::Command& command, Options& options) {
                "path graphs of one scene, and for each its clusters and its refined radiance (.h5), in any order")
         .required();
     command.output("-o,--output", options.output, "radiance cache (.h5)");
-    command.choice("--method", options.learn.method, "points: means of the clusters; no training",
-                   {{"points", Method::points}});
+    command.choice("--method", options.learn.method,
+                   "points: means of the clusters, no training; grid: hashed grids of features and a network, trained "
+                   "on the vertices",
+                   {{"points", Method::points}, {"grid", Method::grid}});
+    command.option("--samples", options.learn.samples,
+                   fmt::format("training samples of a grid (default: {})", default_samples),
+                   app::Range<std::uint64_t>{1, std::uint64_t{1} << 40});
+    command.option("--seconds", options.learn.seconds,
+                   "CPU time of the training of a grid, in place of --samples; each run then learns another cache, and "
+                   "names the --samples that repeat it",
+                   app::Range<double>{0.1, 1e6, "s"});
     command.option("--smallest-roughness", options.learn.smallest_roughness,
                    "smallest microfacet alpha of a surface that the cache covers; smoother ones are to be followed to "
                    "the next surface",
@@ -191,6 +218,7 @@ void declare(app::Command& command, Options& options) {
     command.flag("--plan", options.plan, "print the plan and stop");
     command.example("loom-learn graph.h5 clusters.h5 radiance.h5 -o cache.h5");
     command.example("loom-learn view-*.h5 -o cache.h5");
+    command.example("loom-learn view-*.h5 --method grid -o cache.h5");
 }
 
 void run(const Options& options, app::Report& report) {
@@ -198,6 +226,9 @@ void run(const Options& options, app::Report& report) {
         if (options.output.empty()) throw InputError("--output: missing (a .h5 file)");
         check_output_path(options.output);
     }
+    if (options.learn.method != Method::grid && (options.learn.samples || options.learn.seconds))
+        throw InputError(fmt::format("--{}: needs --method grid", options.learn.samples ? "samples" : "seconds"));
+    if (options.learn.samples && options.learn.seconds) throw InputError("--seconds: leave out --samples");
     // Read the inputs, and check that they belong together.
     const Files files = sorted(options.files);
     std::vector<LearnInput> inputs;
@@ -228,7 +259,7 @@ void run(const Options& options, app::Report& report) {
             parents.push_back(file);
         }
     }
-    const std::string plan = plan_of(inputs);
+    const std::string plan = plan_of(inputs, options.learn);
     if (options.plan) {
         report.answer(plan + "\n");
         return;
@@ -236,8 +267,8 @@ void run(const Options& options, app::Report& report) {
     report.info("plan: {}", plan);
 
     // Learn, and write.
-    RadianceCache cache = learn(inputs, options.learn);
-    if (cache.n_points() == 0)
+    RadianceCache cache = learn(inputs, options.learn, &report);
+    if (cache.settings.samples == 0)
         throw InputError(fmt::format("{}: no vertex of a cluster that a cache covers (mirrors and glass have none)",
                                      files.graphs[0]));
     if (cache.settings.nonfinite > 0)
@@ -253,7 +284,10 @@ void run(const Options& options, app::Report& report) {
     Cost cost = report.cost(plan);
     cost.samples = cache.settings.samples;
     write_cost_of(options.output, cost, parents);
-    report.done("{} points of {} vertices", cache.n_points(), cache.settings.samples);
+    if (cache.is_grid())
+        report.done("{} training samples in {} batches", cache.settings.samples, cache.settings.batches);
+    else
+        report.done("{} points of {} vertices", cache.n_points(), cache.settings.samples);
 }
 
 }  // namespace loom::learn

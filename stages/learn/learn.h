@@ -2,6 +2,7 @@
 // loom-learn: a radiance cache from the refined vertices of path graphs of one scene.                [HY] section 3.4
 
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -19,7 +20,7 @@ class Report;
 
 namespace loom::learn {
 
-enum class Method : std::uint8_t { points };
+enum class Method : std::uint8_t { points, grid };
 
 /// A path graph with its clusters and its refined radiance.
 struct LearnInput {
@@ -33,8 +34,14 @@ struct LearnOptions {
     Method method = Method::points;
     float smallest_roughness = 0.03f;  // of a surface that the cache covers
     std::uint64_t seed = 0;
+    // Length of the training of a grid: a number of samples, rounded up to whole batches, or the CPU time. By time, two
+    // runs learn different caches.
+    std::optional<std::uint64_t> samples;
+    std::optional<double> seconds;
     int threads = 0;  // 0: all
 };
+/// Training samples of a grid without another length.
+inline constexpr std::uint64_t default_samples = 1 << 23;
 
 /// Share of the vertices that is held back to validate the cache.
 inline constexpr double held_back_share = 0.01;
@@ -77,8 +84,9 @@ Validation validate(const CacheReader& reader, const std::vector<Label>& labels,
                     const std::vector<std::string>& materials, int threads);
 
 /// Makes the cache of all inputs; the caller sets scene and provenance.
+/// in:      report  shows the progress; null: nothing does
 /// needs:   graphs of one scene
-RadianceCache learn(const std::vector<LearnInput>& inputs, const LearnOptions& options);
+RadianceCache learn(const std::vector<LearnInput>& inputs, const LearnOptions& options, app::Report* report = nullptr);
 
 struct Options {
     std::vector<std::string> files;  // path graphs, clusters and radiance, in any order

@@ -4,6 +4,7 @@
 
 #include "formats/io/content_hash.h"
 #include "formats/io/error.h"
+#include "stages/core/cache/grid_cache.h"
 #include "stages/core/cache/point_cache.h"
 #include "stages/core/scattering/lobe_width.h"
 #include "stages/core/scene/scene.h"
@@ -13,7 +14,7 @@ namespace loom {
 CacheQuery cache_query(const ShadingPoint& at) {
     const Normal3f& n = at.frame.n;
     return {at.p, dot(n, at.wo) < 0 ? -n : n, at.wo,
-            narrowest_lobe(at.bsdf.model->kind, at.bsdf.alpha_u, at.bsdf.alpha_v, at.bsdf.exponent),
+            specular_alpha(at.bsdf.model->kind, at.bsdf.alpha_u, at.bsdf.alpha_v, at.bsdf.exponent),
             albedo(at.bsdf, at.wo_local)};
 }
 
@@ -23,7 +24,7 @@ bool is_cached(const Bsdf<float>& bsdf, float smallest_roughness) {
 }
 
 std::unique_ptr<CacheReader> make_cache_reader(RadianceCache cache) {
-    if (cache.is_grid()) throw InputError("a cache of method grid: this build reads those of points");
+    if (cache.is_grid()) return std::make_unique<GridCache>(std::move(cache));
     return std::make_unique<PointCache>(std::move(cache));
 }
 

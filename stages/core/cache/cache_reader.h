@@ -18,7 +18,7 @@ struct CacheQuery {
     Point3f p;             // world space, m
     Normal3f n;            // shading normal, on the side of wo
     Vector3f wo;           // unit, world space
-    float roughness = 0;   // width of the narrowest smooth lobe (narrowest_lobe())
+    float roughness = 1;   // specular_alpha() of the BSDF
     Spectrum reflectance;  // albedo of the BSDF for wo
 };
 CacheQuery cache_query(const ShadingPoint& at);

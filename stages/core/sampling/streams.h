@@ -101,6 +101,18 @@ constexpr std::uint64_t edit(std::uint64_t seed, std::uint64_t k) {
 constexpr std::uint64_t held_back(std::uint64_t seed, std::uint64_t graph_idx) {
     return numbered(mix64(seed ^ salt("cache")), graph_idx + 1);
 }
+/// Choice of the vertices to train on where there are more than training samples, as `selection` with this seed.
+constexpr std::uint64_t training_subset(std::uint64_t seed) {
+    return mix64(seed ^ salt("subset"));
+}
+/// Step i of the shuffling of training samples.
+constexpr std::uint64_t shuffle(std::uint64_t seed, std::uint64_t i) {
+    return numbered(mix64(seed ^ salt("shuffle")), i);
+}
+/// Initial value of weight i of a network.
+constexpr std::uint64_t weight(std::uint64_t seed, std::uint64_t i) {
+    return numbered(mix64(seed ^ salt("network")), i);
+}
 
 // Clusters and gathering.
 

@@ -31,4 +31,20 @@ inline float narrowest_lobe(BsdfKind kind, float alpha_u, float alpha_v, float e
     return 0;
 }
 
+/// Microfacet alpha of a BSDF's narrowest reflection, delta ones and coats included: 0 of a mirror or a smooth coat, 1
+/// without any (diffuse), at most 1.
+inline float specular_alpha(BsdfKind kind, float alpha_u, float alpha_v, float exponent) {
+    switch (kind) {
+        case BsdfKind::diffuse:
+        case BsdfKind::rough_diffuse:
+            return 1;
+        case BsdfKind::plastic:
+            return 0;
+        case BsdfKind::rough_plastic:
+            return std::min({alpha_u, alpha_v, 1.0f});
+        default:
+            return std::min(narrowest_lobe(kind, alpha_u, alpha_v, exponent), 1.0f);
+    }
+}
+
 }  // namespace loom
