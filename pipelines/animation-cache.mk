@@ -31,5 +31,6 @@ $(call view,clusters.h5) &: $(call view,h5) $(cluster)
 		-o $(cache_work)/%.clusters.h5
 $(call view,radiance.h5): $(cache_work)/%.radiance.h5: $(cache_work)/%.h5 $(cache_work)/%.clusters.h5 $(refine)
 	$(LAUNCH) $(refine) $(cache_work)/$*.h5 $(cache_work)/$*.clusters.h5 -o $@$(threads)
-$(cache): $(call view,radiance.h5) $(learn)
-	$(LAUNCH) $(learn) $(call view,h5) $(call view,clusters.h5) $(call view,radiance.h5)$(threads) -o $@
+$(eval $(call parameter,$(cache_work)/learn.parameters,$(CACHE)))
+$(cache): $(call view,radiance.h5) $(cache_work)/learn.parameters $(learn)
+	$(LAUNCH) $(learn) --method $(CACHE) $(call view,h5) $(call view,clusters.h5) $(call view,radiance.h5)$(threads) -o $@

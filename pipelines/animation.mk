@@ -17,7 +17,7 @@
 # BASE_SPP=auto asks loom-residual --plan (OUT/plan.txt): as many samples as give the least error for the time of all frames; and where
 # path tracing of equal error would cost less, METHOD=pt.
 #
-# CACHE=points: where the camera moves, frames have no image in common. They take what they share from a radiance cache
+# CACHE=points or grid: where the camera moves, frames have no image in common. They take what they share from a radiance cache
 # (OUT/cache/cache.h5, animation-cache.mk) and add the path-traced difference, SPP samples per pixel; biased, by about the layer
 # CacheError of each frame. BASE_SPP and GRAPHS are for a camera that stands still.
 ## make animation SCENE=scenes/animated/ball.xml FRAMES=scenes/animated/ball.tsv SPP=16
@@ -34,7 +34,7 @@ SPP ?= 8  ## samples per pixel of each graph, and so of each frame's residual
 BASE_SPP ?= auto  ## samples per pixel of the image of what the frames share; auto: by a pilot, see OUT/plan.txt
 GRAPHS ?= 2  ## number of graphs
 METHOD ?= hybrid  ## hybrid: what the frames share plus what moves; pt: path tracing of each frame
-# CACHE=  ## points: a radiance cache in place of the image of what the frames share; needed where the camera moves (none)
+# CACHE=  ## points, grid: a radiance cache in place of the image of what the frames share; needed where the camera moves (none)
 CACHE_VIEWS ?= 8  ## frames from whose cameras the cache is made
 CACHE_SPP ?= 4  ## samples per pixel of each of these views
 DENOISE ?= 0  ## 1: remove the noise of each frame
@@ -64,11 +64,11 @@ include pipelines/words.mk
 ifeq ($(filter hybrid pt,$(METHOD)),)
 $(error METHOD=$(METHOD): expected hybrid or pt)
 endif
-ifeq ($(filter points,$(CACHE))$(if $(CACHE),,none),)
-$(error CACHE=$(CACHE): expected points)
+ifeq ($(filter points grid,$(CACHE))$(if $(CACHE),,none),)
+$(error CACHE=$(CACHE): expected points or grid)
 endif
-ifeq ($(CACHE)$(METHOD),pointspt)
-$(error METHOD=pt CACHE=points: path tracing of each frame has no cache; leave out one of them)
+ifneq ($(and $(CACHE),$(filter pt,$(METHOD))),)
+$(error METHOD=pt CACHE=$(CACHE): path tracing of each frame has no cache; leave out one of them)
 endif
 $(foreach v,SCENE FRAMES,$(if $(call exists,$($(v))),,$(error $(v)=$($(v)): no such file)))
 OUT ?= out/$(call scene_name,$(SCENE))/animation

@@ -683,8 +683,8 @@ std::unique_ptr<EditRun> start_edit(Options options, const Base& base, EditJob j
         !scenes.new_scene->nlos)
         run->control = run->options.mask == Mask::coverage
                            ? graph_control(scenes.pair(), *run->reach, base.graph.path.seed, run->options.threads)
-                           : first_hit_control(scenes.pair(), *run->reach, base.graph.path.sampler, base.graph.path.seed,
-                                               base.graph.samples(), run->options.threads);
+                           : first_hit_control(scenes.pair(), *run->reach, base.graph.path.sampler,
+                                               base.graph.path.seed, base.graph.samples(), run->options.threads);
     return run;
 }
 
@@ -708,9 +708,9 @@ void finish_edit(EditRun& run, const Base& base, std::optional<GraphResidual> pa
                                                  options.new_picture.empty() ? nullptr : &base.image, report,
                                                  residual.counts, residual.plan, residual.controlled);
     else
-        residual.image =
-            render_residual(run.scenes.pair(), options.method, residual.path,
-                            {options.first_sample, options.spp, options.threads}, report, residual.counts, run.parts.get());
+        residual.image = render_residual(run.scenes.pair(), options.method, residual.path,
+                                         {options.first_sample, options.spp, options.threads}, report, residual.counts,
+                                         run.parts.get());
     label_residual(options, run.scenes, run.edit, base.graph, run.job.command, report, residual);
     run.spent.add(before, report.cost());
     const Cost cost = cost_of(run, report);
