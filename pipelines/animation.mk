@@ -116,9 +116,9 @@ animation report: $(OUT)/plan.txt
 		[ "$$spp" ] && [ "$$method" ] || { echo "$<: says no method and samples; remove it" >&2; exit 1; }; \
 		$(MAKE) --no-print-directory -f pipelines/animation.mk BASE_SPP="$$spp" METHOD="$$method" $@; }
 
-$(eval $(call parameter,$(OUT)/plan.parameters,$(static_hash) $(frames) --spp $(SPP)$(depth)$(seeded)))
+$(eval $(call parameter,$(OUT)/plan.parameters,$(static_hash) $(frames) --spp $(SPP) --graphs $(GRAPHS)$(depth)$(seeded)))
 $(OUT)/plan.txt: $(OUT)/plan.parameters $(residual)
-	$(LAUNCH) $(residual) $(scene_parameters) --frames $(call quote,$(FRAMES))$(absent) --plan --spp $(SPP)$(depth)$(seeded)$(threads) >$@.partial
+	$(LAUNCH) $(residual) $(scene_parameters) --frames $(call quote,$(FRAMES))$(absent) --plan --spp $(SPP) --graphs $(GRAPHS)$(depth)$(seeded)$(threads) >$@.partial
 	@mv $@.partial $@
 else
 animation: $(OUT)/strip.png $(OUT)/report.html

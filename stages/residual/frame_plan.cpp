@@ -14,17 +14,20 @@ namespace {
 constexpr std::uint64_t samples_per_pixel = 4, most_pixels = 8192, least_pixels = 64;
 constexpr std::size_t most_frames = 3;
 
-/// Cost of path tracing over n_s + n + F n c paths, at equal variance.
-double gain_of(const FramePilot& p, double spp, double still_spp, double n_frames) {
+/// Cost of path tracing over n_s + G n g + F n c paths, at equal variance.
+double gain_of(const FramePilot& p, double spp, double still_spp, double n_frames, double n_graphs) {
     const double variance = p.still / still_spp + p.difference / spp;
     if (!(variance > 0)) return INFINITY;
-    return n_frames * (p.fresh / variance) / (still_spp + spp + n_frames * spp * p.cost());
+    return n_frames * (p.fresh / variance) /
+           (still_spp + n_graphs * FramePlan::graph * spp + n_frames * spp * p.cost());
 }
 
-double still_spp_of(const FramePilot& p, double spp, double n_frames) {
+double still_spp_of(const FramePilot& p, double spp, double n_frames, double n_graphs) {
     const double most = std::max(spp * n_frames, 2.0);  // what path tracing of all frames would have
     if (!(p.still > 0)) return 2;
-    const double wanted = p.difference > 0 ? spp * std::sqrt((1 + n_frames * p.cost()) * p.still / p.difference) : most;
+    const double wanted =
+        p.difference > 0 ? spp * std::sqrt((n_graphs * FramePlan::graph + n_frames * p.cost()) * p.still / p.difference)
+                         : most;
     return std::clamp(std::round(wanted), 2.0, most);
 }
 
@@ -78,9 +81,10 @@ void fit(const std::vector<PathResult>& before, const std::vector<PathResult>& a
 
 }  // namespace
 
-FramePlan::FramePlan(const FramePilot& pilot, std::uint64_t spp, std::uint64_t n_frames) {
-    const auto gain_at = [&](double n) { return gain_of(pilot, double(spp), still_spp_of(pilot, double(spp), n), n); };
-    still_spp = std::uint64_t(still_spp_of(pilot, double(spp), double(n_frames)));
+FramePlan::FramePlan(const FramePilot& pilot, std::uint64_t spp, std::uint64_t n_frames, std::uint64_t n_graphs) {
+    const double n = double(spp), graphs = double(n_graphs);
+    const auto gain_at = [&](double f) { return gain_of(pilot, n, still_spp_of(pilot, n, f, graphs), f, graphs); };
+    still_spp = std::uint64_t(still_spp_of(pilot, n, double(n_frames), graphs));
     gain = gain_at(double(n_frames));
     // The gain grows with the number of frames.
     std::uint64_t low = 0, high = 1'000'000;

@@ -24,16 +24,20 @@ struct FramePilot {
 
 /// A frame has the variance of the static image and of its difference,
 ///   V = V_s / n_s + V_d / n,
-/// F frames cost n_s + n (the graph) + F n c, path tracing of the same variance F V_fresh / V. For a given n variance times
-/// cost is least at n_s = n sqrt((1 + F c) V_s / V_d); more than the F n of path tracing is
+/// F frames cost n_s + G n g (the graphs) + F n c, path tracing of the same variance F V_fresh / V. For a given n variance
+/// times cost is least at n_s = n sqrt((G g + F c) V_s / V_d); more than the F n of path tracing is
 /// never taken: beyond, the static image alone would cost more than all frames of as many samples as are asked for.
 struct FramePlan {
+    static constexpr double graph = 1.6;  // g: cost of a path that is traced and stored; measured: 1.45 to 1.75
+    /// Predicted gain below which frames are path traced: costs of small frames differ by as much from those counted here.
+    static constexpr double least_gain = 1.2;
+
     std::uint64_t still_spp = 1;   // of the static image
     double gain = 0;               // cost of path tracing of equal error over that of the frames
     std::uint64_t break_even = 0;  // number of frames from which on the gain is 1; 0: none below a million
 
-    /// in:      spp  of the graph
-    FramePlan(const FramePilot& pilot, std::uint64_t spp, std::uint64_t n_frames);
+    /// in:      spp  of each graph;  n_graphs  G, of which each frame takes one
+    FramePlan(const FramePilot& pilot, std::uint64_t spp, std::uint64_t n_frames, std::uint64_t n_graphs = 1);
 };
 
 /// Looks at some paths of a few frames, at most a 25th of the paths that path tracing of all frames would take.

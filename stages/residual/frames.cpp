@@ -33,6 +33,11 @@ void check_frames(const Options& options) {
 /// Returns the output of --plan, a value per line: what moves, how to render it, and why.
 std::string plan_of_frames(const Options& options, const Animation& animation,
                            const std::vector<Frames::Frame>& frames) {
+    // No pilot: the static image and a graph cost more than the paths of one frame.
+    if (frames.size() == 1)
+        return fmt::format(
+            "{}\nmethod: pt\nsamples of the static image: 2\nfor 1 frame, which shares them with no other\n",
+            animation.describe());
     SceneDescription description = animation.still;
     const std::shared_ptr<const Scene> still = build_scene(std::move(description));
     PathOptions path;
@@ -41,14 +46,14 @@ std::string plan_of_frames(const Options& options, const Animation& animation,
     path.rr_depth = still->rr_depth;
     path.max_depth = max_depth_of(options, animation.still);
     const FramePilot pilot = look_at_frames(animation, still, frames, path, options.spp);
-    const FramePlan plan(pilot, options.spp, frames.size());
+    const FramePlan plan(pilot, options.spp, frames.size(), options.n_graphs);
     return fmt::format(
         "{}\nmethod: {}\nsamples of the static image: {}\ngain over path tracing of equal error: {:.3g}\n"
-        "frames from which on it gains: {}\nfor {} frames and graphs of {} samples; variance of a path {:.3g}, of a "
+        "frames from which on it gains: {}\nfor {} frames and {} graphs of {} samples; variance of a path {:.3g}, of a "
         "frame's difference {:.3g}; {:.3g} % of the paths traced again\n",
-        animation.describe(), plan.gain >= 1 ? "hybrid" : "pt", plan.still_spp, plan.gain,
-        plan.break_even > 0 ? std::to_string(plan.break_even) : "none", frames.size(), options.spp, pilot.fresh,
-        pilot.difference, 100 * pilot.touched);
+        animation.describe(), plan.gain >= FramePlan::least_gain ? "hybrid" : "pt", plan.still_spp, plan.gain,
+        plan.break_even > 0 ? std::to_string(plan.break_even) : "none", frames.size(), options.n_graphs, options.spp,
+        pilot.fresh, pilot.difference, 100 * pilot.touched);
 }
 
 /// Adds the variances of a written frame: of the static image in it, and of all.

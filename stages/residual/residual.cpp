@@ -227,6 +227,8 @@ void declare(app::Command& command, Options& options) {
     command.option(
         "--only", options.only,
         "with --frames: FIRST:END, the frames from FIRST on below END; FIRST:END:STEP, each STEP-th of them");
+    command.option("--graphs", options.n_graphs, "with --frames --plan: number of graphs that frames take in turn",
+                   app::Range<std::uint64_t>{1, 1 << 20});
     command.option("--absent", options.absent,
                    "with --frames: a parameter with this value drops the shapes that use it from the frame");
     command.file(

@@ -24,6 +24,7 @@ struct Options {
     std::vector<std::string> defines, old_defines, new_defines;  // name=value; `defines` go before those of each scene
     std::string frames;                  // table of frames: the old scene is the static one, each row a new one
     std::string only;                    // FIRST:END: frames with these numbers alone
+    std::uint64_t n_graphs = 1;          // of a plan of frames: graphs that they take in turn
     std::string absent;                  // value of a parameter whose shapes a frame lacks
     std::string cache;                   // radiance cache of the static scene: the camera of frames may move
     std::string sensor;                  // of both scenes: id or index, from 0; empty: the first
