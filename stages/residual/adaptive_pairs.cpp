@@ -109,7 +109,7 @@ SparseResidual render_sparse_residual(const ScenePair& scenes, const Edit& edit,
     link.seed = options.path.seed;
     link.var_mean = mean_var_mean(out.image);
     out.summary = fmt::format("{:.3g} pairs per pixel, {}", pairs.mean,
-                              options.even ? "evenly" : "half of them where the others find a difference");
+                              options.even ? "evenly" : "some of them where the others find a difference");
     return out;
 }
 

@@ -85,12 +85,14 @@ TEST(PairCounts, OfAPixelDoNotFollowItself) {
     std::vector<double> variances(sensor.n_pixels(), 1.0);
     for (std::size_t p = 0; p < variances.size(); ++p) variances[p] = 1 + 0.1 * double(p % 5);
     const std::vector<std::uint32_t> ones(sensor.n_pixels(), 1);
+    std::vector<std::uint8_t> takes(sensor.n_pixels(), 1);
+    takes[3] = 0;
     const PairCounts before = pairs_by_deviation(sensor, variances, 2, 3),
-                     sizes_before = pairs_by_size(sensor, variances, ones, 0.5, 3);
+                     sizes_before = pairs_by_size(sensor, variances, ones, takes, 0.5, 3);
     constexpr std::size_t own = 5 * 16 + 7;
     variances[own] = 1e6;
     const PairCounts after = pairs_by_deviation(sensor, variances, 2, 3),
-                     sizes_after = pairs_by_size(sensor, variances, ones, 0.5, 3);
+                     sizes_after = pairs_by_size(sensor, variances, ones, takes, 0.5, 3);
     EXPECT_NEAR(after.expected[own], before.expected[own], 1e-9);
     EXPECT_NEAR(sizes_after.expected[own], sizes_before.expected[own], 1e-6);
     EXPECT_GT(after.expected[own + 1], 2 * before.expected[own + 1]);

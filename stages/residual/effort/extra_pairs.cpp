@@ -13,8 +13,10 @@ namespace loom::residual {
 namespace {
 
 constexpr const char* rgb[] = {"R", "G", "B"};
-/// Share of sparse pairs that is spread evenly: half, as in effort.cpp.
-constexpr double even_share = 0.5;
+/// Share of sparse pairs that is spread evenly; with half of them outliers of quiet pixels are worse (cornell-box).
+constexpr double even_share = 0.75;
+/// Largest share of them for pixels where the old paths say nothing.
+constexpr double most_covered = 0.75;
 
 class CameraPairs : public PairTracer {
   public:
@@ -150,13 +152,21 @@ Estimated SparsePairs::of(std::size_t pixel, int channel, double alpha) const {
 SparsePairs trace_sparse_pairs(const Sensor& sensor, const std::vector<Spectrum>& alpha, const SparseOptions& options,
                                const MakeTracer& make, app::Report& report, tracing::Counts& counts) {
     const std::size_t n_pixels = sensor.n_pixels();
-    // Spread a part evenly.
-    const double even = options.even ? options.mean : even_share * options.mean;
-    const std::vector<std::uint32_t> first = dithered(sensor, std::vector<double>(n_pixels, even), options.seed);
+    // Spread a part evenly. Where the old paths say nothing a pixel without a pair would be black.
+    std::vector<std::uint8_t> takes(n_pixels, 1);
+    double n_covered = 0;
+    for (std::size_t p = 0; p < n_pixels && !options.even; ++p)
+        if (alpha[p] != Spectrum(1)) takes[p] = 0, ++n_covered;
+    const double all_wanted = options.mean * double(n_pixels),
+                 covered =
+                     n_covered > 0 ? std::min(std::max(options.mean, 1.0), most_covered * all_wanted / n_covered) : 0,
+                 mean = (all_wanted - n_covered * covered) / std::max(double(n_pixels) - n_covered, 1.0),
+                 even = options.even ? options.mean : even_share * mean;
     SparsePairs sparse;
+    for (const std::uint8_t takes_part : takes) sparse.expected.push_back(takes_part ? even : covered);
+    const std::vector<std::uint32_t> first = dithered(sensor, sparse.expected, options.seed);
     sparse.sums = trace_pairs(sensor, first, 0, make, options.threads, report, counts);
-    sparse.expected.assign(n_pixels, even);
-    sparse.certain.assign(n_pixels, even >= 1);
+    for (const double expected : sparse.expected) sparse.certain.push_back(expected >= 1);
     std::uint64_t all = 0;
     for (const std::uint32_t n : first) all += n;
 
@@ -170,10 +180,10 @@ SparsePairs trace_sparse_pairs(const Sensor& sensor, const std::vector<Spectrum>
                 if (std::isfinite(mean)) sizes[p] += std::abs(mean) * double(pairs.n);
             }
         const PairCounts rest =
-            pairs_by_size(sensor, sizes, first, options.mean - even, streams::numbered(options.seed, 1));
+            pairs_by_size(sensor, sizes, first, takes, mean - even, streams::numbered(options.seed, 1));
         // Sample indices behind those of the even part, which differ by at most one between pixels.
-        const PairSums more =
-            trace_pairs(sensor, rest.pairs, std::uint64_t(even) + 1, make, options.threads, report, counts);
+        const PairSums more = trace_pairs(sensor, rest.pairs, std::uint64_t(std::max(even, covered)) + 1, make,
+                                          options.threads, report, counts);
         for (std::size_t p = 0; p < n_pixels; ++p) {
             for (std::size_t c = 0; c < 3; ++c) sparse.sums[p][c] = pooled(sparse.sums[p][c], more[p][c]);
             sparse.expected[p] += rest.expected[p];

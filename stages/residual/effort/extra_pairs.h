@@ -62,8 +62,8 @@ struct Estimated {
     double mean = 0, var_mean = 0;
 };
 
-/// Pairs of paths without a graph, `mean` per pixel, also fewer than one: half of them evenly, and half by what these find in
-/// the pixels around.
+/// Pairs of paths without a graph, `mean` per pixel, also fewer than one: one for each pixel where old paths have a weight
+/// below 1; of the others three quarters evenly, and the rest by what these find in the pixels around.
 ///
 /// Pixel p has a pair with probability s_p < 1; its estimate is the sum over its pairs divided by s_p, the number before
 /// rounding. Where at least one pair is certain it is their mean.                                  [HY] Eq. (7) to (9)

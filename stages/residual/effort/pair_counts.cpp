@@ -12,6 +12,8 @@ namespace loom::residual {
 namespace {
 
 constexpr std::uint32_t tile = 4;  // pixels per side
+/// Pairs around a pixel that say as much of it as the mean of all pixels does; fewer say little, as most bring nothing.
+constexpr double pairs_of_all = 4;
 
 /// Calls visit(pixel) for all pixels, tile by tile.
 template <class Visit>
@@ -65,17 +67,28 @@ PairCounts pairs_by_deviation(const Sensor& sensor, const std::vector<double>& v
 }
 
 PairCounts pairs_by_size(const Sensor& sensor, const std::vector<double>& sums, const std::vector<std::uint32_t>& pairs,
-                         double mean, std::uint64_t seed) {
-    std::vector<double> sizes(sums.size()), n(pairs.begin(), pairs.end());
-    for (std::size_t p = 0; p < sums.size(); ++p) sizes[p] = std::isfinite(sums[p]) ? sums[p] : 0;
+                         const std::vector<std::uint8_t>& takes, double mean, std::uint64_t seed) {
+    std::vector<double> sizes(sums.size()), n(sums.size());
+    for (std::size_t p = 0; p < sums.size(); ++p) {
+        if (!takes[p]) continue;
+        sizes[p] = std::isfinite(sums[p]) ? sums[p] : 0;
+        n[p] = double(pairs[p]);
+    }
     const double all_sizes = std::accumulate(sizes.begin(), sizes.end(), 0.0),
                  all_n = std::accumulate(n.begin(), n.end(), 0.0);
     const std::vector<double> sizes_around = blurred(sensor, sizes, true), n_around = blurred(sensor, n, true);
     PairCounts counts;
     for (std::size_t p = 0; p < sums.size(); ++p) {
         const double other_sizes = all_sizes - sizes[p], other_n = all_n - n[p];
-        const bool known = other_sizes > 0 && n_around[p] > 0;
-        counts.expected.push_back(known ? mean * (sizes_around[p] / n_around[p]) / (other_sizes / other_n) : mean);
+        if (!takes[p] || !(other_sizes > 0)) {
+            counts.expected.push_back(takes[p] ? mean : 0);
+            continue;
+        }
+        // The mean of all counts as much as so many pairs around.
+        const double of_all = other_sizes / other_n;
+        const double around =
+            (blur_pixels * sizes_around[p] + pairs_of_all * of_all) / (blur_pixels * n_around[p] + pairs_of_all);
+        counts.expected.push_back(mean * around / of_all);
     }
     counts.pairs = dithered(sensor, counts.expected, seed);
     return counts;

@@ -35,7 +35,9 @@ PairCounts pairs_by_deviation(const Sensor& sensor, const std::vector<double>& v
 /// pixels have pairs. Without any, `mean` everywhere.
 /// in:      sums   [pixel] of |f_new - f_old| over the pairs of the pixel
 ///          pairs  [pixel] their number
+///          takes  [pixel] 0: it has no part in this, and gets none
+///          mean   pairs per pixel of the others, about
 PairCounts pairs_by_size(const Sensor& sensor, const std::vector<double>& sums, const std::vector<std::uint32_t>& pairs,
-                         double mean, std::uint64_t seed);
+                         const std::vector<std::uint8_t>& takes, double mean, std::uint64_t seed);
 
 }  // namespace loom::residual
