@@ -1,7 +1,4 @@
 // loom-learn and the queries of its caches: what is learnt is read back, and nothing else.
-//
-// Mutations that fail here: blend without the members of a point (fewer than 1 % of the queries of the twin agree); no
-// normal in the metric (the wall leaks 25 %); held-back vertices are learnt too; NaN is learnt.
 
 #include <gtest/gtest.h>
 

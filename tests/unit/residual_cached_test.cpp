@@ -1,8 +1,5 @@
 // Frames of an animation with a radiance cache of the static scene: the camera may move. What is seen of the edit does not
 // depend on the cache, the rest is the cache plus the difference, and a frame has the same bytes alone and among others.
-//
-// Mutations that fail here: the mask left out, or asked at the first hit alone (the ball behind a mirror then depends on
-// the cache); far answers used; emission of the first hit left out; frames with the random numbers of the first one.
 #include <fmt/format.h>
 #include <gtest/gtest.h>
 #include <unistd.h>
