@@ -167,8 +167,8 @@ void fill_grid(const std::vector<LearnInput>& inputs, const LearnOptions& option
         inputs | std::views::transform([](const LearnInput& in) -> const PathGraph& { return in.graph; });
 
     // Choose the vertices.
-    const std::uint64_t asked = options.samples.value_or(default_samples);
-    const std::uint64_t most = options.seconds ? ~std::uint64_t{0} : asked;
+    constexpr std::uint64_t all = ~std::uint64_t{0} / 2;
+    const std::uint64_t most = options.seconds ? all : options.samples.value_or(default_samples(all));
     const Chosen chosen = choose(inputs, options, most);
     cache.settings.nonfinite = chosen.nonfinite;
     if (chosen.vertices.empty()) return;
@@ -187,7 +187,8 @@ void fill_grid(const std::vector<LearnInput>& inputs, const LearnOptions& option
     TrainingPlan plan;
     plan.seed = options.seed;
     plan.epsilon = 0.01f / sqr(unit);
-    plan.n_batches = (asked + batch_size - 1) / batch_size;
+    const std::uint64_t n_samples = options.samples.value_or(default_samples(chosen.vertices.size()));
+    plan.n_batches = (n_samples + batch_size - 1) / batch_size;
     if (options.seconds) {
         plan.n_batches = batches_in(*options.seconds, rows, shape, options, report);
         report.info("{} s of CPU time: --samples {} learns the same again", *options.seconds,

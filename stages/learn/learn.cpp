@@ -176,9 +176,9 @@ std::string plan_of(const std::vector<LearnInput>& inputs, const LearnOptions& o
             directional |= needs_directions(in.graph);
             textured |= needs_demodulation(in.graph);
         }
-        std::string on = options.seconds
-                             ? fmt::format("{} s of training", *options.seconds)
-                             : fmt::format("{} training samples", options.samples.value_or(default_samples));
+        std::string on = options.seconds   ? fmt::format("{} s of training", *options.seconds)
+                         : options.samples ? fmt::format("{} training samples", *options.samples)
+                                           : "each vertex as two training samples";
         std::string off = "means of clusters (method grid)";
         (directional ? on : off) += directional ? ", inputs by direction" : ", inputs by direction (all is diffuse)";
         (textured ? on : off) += textured ? ", reflectance divided out" : ", division by reflectance (no textures)";
@@ -202,8 +202,7 @@ void declare(app::Command& command, Options& options) {
                    "points: means of the clusters, no training; grid: hashed grids of features and a network, trained "
                    "on the vertices",
                    {{"points", Method::points}, {"grid", Method::grid}});
-    command.option("--samples", options.learn.samples,
-                   fmt::format("training samples of a grid (default: {})", default_samples),
+    command.option("--samples", options.learn.samples, "training samples of a grid (default: each vertex twice)",
                    app::Range<std::uint64_t>{1, std::uint64_t{1} << 40});
     command.option("--seconds", options.learn.seconds,
                    "CPU time of the training of a grid, in place of --samples; each run then learns another cache, and "

@@ -1,6 +1,7 @@
 #pragma once
 // loom-learn: a radiance cache from the refined vertices of path graphs of one scene.                [HY] section 3.4
 
+#include <algorithm>
 #include <cstdint>
 #include <optional>
 #include <string>
@@ -35,13 +36,17 @@ struct LearnOptions {
     float smallest_roughness = 0.03f;  // of a surface that the cache covers
     std::uint64_t seed = 0;
     // Length of the training of a grid: a number of samples, rounded up to whole batches, or the CPU time. By time, two
-    // runs learn different caches.
+    // runs learn different caches. Neither: default_samples() of the vertices.
     std::optional<std::uint64_t> samples;
     std::optional<double> seconds;
     int threads = 0;  // 0: all
 };
-/// Training samples of a grid without another length.
-inline constexpr std::uint64_t default_samples = 1 << 23;
+/// Training samples of a grid without another length: each vertex twice, within limits. Longer training learns the noise
+/// of the labels.
+constexpr std::uint64_t default_samples(std::uint64_t n_vertices) {
+    constexpr std::uint64_t fewest = std::uint64_t{1} << 20, most = std::uint64_t{1} << 25;
+    return std::clamp(2 * n_vertices, fewest, most);
+}
 
 /// Share of the vertices that is held back to validate the cache.
 inline constexpr double held_back_share = 0.01;
