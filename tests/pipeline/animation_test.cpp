@@ -433,10 +433,17 @@ TEST_F(MakeAnimation, walks_with_a_cache) {
     for (int number = 0; number < 4; ++number)
         EXPECT_EQ(bytes_of(image(number)), bytes_of(image(number, "y"))) << number;
     EXPECT_EQ(frames(cached + "SPP=3"), Numbers({0, 1, 2, 3}));
+    // Another kind of cache, of the same views.
+    const std::string points = bytes_of(cache);
+    EXPECT_EQ(frames(walk + "CACHE=grid CACHE_VIEWS=2 CACHE_SPP=2 SPP=3"), Numbers({0, 1, 2, 3}));
+    EXPECT_NE(bytes_of(cache), points);
+    EXPECT_NE(sh(stage("inspect") + " --quiet " + named("x/cache/cache.h5")).out.find("grid/features"),
+              std::string::npos);
     // A camera that stands still may have one as well.
     write(row(0, "-.5") + row(1, ".2"));
     EXPECT_EQ(frames(cached, "still"), Numbers({0, 1}));
-    for (const char* wrong : {"CACHE=magic", "CACHE=points METHOD=pt", "CACHE=points CACHE_VIEWS=0"})
+    for (const char* wrong :
+         {"CACHE=magic", "CACHE=points METHOD=pt", "CACHE=grid METHOD=pt", "CACHE=points CACHE_VIEWS=0"})
         EXPECT_EQ(make(wrong).code, 2) << wrong;
     // By hand: views without a number in their name, or as passes.
     const std::string run =
