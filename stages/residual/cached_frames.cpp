@@ -13,7 +13,7 @@
 #include "stages/core/sampling/streams.h"
 #include "stages/core/scene/build.h"
 #include "stages/residual/cached_estimator.h"
-#include "stages/residual/edit_job.h"
+#include "stages/residual/edit_run.h"
 
 namespace loom::residual {
 namespace {

@@ -12,7 +12,7 @@
 #include "stages/core/edit/animation.h"
 #include "stages/core/scene/build.h"
 #include "stages/residual/cached_frames.h"
-#include "stages/residual/edit_job.h"
+#include "stages/residual/edit_run.h"
 #include "stages/residual/frame_plan.h"
 
 namespace loom::residual {

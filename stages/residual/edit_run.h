@@ -1,5 +1,5 @@
 #pragma once
-// The parts of a run of loom-residual: what all edits of an old scene share, and one edit.
+// One edit by loom-residual, from its scene to its outputs, and what all edits of an old scene share.
 
 #include <memory>
 #include <optional>
@@ -84,6 +84,11 @@ struct EditRun {
     Spent spent;                         // on this edit, without loading
 };
 
+/// Whether an image has VarMean.
+bool says_its_noise(const Image& image);
+/// Returns the method of the pairs: those of a graph, and adaptive ones, are correlated.
+Method planned_method(const Options& options);
+void report_edit(const Edit& edit, app::Report& report);
 /// throws:  InputError for options that contradict each other, or outputs that cannot be written
 void check_endings(const Options& options);
 int max_depth_of(const Options& options, const SceneDescription& description);
