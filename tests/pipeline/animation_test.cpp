@@ -131,7 +131,7 @@ TEST_F(MakeAnimation, traces_frames_by_themselves_and_denoises) {
     }
 }
 
-// Detected mutations: no shape dropped; the ball in the static scene, or in that of path tracing.
+// Detected mutation: no shape dropped in the frames' command.
 TEST_F(MakeAnimation, shapes_appear_late_and_leave) {
     const std::string head = row(0, "none") + row(1, "-0.2");
     write(head + row(2, "0.3") + row(3, "none"));
@@ -159,8 +159,7 @@ TEST_F(MakeAnimation, shapes_appear_late_and_leave) {
               2);
 }
 
-// A mesh from another file in each frame, without an id, against path tracing of the frames. Detected mutation: the first
-// frame's mesh left in the static scene (p < 1e-6).
+// A mesh from another file in each frame, without an id, against path tracing of the frames.
 TEST_F(MakeAnimation, a_mesh_deforms) {
     const auto obj = [&](const std::string& name, const std::string& top) {
         std::ofstream(folder / name) << "v -0.5 0.3 0.3\nv 0.1 0.3 0.4\nv " << top << " 0.2\nf 1 2 3\n";
@@ -198,8 +197,7 @@ TEST_F(MakeAnimation, length_of_paths_counts_for_residuals_and_plan) {
     EXPECT_LT(variance("y"), 0.9 * variance("z"));
 }
 
-// The static image and what moves are denoised apart. Detected mutations: the old image added without its weight (error
-// above that of noise); the difference filtered with the bound of outliers and the whole image left out.
+// The static image and what moves are denoised apart.
 TEST_F(MakeAnimation, denoises_what_moves_apart) {
     write(row(0, "-0.5") + row(1, "0.2"));
     const std::string variables = "DEFINES='resx=48 resy=36' SPP=8 BASE_SPP=256 ";
