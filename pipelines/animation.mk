@@ -57,6 +57,8 @@ FRAMES := $(strip $(FRAMES))
 SPP := $(strip $(SPP))
 BASE_SPP := $(strip $(BASE_SPP))
 GRAPHS := $(strip $(GRAPHS))
+CACHE_VIEWS := $(strip $(CACHE_VIEWS))
+CACHE_SPP := $(strip $(CACHE_SPP))
 BATCH := $(strip $(BATCH))
 METHOD := $(strip $(METHOD))
 DENOISE := $(strip $(DENOISE))
@@ -179,12 +181,13 @@ $(OUT)/strip.png: $(drawn) $(OUT)/draw.parameters $(draw)
 	$(LAUNCH) $(draw) $(drawn) -o $@ --png --fps $(FPS) --movie $(OUT)/movie.mp4$(if $(DRAW), $(DRAW))
 
 $(OUT)/frame-costs.tsv: $(drawn) $(OUT)/draw.parameters $(compare)
-	$(LAUNCH) $(compare) --quiet --by-frame --scene $(call quote,$(call scene_name,$(SCENE))) $(drawn:%=$(METHOD)=%) >$@.partial
+	$(LAUNCH) $(compare) --quiet --by-frame --scene $(call quote,$(call scene_name,$(SCENE))) $(drawn:%=$(way)=%) >$@.partial
 	@mv $@.partial $@
 $(OUT)/frames.svg: $(OUT)/frame-costs.tsv $(chart)
 	$(chart) $< --kind frames -o $@
 again = make animation SCENE=$(call typed,$(SCENE)) FRAMES=$(call typed,$(FRAMES)) SPP=$(SPP) GRAPHS=$(GRAPHS) METHOD=$(METHOD)$(if \
-	$(hybrid), BASE_SPP=$(BASE_SPP))$(if $(DENOISE:0=), DENOISE=1)$(if $(ABSENT), ABSENT=$(ABSENT))$(if $(SEED), SEED=$(SEED))$(if \
+	$(hybrid), BASE_SPP=$(BASE_SPP)$(if $(MASK), MASK=$(MASK))$(if $(EXTRA), EXTRA=$(EXTRA)))$(if \
+	$(CACHE), CACHE=$(CACHE) CACHE_VIEWS=$(CACHE_VIEWS) CACHE_SPP=$(CACHE_SPP))$(if $(DENOISE:0=), DENOISE=1)$(if $(ABSENT), ABSENT=$(ABSENT))$(if $(SEED), SEED=$(SEED))$(if \
 	$(DEFINES), DEFINES=$(call typed,$(DEFINES)))$(if $(SENSOR), SENSOR=$(call typed,$(SENSOR)))$(if $(TRACE), TRACE=$(call typed,$(TRACE)))
 longest_side = $(if $(LONGEST_SIDE), --longest-side $(LONGEST_SIDE))
 $(eval $(call parameter,$(OUT)/report.parameters,$(again)$(longest_side)))
