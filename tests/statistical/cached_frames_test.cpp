@@ -1,5 +1,6 @@
 // Frames with a radiance cache against path tracing. With a converged cache their mean is that of path tracing, up to the
-// error that the cache's validation states; and nothing of the cache is in what is seen of the edit.
+// error that the cache's validation states; and nothing of the cache is in what is seen of the edit. Detected mutations:
+// f_new - f_old of touched pairs left out; nothing masked (what is seen of the ball is then far from the cache, and path-traced).
 
 #include <gtest/gtest.h>
 
@@ -57,6 +58,8 @@ Replicates replicates_of(const Walk& walk, const CacheReader& cache, int n, std:
         Image image = residual::render_cached({*walk.old_scene, *walk.new_scene}, walk.edit, cache, {masked}, path,
                                               {0, spp, 0}, report, counts);
         EXPECT_EQ(counts.counts.nonfinite, 0u);
+        // What sees the edit is masked, and does not only happen to be far from the cache.
+        EXPECT_EQ(counts.masked > 0, masked);
         out.regions.push_back(region_means(image));
         if (last) *last = std::move(image);
     }

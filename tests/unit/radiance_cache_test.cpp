@@ -91,6 +91,7 @@ Surface plane(std::size_t n) {
     return s;
 }
 
+// Detected mutation: held-back vertices learnt.
 TEST(RadianceCache, APlaneOfKnownGradientIsReadBack) {
     const auto inputs = inputs_of(plane(200'000).input(32));
     const auto reader = make_cache_reader(learn::learn(inputs, {}));
@@ -151,6 +152,7 @@ TEST(RadianceCache, PointsAreMeansOfClusters) {
     EXPECT_EQ(row, cache.n_points());
 }
 
+// Detected mutations: the number of members left out of the weights; no normal in the metric.
 TEST(RadianceCache, TheTreeFindsWhatBruteForceFinds) {
     RadianceCache cache;
     cache.metric = {3, 0.2f, 0.5f};
@@ -209,6 +211,7 @@ TEST(RadianceCache, TheTreeFindsWhatBruteForceFinds) {
     EXPECT_LT(n_far, 490u);
 }
 
+// Detected mutation: no normal in the metric.
 TEST(RadianceCache, ASheetLitOnOneSideDoesNotLeak) {
     Surface s;
     for (std::size_t i = 0; i < 20'000; ++i) {
@@ -230,6 +233,7 @@ TEST(RadianceCache, ASheetLitOnOneSideDoesNotLeak) {
     }
 }
 
+// Detected mutation: such radiance learnt.
 TEST(RadianceCache, RadianceThatIsNotFiniteIsCountedNotLearnt) {
     Surface s = plane(4000);
     std::uint64_t n = 0;
