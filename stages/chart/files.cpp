@@ -317,9 +317,9 @@ Files frame_files(const std::string& stem, const Table& table, const Options& op
         double scale;
         bool is_log;
     };
-    constexpr std::array<Panel, 3> all{{{"render_s", "CPU time of a frame (s)", 1, false},
-                                        {"touched", "paths traced again (%)", 100, false},
-                                        {"expected_relmse", "relMSE by its variance", 1, true}}};
+    constexpr std::array<Panel, 3> all{{{"render_s", "CPU (s)", 1, false},
+                                        {"touched", "traced again (%)", 100, false},
+                                        {"expected_relmse", "expected relMSE", 1, true}}};
     const std::size_t x = table.column("frame"), by = table.column(options.by);
     const auto is_drawn = [&](std::size_t row, const Panel& panel) {
         const double value = table.number(row, table.column(panel.column));

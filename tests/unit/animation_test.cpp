@@ -139,7 +139,7 @@ std::size_t n_shapes(const SceneDescription& description) {
     return description.root->children(Category::shape).size();
 }
 
-// Detected mutations: all shapes of the frame kept; the parameter taken as absent in all frames.
+// Detected mutation: all shapes of the frame kept.
 TEST(Animation, ShapesOfAbsentParametersAreLeftOut) {
     // Absent at first, in the middle, in the end.
     for (const char* rows : {"frame\tx\n0\tnone\n1\t0\n2\t1\n", "frame\tx\n0\t0\n1\tnone\n2\t1\n",
