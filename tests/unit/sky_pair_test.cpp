@@ -17,7 +17,7 @@
 namespace loom::residual {
 namespace {
 
-/// A floor, a glossy and a bumpless diffuse ball under a sky whose parameters are `sky`.
+/// A floor, a glossy and a diffuse ball under a sky.
 std::string scene_text(const std::string& sky) {
     return R"(<scene version="3.0.0"><integrator type="path"><integer name="max_depth" value="4"/></integrator>
 <sensor type="perspective"><float name="fov" value="45"/><transform name="to_world"><lookat origin="0, 1.6, 6" target="0, 0.6, 0" up="0, 1, 0"/></transform>
