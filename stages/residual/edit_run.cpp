@@ -175,8 +175,10 @@ std::uint64_t extra_seed(std::uint64_t seed) {
 }
 
 /// Traces pairs of paths on top of those of a graph.
-ExtraPairs add_extra_pairs(const Options& options, const Scenes& scenes, const Edit& edit, const Base& base,
-                           const ControlSums* control, app::Report& report, Residual& residual) {
+ExtraPairs add_extra_pairs(EditRun& run, const Base& base, const ControlSums* control, app::Report& report) {
+    const Options& options = run.options;
+    const Scenes& scenes = run.scenes;
+    Residual& residual = run.residual;
     if (scenes.new_scene->nlos) throw InputError("--extra: not for NLOS captures");
     if (residual.same_samples)
         throw InputError(fmt::format(
@@ -185,7 +187,7 @@ ExtraPairs add_extra_pairs(const Options& options, const Scenes& scenes, const E
     AdaptiveOptions adaptive{options.extra, false, base.graph.path, options.threads};
     adaptive.path.seed = extra_seed(adaptive.path.seed);
     ExtraPairs extra =
-        trace_extra_pairs(scenes.pair(), edit, adaptive, residual.image, base.graph.spp, control, report);
+        trace_extra_pairs(scenes.pair(), run.edit, adaptive, residual.image, base.graph.spp, control, report);
     residual.counts.add(extra.counts);
     residual.n_extra = extra.n;
     residual.plan += "; " + extra.summary;
@@ -194,8 +196,11 @@ ExtraPairs add_extra_pairs(const Options& options, const Scenes& scenes, const E
 }
 
 /// Takes what the old graph's pairs of paths say.
-void take_pairs(const Options& options, const Base& base, GraphResidual pairs, std::optional<ControlSums>& control,
-                const Scenes& scenes, const Edit& edit, app::Report& report, Residual& residual) {
+void take_pairs(EditRun& run, const Base& base, GraphResidual pairs, app::Report& report) {
+    const Options& options = run.options;
+    const Scenes& scenes = run.scenes;
+    Residual& residual = run.residual;
+    std::optional<ControlSums>& control = run.control;
     residual.of_graph = std::move(pairs);
     residual.image = residual.of_graph.image;
     residual.counts = residual.of_graph.counts;
@@ -207,7 +212,7 @@ void take_pairs(const Options& options, const Base& base, GraphResidual pairs, s
     // By weights before they are fitted to samples.
     ControlSums* const weights_of_old = control ? &*control : nullptr;
     std::optional<ExtraPairs> extra;
-    if (options.extra > 0) extra = add_extra_pairs(options, scenes, edit, base, weights_of_old, report, residual);
+    if (options.extra > 0) extra = add_extra_pairs(run, base, weights_of_old, report);
     if (control && control->fits) control->fit(scenes.new_scene->sensor, base.image.samples);
     if (extra) add_pairs(extra->sums, base.graph.spp, residual.image, weights_of_old);
     if (control) {
@@ -235,20 +240,22 @@ void take_pairs(const Options& options, const Base& base, GraphResidual pairs, s
 }
 
 /// Renders a residual of --extra pairs alone.
-void render_by_sparse_pairs(const Options& options, const Scenes& scenes, const Edit& edit, const Base& base,
-                            app::Report& report, Residual& residual) {
+void render_by_sparse_pairs(EditRun& run, const Base& base, app::Report& report) {
+    const Options& options = run.options;
+    const Scenes& scenes = run.scenes;
+    Residual& residual = run.residual;
     if (scenes.new_scene->nlos) throw InputError("--extra: not for NLOS captures");
     AdaptiveOptions adaptive{options.extra, options.no_map, residual.path, options.threads};
     adaptive.path.seed = extra_seed(residual.path.seed);
     if (!options.frames.empty()) adaptive.path.seed = streams::frame(adaptive.path.seed, options.frame);
     std::optional<ControlSums> control;
     if (!options.new_picture.empty()) {
-        const EditReach reach(*scenes.old_scene, *scenes.new_scene, edit);
+        const EditReach reach(*scenes.old_scene, *scenes.new_scene, run.edit);
         if (options.mask == Mask::coverage)
             control = graph_control(scenes.pair(), reach, adaptive.path.seed, options.threads);
         if (!control) control.emplace(std::vector<Spectrum>(scenes.new_scene->sensor.n_pixels(), Spectrum(1)));
     }
-    SparseResidual sparse = render_sparse_residual(scenes.pair(), edit, adaptive,
+    SparseResidual sparse = render_sparse_residual(scenes.pair(), run.edit, adaptive,
                                                    control ? control->alpha : std::vector<Spectrum>{}, report);
     residual.image = std::move(sparse.image);
     residual.counts = sparse.counts;
@@ -279,12 +286,14 @@ void check_streams(const Options& options, const Base& base, Residual& residual)
 
 /// Gives the skies of two scenes light samples in common where that leaves less noise.
 /// in:      keeps_old  the old scene's paths exist already
-void pair_skies(const Edit& edit, bool keeps_old, app::Report& report, Scenes& scenes, std::string& plan) {
+/// in, out: new_scene  that of `scenes`
+void pair_skies(const Edit& edit, bool keeps_old, Scene& new_scene, app::Report& report, Scenes& scenes,
+                std::string& plan) {
     const int sky = scenes.old_scene->environment_idx;
     if (sky < 0 || !edit.old_emitters[std::size_t(sky)].changed) return;
     const SkyPair pair = find_sky_pair(*scenes.old_scene, *scenes.new_scene);
     if (pair.shared) {
-        scenes.new_scene = with_proposals(*scenes.new_scene, pair.shared);
+        new_scene.emitters[std::size_t(new_scene.environment_idx)].proposals = pair.shared;
         if (!keeps_old) scenes.old_scene = with_proposals(*scenes.old_scene, pair.shared);
     }
     if (const std::string text = pair.describe(); !text.empty()) {
@@ -358,6 +367,7 @@ std::string write_outputs(const Options& options, const Image& old_picture, cons
     if (!options.residual_png.empty()) write_png(false_colours(residual.image, "", 0), options.residual_png);
     if (options.new_picture.empty()) return last_output;
     const Image sum = new_image(options, old_picture, residual);
+    residual.ledger_of_sum = sum.ledger;
     // Frames are no chain of edits.
     if (!sum.ledger.empty() && options.frames.empty()) say_standing(sum.ledger, options, report);
     // The new image carries the cost of this run, whether or not the residual is stored.
@@ -412,8 +422,8 @@ std::unique_ptr<EditRun> start_edit(Options options, const Base& base, EditJob j
     const double before_s = report.cost().cpu_s;
     run->job.known.images = base.images;
     Scenes& scenes = run->scenes;
-    scenes = {base.scene, build_scene(std::move(run->job.description), run->job.known), base.name,
-              app::base_name(run->job.file)};
+    const std::shared_ptr<Scene> built = build_scene(std::move(run->job.description), run->job.known);
+    scenes = {base.scene, built, base.name, app::base_name(run->job.file)};
     residual.load_s = report.cost().cpu_s - before_s;
     for (const std::string& note : scenes.new_scene->notes) report.info("{}", note);
 
@@ -425,7 +435,7 @@ std::unique_ptr<EditRun> start_edit(Options options, const Base& base, EditJob j
     // What both skies' light samples have in common has no parts.
     if (!residual.existed && !residual.same_samples && !run->options.parts &&
         (run->options.method == Method::correlated || run->options.method == Method::automatic))
-        pair_skies(run->edit, has_graph && !(run->options.extra > 0), report, scenes, residual.plan);
+        pair_skies(run->edit, has_graph && !(run->options.extra > 0), *built, report, scenes, residual.plan);
     if (has_graph || run->options.parts)
         run->reach = std::make_unique<EditReach>(*scenes.old_scene, *scenes.new_scene, run->edit);
     if (run->options.parts) {
@@ -449,17 +459,15 @@ GraphJob graph_job(EditRun& run, const Base& base) {
             run.control ? &*run.control : nullptr, run.parts.get()};
 }
 
-void finish_edit(EditRun& run, const Base& base, std::optional<GraphResidual> pairs, app::Report& report) {
+namespace {
+
+void make_residual(EditRun& run, const Base& base, std::optional<GraphResidual> pairs, app::Report& report) {
     const Options& options = run.options;
     Residual& residual = run.residual;
-    const Cost before = report.cost();
-    if (pairs)
-        take_pairs(options, base, std::move(*pairs), run.control, run.scenes, run.edit, report, residual);
-    else if (residual.existed)
-        ;
-    else if (options.extra > 0)
-        render_by_sparse_pairs(options, run.scenes, run.edit, base, report, residual);
-    else if (options.method == Method::automatic || options.method == Method::dynamic)
+    if (residual.existed) return;
+    if (pairs) return take_pairs(run, base, std::move(*pairs), report);
+    if (options.extra > 0) return render_by_sparse_pairs(run, base, report);
+    if (options.method == Method::automatic || options.method == Method::dynamic)
         residual.image = render_by_dynamic_paths(run.scenes.pair(), run.edit, options, residual.path,
                                                  options.new_picture.empty() ? nullptr : &base.image, report,
                                                  residual.counts, residual.plan, residual.controlled);
@@ -467,6 +475,15 @@ void finish_edit(EditRun& run, const Base& base, std::optional<GraphResidual> pa
         residual.image = render_residual(run.scenes.pair(), options.method, residual.path,
                                          {options.first_sample, options.spp, options.threads}, report, residual.counts,
                                          run.parts.get());
+}
+
+}  // namespace
+
+void finish_edit(EditRun& run, const Base& base, std::optional<GraphResidual> pairs, app::Report& report) {
+    const Options& options = run.options;
+    Residual& residual = run.residual;
+    const Cost before = report.cost();
+    make_residual(run, base, std::move(pairs), report);
     label_residual(options, run.scenes, run.edit, base.graph, run.job.command, report, residual);
     run.spent.add(before, report.cost());
     const Cost cost = cost_of(run, report);

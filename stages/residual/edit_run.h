@@ -58,6 +58,7 @@ struct Residual {
     std::optional<ControlledPicture> controlled;  // only with --method auto
     Counts counts;
     std::uint64_t n_extra = 0;  // pairs of --extra
+    Ledger ledger_of_sum;       // of the new image that was written
     std::string plan;
 };
 

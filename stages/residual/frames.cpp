@@ -56,15 +56,11 @@ std::string plan_of_frames(const Options& options, const Animation& animation,
         pilot.fresh, pilot.difference, 100 * pilot.touched);
 }
 
-/// Adds the variances of a written frame: of the static image in it, and of all.
-void add_variances(const std::string& file, double& of_still, double& of_all) {
-    for (const auto& [name, value] : exr_attributes(file)) {
-        if (name != "ledger") continue;
-        const Ledger ledger = ledger_from_text(value, file);
-        if (ledger.size() < 2) continue;
-        of_still += accumulated_var_mean(ledger, ledger.size() - 1);
-        of_all += accumulated_var_mean(ledger, ledger.size());
-    }
+/// Adds the variances of a frame: of the static image in it, and of all.
+void add_variances(const Ledger& ledger, double& of_still, double& of_all) {
+    if (ledger.size() < 2) return;
+    of_still += accumulated_var_mean(ledger, ledger.size() - 1);
+    of_all += accumulated_var_mean(ledger, ledger.size());
 }
 
 /// Says how much of the frames' variance is that of the static image; warns where more samples of it would cost less than
@@ -159,8 +155,8 @@ void render_frames(const Options& options, app::Report& report) {
             std::optional<GraphResidual> own;
             if (!pairs.empty()) own = std::move(pairs[i]);
             finish_edit(*runs[i], base, std::move(own), report);
+            add_variances(runs[i]->residual.ledger_of_sum, of_still, of_all);
             runs[i].reset();
-            if (!options.new_picture.empty()) add_variances(of_frames[begin + i].new_picture, of_still, of_all);
             progress.add(1);
         }
     }
