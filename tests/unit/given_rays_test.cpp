@@ -253,7 +253,7 @@ TEST(GivenRay, HitsAHiddenEmitterUnlessItIsACameraRay) {
     EXPECT_EQ(rgb(g.paths.Le, 0), Spectrum(0));
     EXPECT_EQ(rgb(g.paths.Le, 1), Spectrum(2));
     EXPECT_EQ(tracer.results()[0].first.depth, 5);
-    EXPECT_EQ(tracer.results()[1].first.depth, 3);
+    EXPECT_FLOAT_EQ(tracer.results()[1].first.depth, 3);
     EXPECT_EQ(rgb(g.paths.Le, 2), Spectrum(0));
     EXPECT_EQ(rgb(g.paths.Le, 3), Spectrum(0.5f));
 }
