@@ -12,6 +12,7 @@
 #include "stages/core/scene/embree.h"
 #include "stages/core/tracing/film.h"
 #include "stages/core/tracing/vertex_rules.h"
+#include "stages/residual/control/seen_emission.h"
 #include "stages/residual/dynamic/camera_paths.h"
 
 namespace loom::residual {
@@ -270,6 +271,8 @@ struct Worker {
     std::span<float> error_layer;  // [pixel, rgb]
     std::span<PixelDiscrepancy> discrepancies;
     bool masked;
+    const Scene& scene;
+    const SeenEmission& seen;
     PixelSums sums{};
     Spectrum error{};
     Discrepancy discrepancy{};
@@ -300,6 +303,7 @@ struct Worker {
             if (pairs && !pairs->touched(k)) discrepancy.add(L, pairs->L_new(k));
             if (pairs) L += pairs->difference(k);
         }
+        if (seen.has(id.pixel)) L = L - emission_at_first_hit(scene, cached.start(k).ray);
         nonfinite.check(L, id);
         sums.add(L, s.first);
         ++n_in_pixel;
@@ -340,6 +344,8 @@ Image render_cached(const ScenePair& scenes, const Edit& edit, const CacheReader
     if (!edit.nothing()) dynamic.emplace(scenes.old_scene, scenes.new_scene, edit);
     Film film(sensor.width, sensor.height, work.spp);
     tracing::NonfiniteLog log(report, sensor.width, path.seed);
+    const SeenEmission seen =
+        path.max_depth != 0 ? SeenEmission(scenes.new_scene, path.seed, work.spp, work.threads) : SeenEmission();
     app::Progress progress(report, "tracing", sensor.n_pixels() * work.spp);
     std::vector<float> errors(3 * sensor.n_pixels());
     std::vector<PixelDiscrepancy> discrepancies(sensor.n_pixels());
@@ -353,7 +359,9 @@ Image render_cached(const ScenePair& scenes, const Edit& edit, const CacheReader
                       film,
                       errors,
                       discrepancies,
-                      options.masked};
+                      options.masked,
+                      scenes.new_scene,
+                      seen};
         if (dynamic) worker.pairs.emplace(*dynamic, of_pairs);
         return worker;
     });
@@ -367,6 +375,7 @@ Image render_cached(const ScenePair& scenes, const Edit& edit, const CacheReader
     // Sum the counters.
     counts = {};
     counts.counts.nonfinite = log.count();
+    counts.counts.rays += seen.n_rays();
     for (const Worker& w : workers) {
         counts.counts.add(w.counted.counts);
         counts.samples += w.counted.samples;
@@ -387,6 +396,7 @@ Image render_cached(const ScenePair& scenes, const Edit& edit, const CacheReader
         counts.error = product > 0 ? std::sqrt(product / n) / (of_paths / n) : 0;
     }
     Image image = std::move(film).finish({});
+    seen.add_to(image);
     image.set_layer("CacheError", "RGB", errors);
     return image;
 }

@@ -169,11 +169,6 @@ PathOptions path_options(const Options& options, const Scene& new_scene, const L
     return path;
 }
 
-/// Seed of --extra pairs.
-std::uint64_t extra_seed(std::uint64_t seed) {
-    return mix64(seed ^ streams::salt("extra"));
-}
-
 /// Traces pairs of paths on top of those of a graph.
 ExtraPairs add_extra_pairs(EditRun& run, const Base& base, const ControlSums* control, app::Report& report) {
     const Options& options = run.options;
@@ -185,7 +180,7 @@ ExtraPairs add_extra_pairs(EditRun& run, const Base& base, const ControlSums* co
             "{}: has the samples of the graph, to which --extra adds others; give an image with another --seed",
             options.old_picture));
     AdaptiveOptions adaptive{options.extra, false, base.graph.path, options.threads};
-    adaptive.path.seed = extra_seed(adaptive.path.seed);
+    adaptive.path.seed = streams::extra(adaptive.path.seed);
     ExtraPairs extra =
         trace_extra_pairs(scenes.pair(), run.edit, adaptive, residual.image, base.graph.spp, control, report);
     residual.counts.add(extra.counts);
@@ -206,6 +201,15 @@ void take_pairs(EditRun& run, const Base& base, GraphResidual pairs, app::Report
     residual.counts = residual.of_graph.counts;
     residual.plan += "; old graph: " + residual.of_graph.summary();
     report.info("old graph: {}", residual.of_graph.summary());
+    if (!run.seen.empty()) {
+        run.seen.add_to(residual.image);
+        residual.image.ledger.back().var_mean = mean_var_mean(residual.image);
+        residual.counts.rays += run.seen.n_rays();
+        const std::string seen =
+            fmt::format("emission that the camera sees by rays of its own in {} pixels", run.seen.n_pixels());
+        report.info("{}", seen);
+        residual.plan += "; " + seen;
+    }
     std::vector<float> covered;
     if (control && options.mask == Mask::coverage)
         for (const Spectrum& alpha : control->alpha) covered.push_back(1 - alpha.r);
@@ -216,7 +220,7 @@ void take_pairs(EditRun& run, const Base& base, GraphResidual pairs, app::Report
     if (control && control->fits) control->fit(scenes.new_scene->sensor, base.image.samples);
     if (extra) add_pairs(extra->sums, base.graph.spp, residual.image, weights_of_old);
     if (control) {
-        residual.controlled = controlled_picture(base.image, residual.image, *control);
+        residual.controlled = controlled_picture(base.image, residual.image, *control, &run.seen);
         if (!covered.empty()) std::ranges::copy(covered, residual.controlled->image.add("Coverage.A").begin());
         const auto n_below =
             std::count_if(control->alpha.begin(), control->alpha.end(), [](const Spectrum& a) { return a.r < 1; });
@@ -246,7 +250,7 @@ void render_by_sparse_pairs(EditRun& run, const Base& base, app::Report& report)
     Residual& residual = run.residual;
     if (scenes.new_scene->nlos) throw InputError("--extra: not for NLOS captures");
     AdaptiveOptions adaptive{options.extra, options.no_map, residual.path, options.threads};
-    adaptive.path.seed = extra_seed(residual.path.seed);
+    adaptive.path.seed = streams::extra(residual.path.seed);
     if (!options.frames.empty()) adaptive.path.seed = streams::frame(adaptive.path.seed, options.frame);
     std::optional<ControlSums> control;
     if (!options.new_picture.empty()) {
@@ -410,8 +414,8 @@ Base read_base(const Options& options, SceneDescription description, int max_dep
 }
 
 std::unique_ptr<EditRun> start_edit(Options options, const Base& base, EditJob job, Edit edit, app::Report& report) {
-    auto run =
-        std::make_unique<EditRun>(EditRun{std::move(options), std::move(job), std::move(edit), {}, {}, {}, {}, {}, {}});
+    auto run = std::make_unique<EditRun>(
+        EditRun{std::move(options), std::move(job), std::move(edit), {}, {}, {}, {}, {}, {}, {}});
     const bool has_graph = !run->options.old_graph.empty();
     Residual& residual = run->residual;
     residual.plan = plan_of(planned_method(run->options), run->edit);
@@ -444,6 +448,10 @@ std::unique_ptr<EditRun> start_edit(Options options, const Base& base, EditJob j
         residual.plan += "; parts: Plus - Minus";
     }
     if (!has_graph) return run;
+    if (!residual.same_samples && !run->options.parts && !(run->options.extra > 0) && !scenes.new_scene->nlos &&
+        residual.path.max_depth != 0)
+        run->seen =
+            SeenEmission(scenes.pair(), *run->reach, base.graph.path.seed, base.graph.spp, run->options.threads);
     // With the graph's own samples any weight makes the same image.
     if (!run->options.new_picture.empty() && run->options.mask != Mask::none && !residual.same_samples &&
         !scenes.new_scene->nlos)
@@ -455,8 +463,12 @@ std::unique_ptr<EditRun> start_edit(Options options, const Base& base, EditJob j
 }
 
 GraphJob graph_job(EditRun& run, const Base& base) {
-    return {*run.scenes.new_scene, *run.reach, run.residual.same_samples ? &base.image : nullptr,
-            run.control ? &*run.control : nullptr, run.parts.get()};
+    return {*run.scenes.new_scene,
+            *run.reach,
+            run.residual.same_samples ? &base.image : nullptr,
+            run.control ? &*run.control : nullptr,
+            run.parts.get(),
+            &run.seen};
 }
 
 namespace {

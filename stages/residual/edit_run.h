@@ -9,6 +9,7 @@
 #include "stages/core/assets/texture.h"
 #include "stages/core/description/description.h"
 #include "stages/core/scene/build.h"
+#include "stages/residual/control/seen_emission.h"
 #include "stages/residual/residual.h"
 #include "stages/residual/stored/old_graph.h"
 #include "stages/residual/stored/path_parts.h"
@@ -82,6 +83,7 @@ struct EditRun {
     std::unique_ptr<EditReach> reach;    // only with a graph, or for parts
     std::unique_ptr<PartSums> parts;     // only with --parts
     std::optional<ControlSums> control;  // weights of the old image, if they differ from 1
+    SeenEmission seen;                   // that the graph's pairs lack
     Spent spent;                         // on this edit, without loading
 };
 

@@ -10,6 +10,7 @@
 #include "stages/core/edit/animation.h"
 #include "stages/learn/learn.h"
 #include "stages/residual/cached_estimator.h"
+#include "stages/residual/control/seen_emission.h"
 #include "tests/statistical/path_graph_passes.h"
 
 namespace loom {
@@ -66,9 +67,8 @@ Replicates replicates_of(const Walk& walk, const CacheReader& cache, int n, std:
     return out;
 }
 
-// 24 replicates of 64 samples: a standard error of .1 % of the image, of about 1 % of a tile.
-TEST(CachedFramesMean, IsThatOfPathTracingUpToTheCache) {
-    const Walk walk({{"x", "0.1"}, {"y", "0.5"}, {"eye", "0.3, 1.1, 3"}});
+/// Tests frames against path tracing.
+void expect_mean_of_path_tracing(const Walk& walk) {
     const auto reader = make_cache_reader(walk.learnt(256));
     double stated = 0;
     for (const double l2 : reader->cache().validation.relative_l2) stated = std::max(stated, std::sqrt(l2));
@@ -84,6 +84,18 @@ TEST(CachedFramesMean, IsThatOfPathTracingUpToTheCache) {
         }
     }
     EXPECT_LT(stated, 0.2);
+}
+
+// 24 replicates of 64 samples: a standard error of .1 % of the image, of about 1 % of a tile.
+TEST(CachedFramesMean, IsThatOfPathTracingUpToTheCache) {
+    expect_mean_of_path_tracing(Walk({{"x", "0.1"}, {"y", "0.5"}, {"eye", "0.3, 1.1, 3"}}));
+}
+
+// The camera looks up to the emitter. Detected mutation: its emission by rays of its own left out, or counted twice.
+TEST(CachedFramesMean, HasTheEmissionThatTheCameraSees) {
+    const Walk walk({{"x", "0.1"}, {"y", "1.4"}, {"eye", "0.3, 0.7, 1.8"}, {"target", "0, 1.8, 0"}});
+    EXPECT_GT(residual::SeenEmission(*walk.new_scene, 1, 8, 1).n_pixels(), 10u);
+    expect_mean_of_path_tracing(walk);
 }
 
 // A cache that is wrong by half: what is seen of the ball does not know of it; with the mask left out all of it leaks in.

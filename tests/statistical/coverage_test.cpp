@@ -9,6 +9,7 @@
 
 #include "stages/core/edit/edit_reach.h"
 #include "stages/core/stats/chi_square.h"
+#include "stages/residual/control/seen_emission.h"
 #include "stages/residual/residual.h"
 #include "stages/residual/sky_pair.h"
 #include "stages/residual/stored/old_graph.h"
@@ -65,6 +66,8 @@ struct CoverageCase {
     double of_fresh_everywhere = INFINITY;   // the same in all pixels
     std::uint64_t spp = 16;                  // of the graph; four times as many in the full run
     bool shares_sky = false;                 // light samples of two skies are in common directions
+    double seen_gain =
+        0;  // where emission is seen by rays of its own: variance with that of the paths over it; 0: nowhere
 };
 
 class CoverageOfEdits : public ::testing::TestWithParam<CoverageCase> {
@@ -82,8 +85,9 @@ class CoverageOfEdits : public ::testing::TestWithParam<CoverageCase> {
     }
 };
 
-// Any weight that does not depend on the samples is right: by coverage, and random ones in [-1, 2]. Detected mutations:
-// untouched paths left out of the weighted sum; weights from the graph's own first hits (pole).
+// Any weight that does not depend on the samples is right: by coverage, and random ones in [-1, 2]; so is emission that is
+// seen by rays of its own. Detected mutations: untouched paths left out of the weighted sum; weights from the graph's own
+// first hits (pole); emission left in the old paths, or in the new ones; its old part added with weight 1.
 TEST_P(CoverageOfEdits, SumsAreUnbiasedWithAnyWeight) {
     const CoverageCase& edited = GetParam();
     SceneDescription before = description(edited.before), after = description(edited.after);
@@ -112,23 +116,26 @@ TEST_P(CoverageOfEdits, SumsAreUnbiasedWithAnyWeight) {
     for (std::size_t p = 0; p < random.size(); ++p)
         random[p] = Spectrum(3 * Sampler(SamplerKind::independent, 3, p, 0).pair(0).x - 1);
 
-    enum Way { fresh, plain, covered, any, n_ways };
+    enum Way { fresh, plain, covered, any, seen, n_ways };
     std::vector<std::array<Image, n_ways>> images(replicates);
     std::vector<float> least(size * size, 1);
+    std::vector<std::uint8_t> at_edge(size * size);
     tbb::parallel_for(0, replicates, [&](int i) {
         const auto seed = std::uint64_t(i);
         const PathOptions of_graph = path_of(*old_scene, 900 + seed);
         OldGraph graph;
-        graph.passes.push_back(testing::trace_graph(*old_scene, of_graph, spp, 0, {.misses = true}));
-        graph.files = {"graph.h5"};
+        for (const std::uint64_t first : {std::uint64_t(0), spp / 2})
+            graph.passes.push_back(testing::trace_graph(*old_scene, of_graph, spp / 2, first, {.misses = true}));
+        graph.files = {"graph-0.h5", "graph-1.h5"};
         graph.path = of_graph;
         graph.spp = spp;
         const Image old_picture = trace(*old_scene, 700 + seed, old_spp);
-        const auto with = [&](std::optional<ControlSums> control) {
-            const GraphResidual residual =
-                render_residual(scenes, reach, graph, 1, nullptr, report, control ? &*control : nullptr);
+        const auto with = [&](std::optional<ControlSums> control, const SeenEmission& by_rays = {}) {
+            const GraphJob job{*new_scene, reach, nullptr, control ? &*control : nullptr, nullptr, &by_rays};
+            GraphResidual residual = std::move(render_residuals(*old_scene, {&job, 1}, graph, 1, report)[0]);
+            by_rays.add_to(residual.image);
             if (control && control->fits) control->fit(new_scene->sensor, old_spp);
-            return control ? controlled_picture(old_picture, residual.image, *control).image
+            return control ? controlled_picture(old_picture, residual.image, *control, &by_rays).image
                            : add_residual(old_picture, residual.image);
         };
         std::array<Image, n_ways>& mine = images[std::size_t(i)];
@@ -139,13 +146,18 @@ TEST_P(CoverageOfEdits, SumsAreUnbiasedWithAnyWeight) {
         if (i == 0)
             for (std::size_t p = 0; p < least.size(); ++p) least[p] = control->alpha[p].r;
         mine[covered] = with(control);
-        mine[any] = with(ControlSums(random));
+        const SeenEmission by_rays(scenes, reach, of_graph.seed, spp, 1);
+        EXPECT_EQ(by_rays.empty(), edited.seen_gain == 0);
+        mine[any] = with(ControlSums(random), by_rays);
+        mine[seen] = by_rays.empty() ? mine[covered] : with(control, by_rays);
+        if (i == 0)
+            for (std::size_t p = 0; p < at_edge.size(); ++p) at_edge[p] = by_rays.has(p);
     });
     std::vector<ImageSpread> of(n_ways, ImageSpread(size * size));
     for (const auto& image : images)
         for (int way = 0; way < n_ways; ++way) of[std::size_t(way)].add(image[std::size_t(way)]);
-    const double alpha = sidak_alpha(3 * 3 * (1 + n_tiles * n_tiles) * 3);
-    for (const Way way : {plain, covered, any})
+    const double alpha = sidak_alpha(4 * 3 * (1 + n_tiles * n_tiles) * 3);
+    for (const Way way : {plain, covered, any, seen})
         for (std::size_t c = 0; c < 3; ++c)
             for (std::size_t region = 0; region < 1 + n_tiles * n_tiles; ++region) {
                 const Estimate ours = of[way].estimate(c, region), theirs = of[fresh].estimate(c, region);
@@ -171,6 +183,14 @@ TEST_P(CoverageOfEdits, SumsAreUnbiasedWithAnyWeight) {
     EXPECT_LT(of[covered].variance(ImageSpread::everywhere),
               edited.of_fresh_everywhere * of[fresh].variance(ImageSpread::everywhere));
     EXPECT_NEAR(said, 1, 0.25);
+    if (edited.seen_gain == 0) return;
+    const auto edge = [&](std::size_t p) { return bool(at_edge[p]); };
+    const double seen_gain = of[covered].variance(edge) / of[seen].variance(edge);
+    fmt::print("    emission by rays of its own in {} pixels: variance there {:.3g} times less, stored {:.3g} of it\n",
+               std::count(at_edge.begin(), at_edge.end(), 1), seen_gain,
+               of[seen].stored_variance(edge) / of[seen].variance(edge));
+    EXPECT_GT(seen_gain, edited.seen_gain);
+    EXPECT_NEAR(of[seen].stored_variance(edge) / of[seen].variance(edge), 1, 0.25);
 }
 
 // The mask of [HY] Eq. (10) is biased where a pixel sees more than what differs, and less so with more samples: it is an
@@ -226,10 +246,10 @@ INSTANTIATE_TEST_SUITE_P(
         CoverageCase{"leaves", "animated/ball.xml", {"y=0.6"}, {"y=9"}, 1},
         CoverageCase{"moves", "animated/ball.xml", {"x=-0.3", "y=0.6"}, {"x=0.2", "y=0.7"}, 1.5},
         CoverageCase{"pole", pole_text, {}, {"x=9"}, 1, INFINITY}, CoverageCase{"box", "edits.xml", {}, {"x=0.2"}, 1},
-        CoverageCase{"dimmed", "edits.xml", {}, {"light=4, 3, 2"}, 2, INFINITY, 0.2},
-        CoverageCase{"brighter", "edits.xml", {}, {"light=40, 30, 20"}, 1, INFINITY, 0.4},
-        CoverageCase{"lamp_moves", lamps_text, {}, {"x=-0.1"}, 1, INFINITY, 1.1, 4},
-        CoverageCase{"lamp_moves_far", lamps_text, {}, {"x=0.7"}, 1, INFINITY, 1.1, 4},
+        CoverageCase{"dimmed", "edits.xml", {}, {"light=4, 3, 2"}, 2, INFINITY, 0.2, 16, false, 1.1},
+        CoverageCase{"brighter", "edits.xml", {}, {"light=40, 30, 20"}, 1, INFINITY, 0.4, 16, false, 1.1},
+        CoverageCase{"lamp_moves", lamps_text, {}, {"x=-0.1"}, 1, INFINITY, 1.1, 4, false, 8},
+        CoverageCase{"lamp_moves_far", lamps_text, {}, {"x=0.7"}, 1, INFINITY, 1.1, 4, false, 8},
         CoverageCase{"wide_lamp_dimmed", lamps_text, {}, {"wide=0.2"}, 1, INFINITY, 0.9, 4},
         CoverageCase{"sky_clears", sky_text, {"haze=3"}, {"haze=2"}, 1, INFINITY, 0.5, 16, true},
         CoverageCase{

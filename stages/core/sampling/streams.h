@@ -75,6 +75,14 @@ constexpr std::uint64_t frame(std::uint64_t seed, std::uint64_t number) {
 constexpr std::uint64_t coverage(std::uint64_t seed) {
     return mix64(seed ^ salt("coverage"));
 }
+/// Camera rays for the emission that they find at their first hits.
+constexpr std::uint64_t seen_emission(std::uint64_t seed) {
+    return mix64(seed ^ salt("emission"));
+}
+/// Further pairs of paths where those of a residual differ much.
+constexpr std::uint64_t extra(std::uint64_t seed) {
+    return mix64(seed ^ salt("extra"));
+}
 /// Pilot of a pass.
 constexpr std::uint64_t pilot(std::uint64_t pass_seed) {
     return mix64(pass_seed ^ salt("pilot"));

@@ -5,6 +5,7 @@
 #include <string>
 
 #include "stages/residual/control/blur.h"
+#include "stages/residual/control/seen_emission.h"
 
 namespace loom::residual {
 namespace {
@@ -49,7 +50,8 @@ void ControlSums::fit(const Sensor& sensor, std::uint64_t old_samples) {
     }
 }
 
-ControlledPicture controlled_picture(const Image& old_picture, const Image& residual, const ControlSums& control) {
+ControlledPicture controlled_picture(const Image& old_picture, const Image& residual, const ControlSums& control,
+                                     const SeenEmission* seen) {
     ControlledPicture out{residual, 1, 0, INFINITY, 0};
     double before = 0, after = 0;
     for (int c = 0; c < 3; ++c) {
@@ -60,8 +62,12 @@ ControlledPicture controlled_picture(const Image& old_picture, const Image& resi
         for (std::size_t p = 0; p < L.size(); ++p) {
             const double alpha = control.alpha[p][c];
             const PairMoments& pair = control.pairs[p][std::size_t(c)];
-            const double mean = pair.n > 0 ? pair.mean(alpha) : double(L[p]),
-                         of_pairs = pair.n > 0 ? pair.var_mean(alpha) : double(var[p]);
+            double mean = pair.n > 0 ? pair.mean(alpha) : double(L[p]),
+                   of_pairs = pair.n > 0 ? pair.var_mean(alpha) : double(var[p]);
+            if (pair.n > 0 && seen && seen->has(p)) {
+                const PairMoments& emission = seen->of(p)[std::size_t(c)];
+                mean += emission.mean(alpha), of_pairs += emission.var_mean(alpha);
+            }
             L[p] = float(alpha * L_old[p] + mean);
             weight[p] = float(alpha);
             var[p] = float(sqr(alpha) * V[p] + of_pairs);

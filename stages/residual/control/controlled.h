@@ -61,6 +61,9 @@ struct ControlledPicture {
     double least = 1, most = 1;  // smallest and largest weight
 };
 
-ControlledPicture controlled_picture(const Image& old_picture, const Image& residual, const ControlSums& control);
+class SeenEmission;
+/// in:      seen  emission that the pairs lack, and the residual has; null: none
+ControlledPicture controlled_picture(const Image& old_picture, const Image& residual, const ControlSums& control,
+                                     const SeenEmission* seen = nullptr);
 
 }  // namespace loom::residual

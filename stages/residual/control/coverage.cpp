@@ -8,40 +8,12 @@
 
 #include "stages/core/compute/parallel.h"
 #include "stages/core/sampling/streams.h"
+#include "stages/residual/control/film_box.h"
 
 namespace loom::residual {
 namespace {
 
 constexpr std::size_t n_rays = 16;  // of a pixel
-
-/// Pixels [lo, hi) of the film that may show something.
-struct FilmBox {
-    std::array<float, 2> lo{INFINITY, INFINITY}, hi{-INFINITY, -INFINITY};
-
-    void add(const Sensor& sensor, const Box3f& box) {
-        for (int corner = 0; corner < 8; ++corner) {
-            const Point3f p{corner & 1 ? box.hi.x : box.lo.x, corner & 2 ? box.hi.y : box.lo.y,
-                            corner & 4 ? box.hi.z : box.lo.z};
-            const std::optional<FilmPoint> at = sensor.project(p);
-            if (!at) {  // beside or behind the camera
-                lo = {0, 0}, hi = {float(sensor.width), float(sensor.height)};
-                return;
-            }
-            for (std::size_t k = 0; k < 2; ++k) {
-                const float x = k == 0 ? at->film.x : at->film.y;
-                lo[k] = std::min(lo[k], x), hi[k] = std::max(hi[k], x);
-            }
-        }
-    }
-    /// Grows to what filters reach, and ends at the borders of the film.
-    void finish(const Sensor& sensor) {
-        const float reach = sensor.filter_radius + 1;
-        lo = {std::max(std::floor(lo[0] - reach), 0.0f), std::max(std::floor(lo[1] - reach), 0.0f)};
-        hi = {std::min(std::ceil(hi[0] + reach), float(sensor.width)),
-              std::min(std::ceil(hi[1] + reach), float(sensor.height))};
-    }
-    bool empty() const { return !(lo[0] < hi[0] && lo[1] < hi[1]); }
-};
 
 /// How the first hit of a camera ray differs in the new scene.
 enum class Seen { same, other, light_went };
@@ -127,11 +99,7 @@ Covered covered_by(const ScenePair& scenes, const EditReach& reach, const Camera
         for (const Box3f& box : places->boxes()) film.add(sensor, box);
     film.finish(sensor);
     if (film.empty()) return {};
-    Covered covered{std::uint32_t(film.lo[0]),
-                    std::uint32_t(film.lo[1]),
-                    std::uint32_t(film.hi[0] - film.lo[0]),
-                    std::uint32_t(film.hi[1] - film.lo[1]),
-                    {}};
+    Covered covered{film.left(), film.top(), film.width(), film.height(), {}};
     covered.share.resize(std::size_t(covered.width) * covered.height);
     parallel_chunks(covered.share.size(), 256, threads, [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
         FirstHitPairs pairs(scenes, reach, camera);

@@ -16,6 +16,7 @@
 #include "stages/core/app/values.h"
 #include "stages/core/tracing/film.h"
 #include "stages/core/tracing/graph_builder.h"
+#include "stages/residual/control/seen_emission.h"
 #include "stages/residual/stored/path_parts.h"
 #include "stages/residual/stored/resumed_paths.h"
 
@@ -140,6 +141,8 @@ class PairsOfScene {
           out_(out),
           control_(job.control),
           parts_(job.parts),
+          seen_(job.seen),
+          scenes_{old_scene, job.new_scene},
           n_pixels_(old_scene.sensor.n_pixels()) {
         for (const StoredPaths& pass : passes) finders_.emplace_back(pass, job.reach);
         for (int c = 0; job.old_picture && c < 3; ++c) old_mean_[c] = job.old_picture->find(rgb[c]);
@@ -187,6 +190,7 @@ class PairsOfScene {
         resumed_.counts = {};
         touched += touched_.size();
         probe();
+        if (seen_ && !seen_->empty()) leave_out_seen();
         add();
         if (parts_) divide();
         for (std::uint64_t k = 0; k < width_; ++k) out_.film.set(begin_ + k, sums_[k]);
@@ -240,6 +244,23 @@ class PairsOfScene {
                     "again",
                     graph_.files[pass], path, n, known.r, known.g, known.b, traced.n_vertices, traced.L.r, traced.L.g,
                     traced.L.b);
+        }
+    }
+
+    /// Takes the emission that camera rays find from the pairs of pixels that have it by rays of their own.
+    void leave_out_seen() {
+        const std::uint8_t* flags = flags_.data();
+        std::size_t t = 0, n_kept = 0, pass = 0, first_of_pass = 0;
+        for (std::size_t sample = 0; sample < n_samples_; ++sample, flags += width_) {
+            if (sample - first_of_pass == graph_.passes[pass].tracing.samples_per_pixel) first_of_pass = sample, ++pass;
+            for (std::size_t k = 0; k < width_; ++k) {
+                const std::uint64_t pixel = begin_ + k;
+                PathPair* const pair = flags[k] ? &pairs_[t++] : weighs_old(pixel) ? &kept_[n_kept++] : nullptr;
+                if (!pair || !seen_->has(pixel)) continue;
+                const Ray ray = passes_[pass].camera_ray((sample - first_of_pass) * n_pixels_ + pixel);
+                pair->before = pair->before - emission_at_first_hit(scenes_.old_scene, ray);
+                if (flags[k]) pair->after = pair->after - emission_at_first_hit(scenes_.new_scene, ray);
+            }
         }
     }
 
@@ -313,6 +334,8 @@ class PairsOfScene {
     Output& out_;
     ControlSums* control_;
     PartSums* parts_;
+    const SeenEmission* seen_;
+    ScenePair scenes_;
     std::unique_ptr<RecordedPaths> recorded_;  // with parts: of the new scene
     std::uint64_t n_pixels_;
     std::span<const float> old_mean_[3];

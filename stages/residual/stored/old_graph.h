@@ -39,6 +39,7 @@ OldGraph read_old_graph(const std::vector<std::string>& files, const Scene& old_
 bool same_samples(const Image& old_picture, const std::string& file, const OldGraph& graph);
 
 class PartSums;
+class SeenEmission;
 
 struct GraphResidual {
     Image image;
@@ -58,6 +59,7 @@ struct GraphJob {
     const Image* old_picture = nullptr;  // of the graph's own samples, for `squares`; null: none
     ControlSums* control = nullptr;      // with weights alpha of an image of other samples; null: none
     PartSums* parts = nullptr;  // takes the parts of each touched pair, whose new path is then traced whole; null: none
+    const SeenEmission* seen = nullptr;  // the pairs lack the emission that it has; null: none
 };
 
 /// Renders the mean difference of the graph's paths and those with the same random stream in a new scene, new minus old,
