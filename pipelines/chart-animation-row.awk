@@ -25,7 +25,7 @@ $1 == "scene" || $1 == "method" { split("", at); for (i = 1; i <= NF; ++i) at[$i
 "power" in at { if (l !~ /^single/ && $at["power"] > 0) power[l] = power[l] $at["frequency"] OFS $at["power"] "\n" }
 END {
     print "kind", "scene", "method", "samples", "frames", "relmse", "relmse_trimmed", "mse", "frame_s", "base_s", "flicker", "frozen_still", "gain", "gain_mse", \
-        "gain_all", "gain_24", "gain_240"
+        "gain_all", "gain_24", "gain_240", "gain_plain"
     for (i = 1; i <= n; ++i) {
         l = order[i]; f = frames[l]
         if (match(l, /^pt-d-/) && relmse[l] > 0) add_point(own[l] / f, relmse[l] / f)
@@ -36,8 +36,8 @@ END {
         print kind, row, method_of(l), samples_of(l), f, relmse[l] / f, trimmed[l] / f, mse[l] / f, cost, base[l] + 0, \
             pairs[l] ? flicker[l] / pairs[l] : "nan", stills[l] ? frozen[l] / stills[l] : "nan", gain(l, cost, relmse), \
             is_denoised(l) ? "nan" : gain(l, cost, mse), gain(l, cost + base[l] / f, relmse), gain(l, cost + base[l] / 24, relmse), \
-            gain(l, cost + base[l] / 240, relmse)
-        if (l ~ /^hybrid-/)
+            gain(l, cost + base[l] / 240, relmse), gain_plain(l, cost, relmse)
+        if (l ~ /^(hybrid|cache)-/)
             for (k = split("1 2 4 8 16 24 48 96 240", counts, " "); k >= 1; --k) {
                 g = gain(l, cost + base[l] / counts[k], relmse)
                 if (g != "nan") curve[l] = row OFS method_of(l) " " samples_of(l) OFS counts[k] OFS g "\n" curve[l]
@@ -55,6 +55,10 @@ function over(a, b) { return a > 0 && b > 0 ? a / b : "nan" }
 # How many times better a frame of this cost is than path tracing.
 function gain(l, cost, error,    pt) {
     if (is_denoised(l)) return over(denoised_pt(cost), error[l] / frames[l])
+    return gain_plain(l, cost, error)
+}
+# The same over path tracing that is not denoised.
+function gain_plain(l, cost, error,    pt) {
     pt = "pt-" samples_of(l)
     return pt in frames ? over(error[pt] / frames[pt] * own[pt] / frames[pt], error[l] / frames[l] * cost) : "nan"
 }

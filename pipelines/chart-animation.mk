@@ -10,8 +10,9 @@
 #             between the nearest two of PT_SPPS, beyond the last as 1 / cost at most
 #   flicker   of loom-compare --sequence, and how much of the noise stands still where the scene does
 #
-# pt: path tracing of each frame; hybrid, auto: a static image of BASE_SPP samples, or as a pilot plans it; -d: denoised; single: hybrid
-# with one graph for all frames in place of two.
+# pt: path tracing of each frame; hybrid, auto: a static image of BASE_SPP samples, or as a pilot plans it; -d: denoised; given: hybrid
+# with a static image of GIVEN_SPP samples, whose noise counts for little; single: hybrid with one graph for all frames in place of two;
+# cache, grid: where the camera moves, a radiance cache of points, or a grid, in place of the static image.
 #
 #   make chart-animation                                    all rows
 #   make chart-animation ROWS="ball cornell-lamp" SPPS=8
@@ -31,6 +32,7 @@ include pipelines/variables.mk
 # COUNT=  ## number of frames (8)
 # SIZE=  ## longer side of a frame, px (128)
 # BASE_SPP=  ## samples per pixel of the static image (1024)
+# GIVEN_SPP=  ## samples per pixel of a static image that counts as given, where shapes move (4096)
 # REFERENCE_SPP=  ## samples per pixel of the references (1024)
 # DOCS=  ## folder whose animation.md receives the tables (none)
 BUILD ?= build
@@ -38,6 +40,7 @@ SPPS ?= 8 32
 COUNT ?= 8
 SIZE ?= 128
 BASE_SPP ?= 1024
+GIVEN_SPP ?= 4096
 REFERENCE_SPP ?= 1024
 PT_SPPS ?= 2 $(filter-out 2,$(SPPS))
 OUT ?= out/chart-animation
@@ -102,16 +105,19 @@ animation = $(MAKE) --no-print-directory -f pipelines/animation.mk BUILD=$(BUILD
 	DEFINES=$(call quote,$(call size_of,$(call field,3,$(1)),$(SIZE))) OUT=$(@D) $(2) >/dev/null
 # Runs of a row, METHOD-SPP: auto has its own static image, whose samples a pilot chooses.
 # Where the camera moves there is a cache in its place.
-runs_of = $(PT_SPPS:%=pt-%) $(if $(filter walk,$(call field,1,$(1))),$(SPPS:%=cache-%),$(foreach s,$(SPPS),$(foreach m,hybrid auto,$(m)-$(s))) single-$(firstword $(SPPS)))
+runs_of = $(PT_SPPS:%=pt-%) $(if $(filter walk,$(call field,1,$(1))),$(foreach s,$(SPPS),cache-$(s) grid-$(s)),\
+	$(foreach s,$(SPPS),hybrid-$(s) $(if $(filter shape,$(call field,1,$(1))),given-$(s)) auto-$(s)) single-$(firstword $(SPPS)))
 marks_of = $(foreach r,$(call runs_of,$(1)),$(OUT)/$(1)/$(r)/strip-denoised.png)
 marks := $(foreach w,$(ROWS),$(call marks_of,$(w)))
 part = $(word $(1),$(subst -, ,$(notdir $(2))))
 row_of = $(patsubst %/,%,$(dir $(1)))
 settings.pt := METHOD=pt
 settings.hybrid := METHOD=hybrid BASE_SPP=$(BASE_SPP)
+settings.given := METHOD=hybrid BASE_SPP=$(GIVEN_SPP)
 settings.single := METHOD=hybrid BASE_SPP=$(BASE_SPP) GRAPHS=1
 settings.auto := METHOD=hybrid BASE_SPP=auto
 settings.cache := CACHE=points CACHE_VIEWS=4 CACHE_SPP=16
+settings.grid := CACHE=grid CACHE_VIEWS=4 CACHE_SPP=16
 settings_of = $(settings.$(call part,1,$(1))) SPP=$(call part,2,$(1)) $(if $(SEED),SEED=$(SEED))
 .SECONDEXPANSION:
 $(marks): $(OUT)/%/strip-denoised.png: $(OUT)/$$(call row_of,$$*)/scene.xml $(OUT)/$$(call row_of,$$*)/frames.tsv FORCE
@@ -127,7 +133,7 @@ $(references): $(OUT)/%/reference/strip.png: $(OUT)/%/scene.xml $(OUT)/%/frames.
 frames := $(shell seq -f %04g 0 $$(($(COUNT) - 1)))
 # $(call inputs,ROW,NUMBER): LABEL=FILE of all runs, their frames as they are and denoised. pt-8 is pt-d-8 when it is denoised.
 inputs = $(foreach l,$(call runs_of,$(1)),$(l)=$(l)/images/frame-$(2).exr $(subst -,-d-,$(l))=$(l)/denoised/frame-$(2).exr)
-$(eval $(call parameter,$(OUT)/table.parameters,$(ROWS) $(SPPS) $(PT_SPPS) $(COUNT) $(SIZE) $(BASE_SPP) $(REFERENCE_SPP)))
+$(eval $(call parameter,$(OUT)/table.parameters,$(ROWS) $(SPPS) $(PT_SPPS) $(COUNT) $(SIZE) $(BASE_SPP) $(GIVEN_SPP) $(REFERENCE_SPP)))
 measured := $(ROWS:%=$(OUT)/%/measured.tsv)
 $(measured): $(OUT)/%/measured.tsv: $(OUT)/%/reference/strip.png $$(call marks_of,$$*) $(OUT)/table.parameters $(compare) pipelines/chart-animation-row.awk
 	@cd $(@D) && { $(foreach n,$(frames),$(abspath $(compare)) --quiet --tsv $(call inputs,$*,$(n)) -r reference/images/frame-$(n).exr;) \
