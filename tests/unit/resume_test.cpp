@@ -2,11 +2,12 @@
 // neighbours in the batch.
 //
 // Detected mutations: paths that join out of order (it does not end), with the random stream of another, or that were
-// to be left alone.
+// to be left alone; of paths that a gate takes out, the rays or random numbers of their neighbours kept in place.
 
 #include <fmt/format.h>
 #include <gtest/gtest.h>
 
+#include "stages/core/tracing/path_observer.h"
 #include "stages/core/tracing/path_tracer.h"
 #include "tests/path_states.h"
 #include "tests/traced_graph.h"
@@ -75,6 +76,59 @@ TEST_P(ResumedPaths, EndAsThoseTracedWhole) {
     }
     EXPECT_GT(n_resumed, 5000u);
     EXPECT_GT(deepest, 0u);
+}
+
+/// Stops path i at its edge 1 + i % 6, if it comes so far.
+struct GateByNumber : PathGate {
+    std::vector<std::uint32_t> stopped;
+
+    void arrive(int depth, std::span<const std::uint32_t> paths, std::span<const Ray* const> rays,
+                std::span<const Hit> hits, std::span<std::uint8_t> stops) override {
+        EXPECT_EQ(rays.size(), paths.size());
+        EXPECT_EQ(hits.size(), paths.size());
+        for (std::size_t k = 0; k < paths.size(); ++k) {
+            stops[k] = int(paths[k] % 6) + 1 == depth;
+            if (stops[k]) stopped.push_back(paths[k]);
+        }
+    }
+};
+
+TEST_P(ResumedPaths, EndAsThoseTracedWholeAfterAGate) {
+    const ResumeCase& c = GetParam();
+    const auto scene = loom::testing::own_scene(c.scene, 24, 24);
+    PathOptions options = loom::testing::path_options(*scene, 7, c.sampler);
+    options.roulette = c.roulette;
+    options.rr_depth = 3;
+    options.max_depth = c.max_depth;
+    std::vector<PathId> ids;
+    for (std::uint64_t pixel = 0; pixel < 24 * 24; ++pixel) ids.push_back({pixel, pixel % 3});
+    PathBatch batch(*scene, options);
+    std::vector<PathResult> whole(ids.size());
+    batch.trace(ids, whole);
+    std::vector<PathState> paths;
+    std::vector<std::uint32_t> all;
+    for (const PathId id : ids) {
+        const Sampler sampler(options.sampler, options.seed, id.pixel, id.sample);
+        all.push_back(std::uint32_t(all.size()));
+        paths.emplace_back(*scene, sampler, id, sampler.pair(film_pair));
+    }
+    GateByNumber gate;
+    batch.resume(paths, all, &gate);
+    ASSERT_GT(gate.stopped.size(), 100u);
+    std::vector<bool> stopped(ids.size());
+    for (const std::uint32_t i : gate.stopped) {
+        SCOPED_TRACE(fmt::format("path {}", i));
+        stopped[i] = true;
+        PathResult before = loom::testing::states_of(*scene, options, ids[i])[i % 6].result;
+        ++before.n_rays;
+        expect_same(paths[i].result, before);
+    }
+    batch.resume(paths, gate.stopped);
+    for (std::size_t i = 0; i < ids.size(); ++i) {
+        SCOPED_TRACE(fmt::format("path {}", i));
+        whole[i].n_rays += stopped[i];
+        expect_same(paths[i].result, whole[i]);
+    }
 }
 
 INSTANTIATE_TEST_SUITE_P(

@@ -22,4 +22,17 @@ class PathObserver {
     virtual void trace_shadow_rays(std::span<const std::uint32_t> paths, std::span<const Ray* const> rays) = 0;
 };
 
+/// Stops paths of a PathBatch before they arrive.
+class PathGate {
+  public:
+    virtual ~PathGate() = default;
+
+    /// Rays have hit; nothing has been added to their paths yet. All spans have the length of `paths`.
+    /// in:      depth  of the vertices, from 1
+    ///          hits   false where the ray leaves the scene
+    /// out:     stops  1 where the path stops, with its ray and all state as they are; else 0
+    virtual void arrive(int depth, std::span<const std::uint32_t> paths, std::span<const Ray* const> rays,
+                        std::span<const Hit> hits, std::span<std::uint8_t> stops) = 0;
+};
+
 }  // namespace loom

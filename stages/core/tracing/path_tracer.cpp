@@ -75,6 +75,8 @@ struct PathBatch::Impl {
     DiffuseBlock diffuse;
     bool prefetches;
     PathObserver* observer;
+    PathGate* gate = nullptr;  // of paths to resume
+    std::vector<std::uint8_t> stops;
 
     static constexpr std::size_t cache_bytes = std::size_t(1) << 20;  // size of the L2 cache
 
@@ -137,10 +139,34 @@ struct PathBatch::Impl {
         }
     }
 
-    void resume(std::span<PathState> resumed, std::span<const std::uint32_t> under_way) {
+    void resume(std::span<PathState> resumed, std::span<const std::uint32_t> under_way, PathGate* of_resumed) {
         paths = resumed;
+        gate = of_resumed;
         joining.assign(under_way.begin(), under_way.end());
         follow_joining<false>(nullptr);
+        gate = nullptr;
+    }
+
+    /// Takes the paths out of the first n active ones that the gate stops. Returns the number of the others.
+    std::size_t stop_paths(int depth, std::size_t n) {
+        stops.resize(n);
+        gate->arrive(depth, {active.data(), n}, {rays.data(), n}, {hits.data(), n}, stops);
+        std::size_t going = 0;
+        for (std::size_t k = 0; k < n; ++k) {
+            if (stops[k]) {
+                ++paths[active[k]].result.n_rays;
+                continue;
+            }
+            active[going] = active[k];
+            key_lo[going] = key_lo[k];
+            key_hi[going] = key_hi[k];
+            index[going] = index[k];
+            rays[going] = rays[k];
+            hits[going] = hits[k];
+            ++going;
+        }
+        active.resize(going);
+        return going;
     }
 
     /// Follows the paths in `joining`, each from its own depth.
@@ -171,13 +197,14 @@ struct PathBatch::Impl {
         };
         for (int depth = 1; !active.empty() || !joining.empty(); ++depth) {
             join(depth);
-            const std::size_t n = active.size();
+            std::size_t n = active.size();
             for (std::size_t k = 0; k < n; ++k) rays[k] = &paths[active[k]].ray;
             (depth == 1 ? scene.camera_rays : scene.rays)->intersect(rays.data(), n, hits.data(), depth == 1);
             if (!given_rays.empty())
                 for (std::size_t k = 0; k < n; ++k)
                     if (const Hit& given = given_rays[active[k]].hit; paths[active[k]].is_first && given)
                         hits[k] = given;
+            if (gate) n = stop_paths(depth, n);
             sampler_pairs(options.sampler, key_lo.data(), key_hi.data(), index.data(),
                           dimension(depth, Dimension::light), n, light_x.data(), light_y.data());
             sampler_pairs(options.sampler, key_lo.data(), key_hi.data(), index.data(),
@@ -268,8 +295,8 @@ void PathBatch::trace(std::span<const GivenRay> rays, std::span<PathResult> resu
     impl_->trace(rays, results, records);
 }
 
-void PathBatch::resume(std::span<PathState> paths, std::span<const std::uint32_t> under_way) {
-    impl_->resume(paths, under_way);
+void PathBatch::resume(std::span<PathState> paths, std::span<const std::uint32_t> under_way, PathGate* gate) {
+    impl_->resume(paths, under_way, gate);
 }
 
 }  // namespace loom

@@ -13,6 +13,7 @@
 namespace loom {
 
 class PathObserver;
+class PathGate;    // path_observer.h
 struct PathState;  // path_state.h
 
 /// Survival probability of Russian roulette from `rr_depth` on.
@@ -99,9 +100,10 @@ class PathBatch {
     /// Traces started paths to their ends, each from its own depth; the result equals that of tracing them whole.
     /// in:      under_way  indices of the paths to trace, at most `capacity`; all others are unchanged
     ///          paths      each with its ray, the state that led to it, and its radiance and vertices so far
+    ///          gate       null, or stops paths on their way; they can be resumed again, with their last ray traced anew
     /// out:     paths      the result of each; n_rays is incremented
     /// needs:   no observer, no NLOS capture
-    void resume(std::span<PathState> paths, std::span<const std::uint32_t> under_way);
+    void resume(std::span<PathState> paths, std::span<const std::uint32_t> under_way, PathGate* gate = nullptr);
 
     static constexpr std::size_t capacity = 1024;
 
