@@ -23,6 +23,7 @@ struct CachedCounts {
     std::uint64_t queries = 0, far = 0;     // of the cache, and those outside of what it was made of
     std::uint64_t untrusted = 0;            // those whose answer is not used: far, or of a material that it cannot tell
     std::uint64_t touched = 0;              // paths that were traced in both scenes
+    std::uint64_t traced_on = 0;            // of render_corrected(): paths that a query did not end
     // Of the samples that the edit does not touch: cache minus path over path, mean over pixels and channels; and the root of
     // the mean product of two samples of a pixel, over the mean of paths: the error of the cache in the image.
     double bias = 0, error = 0;

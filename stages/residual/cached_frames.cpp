@@ -14,6 +14,7 @@
 #include "stages/core/scene/build.h"
 #include "stages/residual/cached_estimator.h"
 #include "stages/residual/edit_run.h"
+#include "stages/residual/two_level.h"
 
 namespace loom::residual {
 namespace {
@@ -37,7 +38,14 @@ void check(const Options& options) {
         throw InputError("--spp 1: one sample has no variance, which --new must store; give at least 2");
 }
 
-std::string plan_of_frame(const RadianceCache& cache, const Edit& edit) {
+std::string plan_of_frame(const RadianceCache& cache, const Edit& edit, std::optional<double> share) {
+    if (share)
+        return fmt::format(
+            "on: paths that end in the radiance cache of the static scene ({}) at their second vertex, {:.3g} % of "
+            "them "
+            "traced on to correct it: unbiased; off: the cache at what the camera sees (less noise, biased), image and "
+            "graph of the static scene",
+            cache.settings.method, 100 * *share);
     return fmt::format(
         "on: radiance cache of the static scene ({}), biased: see CacheError; {}; off: image and graph of the static "
         "scene",
@@ -48,12 +56,19 @@ std::string plan_of_frame(const RadianceCache& cache, const Edit& edit) {
               "moves, and where it cannot be trusted");
 }
 
-std::string summary(const CachedCounts& counted, bool with_pairs) {
+std::string summary(const CachedCounts& counted, bool with_pairs, bool is_corrected) {
     const auto percent = [](std::uint64_t a, std::uint64_t b) {
         return 100 * double(a) / double(std::max<std::uint64_t>(b, 1));
     };
+    const double far = percent(counted.far, counted.queries);
+    if (is_corrected)
+        return fmt::format(
+            "{:.3g} % of the paths come to the cache, {:.3g} % of these are traced on; {:.3g} % of the queries far "
+            "from "
+            "all points",
+            percent(counted.queries, counted.samples), percent(counted.traced_on, counted.queries), far);
     std::string text = fmt::format("{:.3g} % of the queries far from all points, {:.3g} % not trusted and path-traced",
-                                   percent(counted.far, counted.queries), percent(counted.untrusted, counted.queries));
+                                   far, percent(counted.untrusted, counted.queries));
     if (with_pairs)
         text += fmt::format(
             "; {:.3g} % of the samples see what moves, {:.3g} % of the paths are touched; cache against the "
@@ -73,7 +88,7 @@ void render_cached_frames(const Options& options, app::Report& report) {
         find_animation(options.old_scene, parse_defines(options.defines), options.sensor, table, Cameras::each);
     RadianceCache file = read_radiance_cache(options.cache);
     if (options.plan) {
-        report.answer(fmt::format("{}\n{}\n", animation.describe(), plan_of_frame(file, Edit())));
+        report.answer(fmt::format("{}\n{}\n", animation.describe(), plan_of_frame(file, Edit(), options.correct)));
         return;
     }
     report.info("{}", animation.describe());
@@ -118,11 +133,14 @@ void render_cached_frames(const Options& options, app::Report& report) {
         path.rr_depth = now->rr_depth;
         path.max_depth = options.max_depth.value_or(now->max_depth);
         CachedCounts counted;
-        Image image = render_cached({*still, *now}, edit, *cache, {}, path,
-                                    {options.first_sample, options.spp, options.threads}, report, counted);
-        const std::string found = summary(counted, !edit.nothing());
+        const ScenePair scenes{*still, *now};
+        const Work work{options.first_sample, options.spp, options.threads};
+        Image image = options.correct
+                          ? render_corrected(scenes, edit, *cache, *options.correct, path, work, report, counted)
+                          : render_cached(scenes, edit, *cache, {}, path, work, report, counted);
+        const std::string found = summary(counted, !edit.nothing(), options.correct.has_value());
         report.info("frame {}: {}", frame.number, found);
-        if (double(counted.far) > most_far * double(counted.queries))
+        if (!options.correct && double(counted.far) > most_far * double(counted.queries))
             report.warn(
                 "frame {}: {:.3g} % of the queries are far from all points of {}, so they are path-traced, with more "
                 "noise; add a view of the frame to the cache: loom-trace {} --static {} --only {} --spp 4 -o "
@@ -134,7 +152,7 @@ void render_cached_frames(const Options& options, app::Report& report) {
         // Write.
         image.scene = {name, content_hash_text(now->content_hash)};
         image.provenance = report.provenance(options.seed, {image.scene, cache_id},
-                                             plan_of_frame(cache->cache(), edit) + "; " + found);
+                                             plan_of_frame(cache->cache(), edit, options.correct) + "; " + found);
         image.provenance.command = app::command_of_frame(report.command(), options.frames, options.only, own.only);
         write_image(image, output);
         if (!own.png.empty()) write_png(image, own.png);

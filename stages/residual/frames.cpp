@@ -23,6 +23,8 @@ void check_frames(const Options& options) {
         throw InputError("--frames: its rows are the new scenes; leave out NEW, --old-define and --new-define");
     if (!options.residual.empty() || !options.technique.empty())
         throw InputError("--frames: leave out --residual and --technique");
+    if (options.correct && options.cache.empty())
+        throw InputError("--correct: there is no cache to correct; give --cache, or leave it out");
     for (const auto& [flag, file] :
          {std::pair("-o", &options.output), std::pair("--new", &options.new_picture), std::pair("--png", &options.png),
           std::pair("--residual-png", &options.residual_png)})

@@ -12,6 +12,7 @@
 #include "stages/residual/chain_of_edits.h"
 #include "stages/residual/edit_run.h"
 #include "stages/residual/frames.h"
+#include "stages/residual/two_level.h"
 
 namespace loom::residual {
 namespace {
@@ -96,7 +97,11 @@ void declare(app::Command& command, Options& options) {
     command.file(
         "--cache", options.cache,
         "with --frames: radiance cache of the static scene by loom-learn, in place of --old; the camera may move. "
-        "The images are biased by the cache, whose error is their layer CacheError");
+        "The images are biased by the cache, whose error is their layer CacheError; see --correct");
+    command.option("--correct", options.correct,
+                   "with --cache: unbiased images with more noise. Paths end in the cache at their second vertex; this "
+                   "share of them is traced on to correct it",
+                   app::Range<double>{smallest_share, 1});
     command.option("--sensor", options.sensor,
                    "sensor of both scenes, by id or by number from 0 in the order of the file (default: the first)");
     command.file("--old", options.old_picture,
@@ -268,6 +273,7 @@ void run(const Options& options, app::Report& report) {
     if (!options.only.empty()) throw InputError("--only: needs --frames");
     if (!options.absent.empty()) throw InputError("--absent: needs --frames");
     if (!options.cache.empty()) throw InputError("--cache: needs --frames");
+    if (options.correct) throw InputError("--correct: needs --frames and --cache");
     if (!options.plan && options.technique != "list") check_endings(options);
 
     const std::string& new_file = options.new_scene.empty() ? options.old_scene : options.new_scene;

@@ -27,6 +27,7 @@ struct Options {
     std::uint64_t n_graphs = 1;          // of a plan of frames: graphs that they take in turn
     std::string absent;                  // value of a parameter whose shapes a frame lacks
     std::string cache;                   // radiance cache of the static scene: the camera of frames may move
+    std::optional<double> correct;       // with cache: share of the paths that are traced on behind it, unbiased
     std::string sensor;                  // of both scenes: id or index, from 0; empty: the first
     std::string old_picture;             // image of the old scene, with VarMean
     std::vector<std::string> old_graph;  // passes over the old scene: only paths that the edit touches are traced

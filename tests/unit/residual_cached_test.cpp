@@ -233,6 +233,51 @@ TEST_F(CachedFrames, FarAnswersAreNotUsed) {
     }
 }
 
+// With --correct the cache has no part in the mean: no layer says that it has, and where all paths are traced on, or all
+// answers are far, frames are those of the path tracer to the bit.
+TEST_F(CachedFrames, CorrectedByAllPathsAreThoseOfThePathTracer) {
+    write("f.tsv", "frame\tx\teye\n3\t-0.7\t0\n4\t0\t.4\n10\t.5\t.8\n");
+    RadianceCache cache = learnt();
+    write_cache(cache);
+    cache.metric.median_distance = 1e-9f;
+    write_cache(cache, "far.h5");
+    residual::Options all = options("all"), far = options("far", "far.h5");
+    all.correct = 1;
+    far.correct = 0.25;
+    residual::run(all, report);
+    residual::run(far, report);
+    const Frames table = read_frames(at("f.tsv"));
+    const auto scene = load_scene(at("s.xml"), table.values_of(table.frames[1]));
+    PathOptions path = testing::path_options(*scene, streams::frame(streams::residual(0), 4), SamplerKind::sobol);
+    tracing::Counts counts;
+    const Image fresh = trace::render_image(*scene, path, {0, 8, 0}, report, counts);
+    for (const char* prefix : {"all", "far"}) {
+        const Image image = frame(prefix, 4);
+        for (const char* c : {"R", "G", "B", "VarMean.G", "Albedo.R", "N.Z", "Depth.Z"}) {
+            ASSERT_FALSE(image.find(c).empty()) << c;
+            EXPECT_TRUE(std::equal(image.find(c).begin(), image.find(c).end(), fresh.find(c).begin())) << c;
+        }
+        EXPECT_TRUE(image.find("CacheError.R").empty());
+        EXPECT_NE(image.provenance.plan.find("unbiased"), std::string::npos);
+        EXPECT_EQ(image.provenance.plan.find("CacheError"), std::string::npos);
+    }
+}
+
+TEST_F(CachedFrames, CorrectedHaveTheSameBytesAloneAndAmongOthers) {
+    write("f.tsv", "frame\tx\teye\n3\t-0.7\t0\n4\t0\t.4\n10\t.5\t.8\n");
+    write_cache(learnt());
+    residual::Options all = options("all"), one = options("one");
+    all.correct = one.correct = 0.25;
+    all.threads = 2;
+    one.threads = 1;
+    one.only = "4:10";
+    residual::run(all, report);
+    report.set_command("loom-residual s.xml --frames f.tsv --only 4:10 --cache c.h5");
+    residual::run(one, report);
+    ASSERT_FALSE(bytes("all-0004.exr").empty());
+    EXPECT_EQ(bytes("one-0004.exr"), bytes("all-0004.exr"));
+}
+
 // A change of the whole floor's paint touches every sample that sees it.
 TEST_F(CachedFrames, RepaintedSurfacesCountAsSeen) {
     write("f.tsv", "frame\tpaint\teye\n0\t.5\t0\n1\t.8\t.3\n");
@@ -283,6 +328,14 @@ TEST_F(CachedFrames, ErrorsSayWhatToDo) {
     bad = options("a");
     bad.defines = {"paint=.7"};
     says(bad, "c.h5: made of another scene");
+    bad = options("a");
+    bad.correct = 0.5;
+    bad.cache = "";
+    bad.old_picture = at("old.exr");
+    says(bad, "--correct: there is no cache to correct");
+    bad.frames = "";
+    bad.new_scene = at("s.xml");
+    says(bad, "--correct: needs --frames and --cache");
     RadianceCache other = learnt(2);
     other.validation = {};
     write_cache(other, "d.h5");

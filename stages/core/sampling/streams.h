@@ -14,6 +14,9 @@ namespace loom {
 
 /// Pair of dimensions of a camera path for its position on the film.
 inline constexpr std::uint32_t film_pair = 0;
+/// Pair of dimensions of a camera path for whether it is traced on from where a cache answers: beyond those of all
+/// vertices.
+inline constexpr std::uint32_t correction_pair = ~0u;
 /// Pairs of dimensions of a camera path at one vertex.
 enum class Dimension : std::uint32_t { light = 1, direction = 2, lobe = 3, roulette = 4 };
 /// Pair of dimensions of a camera path.
