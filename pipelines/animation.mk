@@ -19,7 +19,8 @@
 #
 # CACHE=points or grid: where the camera moves, frames have no image in common. They take what they share from a radiance cache
 # (OUT/cache/cache.h5, animation-cache.mk) and add the path-traced difference, SPP samples per pixel; biased, by about the layer
-# CacheError of each frame. BASE_SPP and GRAPHS are for a camera that stands still.
+# CacheError of each frame. BASE_SPP and GRAPHS are for a camera that stands still. With CORRECT the frames are unbiased, and noisier:
+# paths end in the cache one vertex later, and this share of them is traced on.
 ## make animation SCENE=scenes/animated/ball.xml FRAMES=scenes/animated/ball.tsv SPP=16
 ## make animation SCENE=scenes/animated/walk.xml FRAMES=scenes/animated/walk.tsv CACHE=points
 
@@ -37,6 +38,7 @@ METHOD ?= hybrid  ## hybrid: what the frames share plus what moves; pt: path tra
 # CACHE=  ## points, grid: a radiance cache in place of the image of what the frames share; needed where the camera moves (none)
 CACHE_VIEWS ?= 8  ## frames from whose cameras the cache is made
 CACHE_SPP ?= 4  ## samples per pixel of each of these views
+# CORRECT=  ## with CACHE: share of the paths that are traced on behind it, .001 to 1, for unbiased frames (none: biased)
 DENOISE ?= 0  ## 1: remove the noise of each frame
 # EXTRA=  ## further pairs of paths per pixel of each frame, where its graph finds noise (0)
 # MASK=  ## weight of the image of what the frames share: none: 1; first-hit: 0 where the camera sees what moves, biased at edges (coverage)
@@ -71,6 +73,14 @@ $(error CACHE=$(CACHE): expected points or grid)
 endif
 ifneq ($(and $(CACHE),$(filter pt,$(METHOD))),)
 $(error METHOD=pt CACHE=$(CACHE): path tracing of each frame has no cache; leave out one of them)
+endif
+ifneq ($(CORRECT),)
+ifeq ($(CACHE),)
+$(error CORRECT=$(CORRECT): there is no cache to correct; give CACHE=points or CACHE=grid)
+endif
+ifneq ($(shell awk 'BEGIN { r = "$(CORRECT)" + 0; print (r >= .001 && r <= 1) }'),1)
+$(error CORRECT=$(CORRECT): must be from .001 to 1)
+endif
 endif
 $(foreach v,SCENE FRAMES,$(if $(call exists,$($(v))),,$(error $(v)=$($(v)): no such file)))
 OUT ?= out/$(call scene_name,$(SCENE))/animation
@@ -148,13 +158,14 @@ $(graphs:%=$(base)/graph-%.h5) &: $(base)/static.hash $(base)/graphs.parameters 
 # $(call of_hybrid,GRAPH), $(call of_cache,), $(call of_pt,): command of a batch, less its frames and its output.
 of_hybrid = $(residual) $(scene_parameters)$(depth) --old $(base)/static.exr --old-graph $(base)/graph-$(1).h5$(hybrid_parameters)
 hybrid_parameters := $(if $(strip $(MASK)), --mask $(strip $(MASK)))$(if $(strip $(EXTRA)), --extra $(strip $(EXTRA)))
-of_cache = $(residual) $(scene_parameters)$(depth) --cache $(cache) --spp $(SPP)$(seeded)
+of_cache = $(residual) $(scene_parameters)$(depth) --cache $(cache)$(correct) --spp $(SPP)$(seeded)
+correct := $(if $(CORRECT), --correct $(CORRECT))
 of_pt = $(trace) $(scene_parameters)$(pt_parameters)
 pt_parameters := $(if $(TRACE), $(TRACE)) --spp $(SPP)$(seeded)
 way := $(if $(CACHE),cache,$(METHOD))
 output := $(if $(filter pt,$(way)),-o,--new)
 # What frames are made of besides their rows: another METHOD, and of pt other samples, make them again.
-$(eval $(call parameter,$(OUT)/method.parameters,$(way)$(if $(hybrid),$(hybrid_parameters),$(sensor)$(pt_parameters))))
+$(eval $(call parameter,$(OUT)/method.parameters,$(way)$(if $(hybrid),$(hybrid_parameters),$(sensor)$(pt_parameters)$(correct))))
 
 # $(call batch,GRAPH,STATE,NAMES): the hash of a frame is written when the frame is there.
 define batch
@@ -187,7 +198,7 @@ $(OUT)/frames.svg: $(OUT)/frame-costs.tsv $(chart)
 	$(chart) $< --kind frames -o $@
 again = make animation SCENE=$(call typed,$(SCENE)) FRAMES=$(call typed,$(FRAMES)) SPP=$(SPP) GRAPHS=$(GRAPHS) METHOD=$(METHOD)$(if \
 	$(hybrid), BASE_SPP=$(BASE_SPP)$(if $(MASK), MASK=$(MASK))$(if $(EXTRA), EXTRA=$(EXTRA)))$(if \
-	$(CACHE), CACHE=$(CACHE) CACHE_VIEWS=$(CACHE_VIEWS) CACHE_SPP=$(CACHE_SPP))$(if $(DENOISE:0=), DENOISE=1)$(if $(ABSENT), ABSENT=$(ABSENT))$(if $(SEED), SEED=$(SEED))$(if \
+	$(CACHE), CACHE=$(CACHE) CACHE_VIEWS=$(CACHE_VIEWS) CACHE_SPP=$(CACHE_SPP)$(if $(CORRECT), CORRECT=$(CORRECT)))$(if $(DENOISE:0=), DENOISE=1)$(if $(ABSENT), ABSENT=$(ABSENT))$(if $(SEED), SEED=$(SEED))$(if \
 	$(DEFINES), DEFINES=$(call typed,$(DEFINES)))$(if $(SENSOR), SENSOR=$(call typed,$(SENSOR)))$(if $(TRACE), TRACE=$(call typed,$(TRACE)))
 longest_side = $(if $(LONGEST_SIDE), --longest-side $(LONGEST_SIDE))
 $(eval $(call parameter,$(OUT)/report.parameters,$(again)$(longest_side)))

@@ -430,6 +430,15 @@ TEST_F(MakeAnimation, walks_with_a_cache) {
     EXPECT_EQ(frames(cached + "BATCH=1 THREADS=1", "y"), Numbers({0, 1, 2, 3}));
     for (int number = 0; number < 4; ++number)
         EXPECT_EQ(bytes_of(image(number)), bytes_of(image(number, "y"))) << number;
+    // Corrected frames are made again with another share, from the same cache.
+    for (const char* share : {".5", ".25"}) {
+        EXPECT_EQ(frames(cached + "CORRECT=" + share), Numbers({0, 1, 2, 3}));
+        EXPECT_EQ(frames(cached + "CORRECT=" + share), Numbers());
+        const Outcome corrected = sh(stage("inspect") + " --quiet " + named("x/images/frame-0001.exr"));
+        EXPECT_EQ(corrected.out.find("CacheError"), std::string::npos) << corrected.out;
+        EXPECT_NE(corrected.out.find("unbiased"), std::string::npos) << corrected.out;
+    }
+    EXPECT_NE(bytes_of(folder / "x/report.html").find("CORRECT=.25"), std::string::npos);
     EXPECT_EQ(frames(cached + "SPP=3"), Numbers({0, 1, 2, 3}));
     // Another kind of cache, of the same views.
     const std::string points = bytes_of(cache);
@@ -443,6 +452,14 @@ TEST_F(MakeAnimation, walks_with_a_cache) {
     for (const char* wrong :
          {"CACHE=magic", "CACHE=points METHOD=pt", "CACHE=grid METHOD=pt", "CACHE=points CACHE_VIEWS=0"})
         EXPECT_EQ(make(wrong).code, 2) << wrong;
+    for (const auto& [wrong, said] :
+         {std::pair("CORRECT=.5", "no cache to correct"), std::pair("CACHE=points CORRECT=0", "must be from .001 to 1"),
+          std::pair("CACHE=points CORRECT=1.5", "must be from .001 to 1"),
+          std::pair("CACHE=points CORRECT=half", "must be a number")}) {
+        const Outcome outcome = make(wrong);
+        EXPECT_EQ(outcome.code, 2) << wrong;
+        EXPECT_NE(outcome.err.find(said), std::string::npos) << outcome.err;
+    }
     // By hand: views without a number in their name, or as passes.
     const std::string run =
         stage("trace") + " scenes/animated/walk.xml --spp 1 --static " + named(table) + " --only 0:1 -o ";
