@@ -169,7 +169,7 @@ struct CameraWorker {
         new_L.add(L);
         if (!control) return;
         for (int c = 0; c < 3; ++c)
-            control->pairs[id.pixel][std::size_t(c)].add(double(L[c]) - double(values[k][c]), double(L[c]));
+            (*control->pairs(id.pixel))[std::size_t(c)].add(double(L[c]) - double(values[k][c]), double(L[c]));
     }
     void finish(std::uint64_t pixel) {
         film.set(pixel, sums);
@@ -263,7 +263,7 @@ Image render_dynamic(const ScenePair& pair, const Edit& edit, const DynamicOptio
                              progress);
     std::optional<ControlSums> control;
     const bool controlled = options.old_picture && effort.cameras_alone() && !effort.covariance[0].empty();
-    if (controlled) control.emplace(control_weights(sensor, effort, *options.old_picture));
+    if (controlled) control.emplace(control_weights(sensor, effort, *options.old_picture), false, true);
     Image image =
         estimator.from_camera(first_sample, control ? &*control : nullptr, counts, report, progress).finish({});
     image.samples = work.spp;

@@ -24,13 +24,12 @@ double uniform(std::size_t pixel, std::uint64_t sample, std::uint32_t pair) {
 /// Pairs whose values before are uniform in [0, 1), and after(value before, another uniform number).
 template <class After>
 ControlSums sums_of(After&& after) {
-    ControlSums sums(std::vector<Spectrum>(width * height, Spectrum(1)));
-    sums.fits = true;
-    for (std::size_t p = 0; p < sums.pairs.size(); ++p)
+    ControlSums sums(std::vector<Spectrum>(width * height, Spectrum(1)), true);
+    for (std::size_t p = 0; p < width * height; ++p)
         for (std::uint64_t i = 0; i < n; ++i)
             for (std::size_t c = 0; c < 3; ++c) {
                 const double before = uniform(p, i, std::uint32_t(2 * c));
-                sums.pairs[p][c].add(before, after(before, uniform(p, i, std::uint32_t(2 * c + 1))));
+                (*sums.pairs(p))[c].add(before, after(before, uniform(p, i, std::uint32_t(2 * c + 1))));
             }
     return sums;
 }
@@ -98,7 +97,7 @@ TEST(ControlSums, NoPixelDeterminesItsOwnWeight) {
     ControlSums one = sums_of(half), other = sums_of(half);
     const std::size_t pixel = 7 * width + 11;
     for (std::size_t c = 0; c < 3; ++c)
-        for (int i = 0; i < 8; ++i) other.pairs[pixel][c].add(100 * i, 70 * (i % 3));
+        for (int i = 0; i < 8; ++i) (*other.pairs(pixel))[c].add(100 * i, 70 * (i % 3));
     one.fit(sensor(), 64), other.fit(sensor(), 64);
     for (int c = 0; c < 3; ++c) EXPECT_NEAR(one.alpha[pixel][c], other.alpha[pixel][c], 1e-4);
     EXPECT_GT(std::abs(one.alpha[pixel + 1].r - other.alpha[pixel + 1].r), 0.05f);
@@ -106,13 +105,13 @@ TEST(ControlSums, NoPixelDeterminesItsOwnWeight) {
 
 // One sample has no variance, and NaN says nothing.
 TEST(ControlSums, WithoutMomentsWeightsStay) {
-    ControlSums sums(std::vector<Spectrum>(width * height, Spectrum(0.75f)));
-    for (auto& pairs : sums.pairs)
-        for (PairMoments& pair : pairs) pair.add(1, 2);
+    ControlSums sums(std::vector<Spectrum>(width * height, Spectrum(0.75f)), true);
+    for (std::size_t p = 0; p < width * height; ++p)
+        for (PairMoments& pair : *sums.pairs(p)) pair.add(1, 2);
     sums.fit(sensor(), 64);
     for (const Spectrum& a : sums.alpha) EXPECT_EQ(a, Spectrum(0.75f));
     ControlSums broken = sums_of([](double before, double) { return 0.5 * before; });
-    broken.pairs[40][1].add(NAN, 1);
+    (*broken.pairs(40))[1].add(NAN, 1);
     broken.fit(sensor(), 1'000'000'000);
     for (const Spectrum& a : broken.alpha) EXPECT_NEAR(a.g, 0.5, 1e-6);
 }

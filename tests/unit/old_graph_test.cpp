@@ -542,7 +542,7 @@ TEST(OldGraph, ScenesTogetherAreEachAlone) {
         if (i % 2 == 0) continue;
         for (std::size_t p = 0; p < half.size(); ++p)
             for (std::size_t c = 0; c < 3; ++c) {
-                const PairMoments &a = control.pairs[p][c], &b = controls[i].pairs[p][c];
+                const PairMoments &a = (*control.pairs(p))[c], &b = (*controls[i].pairs(p))[c];
                 ASSERT_TRUE(a.n == b.n && a.before == b.before && a.after == b.after && a.of_both == b.of_both) << p;
             }
     }

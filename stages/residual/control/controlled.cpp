@@ -21,13 +21,22 @@ double best_control_weight(double of_image, double of_old, double of_both) {
     return of_pairs > 0 ? clamp(of_both / of_pairs, 0.0, most) : 1;
 }
 
+ControlSums::ControlSums(std::vector<Spectrum> weights, bool fits_, bool needs_all)
+    : alpha(std::move(weights)), fits(fits_), slots_(alpha.size(), none) {
+    std::uint32_t n = 0;
+    for (std::size_t p = 0; p < alpha.size(); ++p)
+        if (fits || needs_all || !(alpha[p] == Spectrum(1))) slots_[p] = n++;
+    pairs_.resize(n);
+}
+
 void ControlSums::fit(const Sensor& sensor, std::uint64_t old_samples) {
     const std::size_t n_pixels = alpha.size();
     for (int c = 0; c < 3; ++c) {
         // alpha is a ratio of means over pixels, both / all; its error shows in the scatter of both - alpha all.
         std::vector<double> both(n_pixels), all(n_pixels), both_both(n_pixels), both_all(n_pixels), all_all(n_pixels);
         for (std::size_t p = 0; p < n_pixels; ++p) {
-            const PairMoments& pair = pairs[p][std::size_t(c)];
+            if (slots_[p] == none) continue;
+            const PairMoments& pair = pairs_[slots_[p]][std::size_t(c)];
             if (pair.n < 2 || !std::isfinite(pair.of_before + pair.of_both)) continue;
             const double of_mean = double(pair.n) * double(pair.n - 1);
             // Where first hits differ the pairs have less in common, which the weight says already.
@@ -61,10 +70,12 @@ ControlledPicture controlled_picture(const Image& old_picture, const Image& resi
                    weight = out.image.add(std::string(weight_layer) + "." + rgb[c]);
         for (std::size_t p = 0; p < L.size(); ++p) {
             const double alpha = control.alpha[p][c];
-            const PairMoments& pair = control.pairs[p][std::size_t(c)];
-            double mean = pair.n > 0 ? pair.mean(alpha) : double(L[p]),
-                   of_pairs = pair.n > 0 ? pair.var_mean(alpha) : double(var[p]);
-            if (pair.n > 0 && seen && seen->has(p)) {
+            const auto* const pairs = control.pairs(p);
+            const PairMoments* const pair =
+                pairs && (*pairs)[std::size_t(c)].n > 0 ? &(*pairs)[std::size_t(c)] : nullptr;
+            double mean = pair ? pair->mean(alpha) : double(L[p]),
+                   of_pairs = pair ? pair->var_mean(alpha) : double(var[p]);
+            if (pair && seen && seen->has(p)) {
                 const PairMoments& emission = seen->of(p)[std::size_t(c)];
                 mean += emission.mean(alpha), of_pairs += emission.var_mean(alpha);
             }

@@ -37,16 +37,30 @@ struct PairMoments {
 /// Pairs of paths with the old image as control variate, [pixel].
 struct ControlSums {
     std::vector<Spectrum> alpha;
-    bool fits = false;                              // fit() follows: moments are needed of all pixels
-    std::vector<std::array<PairMoments, 3>> pairs;  // none where the residual says all: with weight 1
+    bool fits;  // fit() follows
 
-    explicit ControlSums(std::vector<Spectrum> weights) : alpha(std::move(weights)), pairs(alpha.size()) {}
+    /// in:      fits       keep moments of all pixels
+    ///          needs_all  the same without fit()
+    explicit ControlSums(std::vector<Spectrum> weights, bool fits = false, bool needs_all = false);
+
+    /// Returns the moments of a pixel's pairs, [rgb]; null where the residual says all: with weight 1.
+    std::array<PairMoments, 3>* pairs(std::uint64_t pixel) {
+        return slots_[pixel] == none ? nullptr : &pairs_[slots_[pixel]];
+    }
+    const std::array<PairMoments, 3>* pairs(std::uint64_t pixel) const {
+        return slots_[pixel] == none ? nullptr : &pairs_[slots_[pixel]];
+    }
 
     /// Multiplies each weight by the one of least variance that the surrounding pixels have in common:
     ///   alpha = C / (W (1 + n / n_old)),  C = Cov(f_new, f_old), W = Var(f_old) of a pair, W / n_old the old image's variance,
     /// and nearer to 1 where these say little. No pixel determines its own weight, so that the sum is unbiased where pixels
     /// are independent. (The old image's own VarMean, which a few bright samples make, would say less than n_old.)
     void fit(const Sensor& sensor, std::uint64_t old_samples);
+
+  private:
+    static constexpr std::uint32_t none = ~0u;
+    std::vector<std::uint32_t> slots_;  // [pixel] in pairs_
+    std::vector<std::array<PairMoments, 3>> pairs_;
 };
 
 /// Weight of the old image in  new = alpha old + mean of (f_new - alpha f_old)  of least variance.

@@ -128,12 +128,12 @@ std::optional<ControlSums> graph_control(const ScenePair& scenes, const EditReac
                 if (covered.at(u, v) > 1) return true;
         return false;
     };
-    ControlSums control(covered.weights(scenes.new_scene.sensor, [&](std::uint32_t x, std::uint32_t y) {
+    std::vector<Spectrum> alpha = covered.weights(scenes.new_scene.sensor, [&](std::uint32_t x, std::uint32_t y) {
         return near_light(x, y) ? 0 : 1 - covered.at(x, y);
-    }));
-    control.fits = reach.any_emitter || reach.any_relit || !reach.everything.empty();
-    if (!control.fits && all_are_one(control.alpha)) return {};
-    return control;
+    });
+    const bool fits = reach.any_emitter || reach.any_relit || !reach.everything.empty();
+    if (!fits && all_are_one(alpha)) return {};
+    return ControlSums(std::move(alpha), fits);
 }
 
 std::optional<ControlSums> first_hit_control(const ScenePair& scenes, const EditReach& reach, SamplerKind sampler,

@@ -113,7 +113,8 @@ std::vector<double> variances_of_pairs(const Image& residual, std::uint64_t samp
     for (int c = 0; c < 3; ++c) {
         const auto var_mean = residual.find(std::string("VarMean.") + rgb[c]);
         for (std::size_t p = 0; p < variances.size(); ++p) {
-            const PairMoments* pairs = control ? &control->pairs[p][std::size_t(c)] : nullptr;
+            const auto* const own = control ? control->pairs(p) : nullptr;
+            const PairMoments* const pairs = own ? &(*own)[std::size_t(c)] : nullptr;
             const double v = pairs && pairs->n > 0 ? pairs->var_mean(double(control->alpha[p][c])) * double(pairs->n)
                                                    : double(var_mean[p]) * double(samples);
             if (std::isfinite(v)) variances[p] += v;
@@ -127,7 +128,8 @@ void add_pairs(const PairSums& pairs, std::uint64_t samples, Image& residual, Co
         const auto k = std::size_t(c);
         const auto mean = residual.add(rgb[c]), var_mean = residual.add(std::string("VarMean.") + rgb[c]);
         for (std::size_t p = 0; p < pairs.size(); ++p) {
-            if (control && control->pairs[p][k].n > 0) control->pairs[p][k] = pooled(control->pairs[p][k], pairs[p][k]);
+            if (auto* const own = control ? control->pairs(p) : nullptr; own && (*own)[k].n > 0)
+                (*own)[k] = pooled((*own)[k], pairs[p][k]);
             if (pairs[p][k].n == 0) continue;
             const PairMoments all =
                 pooled(of_residual(double(mean[p]), double(var_mean[p]), samples), differences(pairs[p][k]));

@@ -198,9 +198,7 @@ class PairsOfScene {
 
   private:
     /// Whether the old image has another weight than 1 in a pixel, or may get one.
-    bool weighs_old(std::uint64_t pixel) const {
-        return control_ && (control_->fits || !(control_->alpha[pixel] == Spectrum(1)));
-    }
+    bool weighs_old(std::uint64_t pixel) const { return control_ && control_->pairs(pixel); }
     /// Computes what an untouched path brings, in both scenes.
     void keep(StoredBlock& block, std::size_t path) {
         const PathGraph& graph = block.paths().graph();
@@ -320,7 +318,8 @@ class PairsOfScene {
     }
 
     void add_controlled(std::uint64_t pixel, const Spectrum& before, const Spectrum& after) {
-        for (int c = 0; c < 3; ++c) control_->pairs[pixel][std::size_t(c)].add(double(before[c]), double(after[c]));
+        std::array<PairMoments, 3>& pairs = *control_->pairs(pixel);
+        for (int c = 0; c < 3; ++c) pairs[std::size_t(c)].add(double(before[c]), double(after[c]));
     }
 
     struct Touched {
