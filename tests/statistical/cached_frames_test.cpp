@@ -8,9 +8,9 @@
 
 #include "formats/io/content_hash.h"
 #include "stages/core/edit/animation.h"
-#include "stages/learn/learn.h"
 #include "stages/residual/cached_estimator.h"
 #include "stages/residual/control/seen_emission.h"
+#include "tests/learnt_cache.h"
 #include "tests/statistical/path_graph_passes.h"
 
 namespace loom {
@@ -35,14 +35,9 @@ struct Walk {
         new_scene = build_scene(SceneDescription(after));
     }
     RadianceCache learnt(std::uint64_t spp) const {
-        std::vector<learn::LearnInput> inputs(1);
-        learn::LearnInput& in = inputs[0];
         PathOptions path = options_of(*old_scene);
         path.seed = 99;
-        in.graph = testing::trace_graph(*old_scene, path, spp);
-        in.clusters = testing::clusters_of(in.graph, 64, 0, 0.03f, old_scene.get());
-        in.radiance = testing::radiance_of(in.graph, in.clusters);
-        return learn::learn(inputs, {});
+        return testing::learnt_cache(*old_scene, path, spp, 64);
     }
 };
 

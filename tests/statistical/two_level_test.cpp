@@ -14,7 +14,7 @@
 #include "stages/core/edit/edit.h"
 #include "stages/core/stats/chi_square.h"
 #include "stages/core/stats/student.h"
-#include "stages/learn/learn.h"
+#include "tests/learnt_cache.h"
 #include "tests/statistical/path_graph_passes.h"
 
 namespace loom {
@@ -61,14 +61,9 @@ struct Room {
     RadianceCache learnt() const {
         const File file(-0.4, "");
         const std::unique_ptr<Scene> view = load_scene(file.path);
-        std::vector<learn::LearnInput> inputs(1);
-        learn::LearnInput& in = inputs[0];
         PathOptions path = options_of(*view);
         path.seed = 99;
-        in.graph = testing::trace_graph(*view, path, 64);
-        in.clusters = testing::clusters_of(in.graph, 64, 0, 0.03f, view.get());
-        in.radiance = testing::radiance_of(in.graph, in.clusters);
-        return learn::learn(inputs, {});
+        return testing::learnt_cache(*view, path, 64, 64);
     }
 };
 

@@ -1,21 +1,14 @@
 // Frames of an animation with a radiance cache of the static scene: the camera may move. What is seen of the edit does not
 // depend on the cache, the rest is the cache plus the difference, and a frame has the same bytes alone and among others.
-#include <fmt/format.h>
-#include <gtest/gtest.h>
-#include <unistd.h>
-
 #include <cmath>
-#include <fstream>
 
 #include "formats/image.h"
 #include "formats/io/content_hash.h"
-#include "formats/io/error.h"
 #include "stages/core/edit/animation.h"
-#include "stages/learn/learn.h"
 #include "stages/residual/cached_estimator.h"
-#include "stages/residual/residual.h"
 #include "stages/trace/trace.h"
-#include "tests/traced_graph.h"
+#include "tests/learnt_cache.h"
+#include "tests/unit/frames_folder.h"
 
 namespace loom {
 namespace {
@@ -32,33 +25,15 @@ constexpr const char* scene_text =
 <shape type="rectangle" id="lamp"><transform name="to_world"><scale value=".5"/><rotate x="1" angle="180"/><translate y="-.5" z="2.6"/></transform><emitter type="area"><rgb name="radiance" value="9, 8, 7"/></emitter></shape>
 </scene>)";
 
-class CachedFrames : public ::testing::Test {
+class CachedFrames : public testing::FramesFolder {
   protected:
-    const std::filesystem::path folder =
-        std::filesystem::temp_directory_path() / fmt::format("loom-cached-{}", getpid());
-    app::Report report{"loom-residual"};
-
-    CachedFrames() {
-        std::filesystem::create_directories(folder);
-        report.set_quiet(true);
-        report.set_command("loom-residual s.xml --frames f.tsv --cache c.h5");
-        write("s.xml", scene_text);
-    }
-    ~CachedFrames() override { std::filesystem::remove_all(folder); }
-
-    void write(const std::string& name, const std::string& text) const { std::ofstream(folder / name) << text; }
-    std::string at(const std::string& name) const { return (folder / name).string(); }
+    CachedFrames() : FramesFolder(scene_text, "loom-residual s.xml --frames f.tsv --cache c.h5") {}
 
     Animation animation() const { return find_animation(at("s.xml"), {}, "", read_frames(at("f.tsv")), Cameras::each); }
     /// Learns a cache of what the frames of f.tsv share.
     RadianceCache learnt(std::uint64_t spp = 8) const {
         const std::shared_ptr<const Scene> still = build_scene(animation().still);
-        std::vector<learn::LearnInput> inputs(1);
-        learn::LearnInput& in = inputs[0];
-        in.graph = testing::trace_graph(*still, testing::path_options(*still, 7), spp);
-        in.clusters = testing::clusters_of(in.graph, 16, 0, 0.03f, still.get());
-        in.radiance = testing::radiance_of(in.graph, in.clusters);
-        RadianceCache cache = learn::learn(inputs, {});
+        RadianceCache cache = testing::learnt_cache(*still, testing::path_options(*still, 7), spp, 16);
         cache.scene = content_hash_text(still->content_hash);
         cache.validation.relative_l2 = std::vector<double>(cache.validation.vertices.size(), 0.01);  // trusted
         return cache;
@@ -84,18 +59,6 @@ class CachedFrames : public ::testing::Test {
     }
     Image frame(const std::string& prefix, int number) const {
         return read_image(at(fmt::format("{}-{:04}.exr", prefix, number)));
-    }
-    std::string bytes(const std::string& name) const {
-        std::ifstream in(folder / name, std::ios::binary);
-        return {std::istreambuf_iterator<char>(in), {}};
-    }
-    std::string error(const residual::Options& options) {
-        try {
-            residual::run(options, report);
-        } catch (const InputError& e) {
-            return e.what();
-        }
-        return "";
     }
 };
 

@@ -1,17 +1,10 @@
 // Frames of an animation by loom-residual: each is the image of its scene with the graph's samples, and has the same bytes
 // alone, among others, and with any number of threads.
-#include <fmt/format.h>
-#include <gtest/gtest.h>
-#include <unistd.h>
-
 #include <algorithm>
-#include <fstream>
 
-#include "formats/io/error.h"
 #include "formats/io/mapped_file.h"
-#include "stages/core/app/report.h"
-#include "stages/residual/residual.h"
 #include "stages/trace/trace.h"
+#include "tests/unit/frames_folder.h"
 
 namespace loom {
 namespace {
@@ -28,24 +21,14 @@ constexpr const char* scene_text =
 <shape type="rectangle" id="lamp"><transform name="to_world"><scale value=".4"/><rotate x="1" angle="180"/><translate x="$at" z="2.6"/></transform><emitter type="area"><rgb name="radiance" value="$power, 9, 9"/></emitter></shape>
 </scene>)";
 
-class ResidualFrames : public ::testing::Test {
+class ResidualFrames : public testing::FramesFolder {
   protected:
-    const std::filesystem::path folder =
-        std::filesystem::temp_directory_path() / fmt::format("loom-frames-{}", getpid());
-    app::Report tracer{"loom-trace"}, report{"loom-residual"};
+    app::Report tracer{"loom-trace"};
 
-    ResidualFrames() {
-        std::filesystem::create_directories(folder);
+    ResidualFrames() : FramesFolder(scene_text, "loom-residual s.xml --frames f.tsv --old static.exr") {
         tracer.set_quiet(true);
         tracer.set_command("loom-trace s.xml --spp 8 --first-sample 0");
-        report.set_quiet(true);
-        report.set_command("loom-residual s.xml --frames f.tsv --old static.exr");
-        write("s.xml", scene_text);
     }
-    ~ResidualFrames() override { std::filesystem::remove_all(folder); }
-
-    void write(const std::string& name, const std::string& text) const { std::ofstream(folder / name) << text; }
-    std::string at(const std::string& name) const { return (folder / name).string(); }
 
     void trace(const std::string& output, const std::string& frames, const std::vector<std::string>& defines = {},
                std::uint64_t seed = 0) {
@@ -68,18 +51,6 @@ class ResidualFrames : public ::testing::Test {
         options.output = at(prefix + "residual-%.exr");
         options.new_picture = at(prefix + "new-%.exr");
         return options;
-    }
-    std::string bytes(const std::string& name) const {
-        std::ifstream in(folder / name, std::ios::binary);
-        return {std::istreambuf_iterator<char>(in), {}};
-    }
-    std::string error(const residual::Options& options) {
-        try {
-            residual::run(options, report);
-        } catch (const InputError& e) {
-            return e.what();
-        }
-        return "";
     }
 };
 

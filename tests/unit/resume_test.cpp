@@ -31,22 +31,33 @@ struct ResumeCase {
     int max_depth = -1;
 };
 
-class ResumedPaths : public ::testing::TestWithParam<ResumeCase> {};
+class ResumedPaths : public ::testing::TestWithParam<ResumeCase> {
+  protected:
+    const std::unique_ptr<Scene> scene_ = loom::testing::own_scene(GetParam().scene, 24, 24);
+    const PathOptions options_ = options();
+    std::vector<PathId> ids_;
+    PathBatch batch_{*scene_, options_};
+    std::vector<PathResult> whole_;  // traced whole
+
+    ResumedPaths() {
+        for (std::uint64_t pixel = 0; pixel < 24 * 24; ++pixel) ids_.push_back({pixel, pixel % 3});
+        whole_.resize(ids_.size());
+        batch_.trace(ids_, whole_);
+    }
+
+  private:
+    PathOptions options() const {
+        PathOptions options = loom::testing::path_options(*scene_, 7, GetParam().sampler);
+        options.roulette = GetParam().roulette;
+        options.rr_depth = 3;
+        options.max_depth = GetParam().max_depth;
+        return options;
+    }
+};
 
 TEST_P(ResumedPaths, EndAsThoseTracedWhole) {
-    const ResumeCase& c = GetParam();
-    const auto scene = loom::testing::own_scene(c.scene, 24, 24);
-    PathOptions options = loom::testing::path_options(*scene, 7, c.sampler);
-    options.roulette = c.roulette;
-    options.rr_depth = 3;
-    options.max_depth = c.max_depth;
-    std::vector<PathId> ids;
-    for (std::uint64_t pixel = 0; pixel < 24 * 24; ++pixel) ids.push_back({pixel, pixel % 3});
-    PathBatch batch(*scene, options);
-    std::vector<PathResult> whole(ids.size());
-    batch.trace(ids, whole);
     std::vector<std::vector<PathState>> states;
-    for (const PathId& id : ids) states.push_back(loom::testing::states_of(*scene, options, id));
+    for (const PathId& id : ids_) states.push_back(loom::testing::states_of(*scene_, options_, id));
 
     // In each round a path starts a depth later than in the one before, its neighbours elsewhere; one in five not at
     // all.
@@ -54,7 +65,7 @@ TEST_P(ResumedPaths, EndAsThoseTracedWhole) {
     for (std::size_t round = 0; round < 12; ++round) {
         std::vector<PathState> paths;
         std::vector<std::uint32_t> under_way;
-        for (std::size_t i = 0; i < ids.size(); ++i) {
+        for (std::size_t i = 0; i < ids_.size(); ++i) {
             const std::size_t depth = std::min((i + round) % 12, states[i].size() - 1);
             paths.push_back(states[i][depth]);
             if ((i + round) % 5 == 0) continue;
@@ -62,12 +73,12 @@ TEST_P(ResumedPaths, EndAsThoseTracedWhole) {
             deepest = std::max(deepest, depth);
         }
         n_resumed += under_way.size();
-        batch.resume(paths, under_way);
+        batch_.resume(paths, under_way);
         std::size_t next = 0;
-        for (std::size_t i = 0; i < ids.size(); ++i) {
+        for (std::size_t i = 0; i < ids_.size(); ++i) {
             SCOPED_TRACE(fmt::format("round {}, path {}", round, i));
             if (next < under_way.size() && under_way[next] == i) {
-                expect_same(paths[i].result, whole[i]);
+                expect_same(paths[i].result, whole_[i]);
                 ++next;
             } else {
                 expect_same(paths[i].result, states[i][std::min((i + round) % 12, states[i].size() - 1)].result);
@@ -94,40 +105,29 @@ struct GateByNumber : PathGate {
 };
 
 TEST_P(ResumedPaths, EndAsThoseTracedWholeAfterAGate) {
-    const ResumeCase& c = GetParam();
-    const auto scene = loom::testing::own_scene(c.scene, 24, 24);
-    PathOptions options = loom::testing::path_options(*scene, 7, c.sampler);
-    options.roulette = c.roulette;
-    options.rr_depth = 3;
-    options.max_depth = c.max_depth;
-    std::vector<PathId> ids;
-    for (std::uint64_t pixel = 0; pixel < 24 * 24; ++pixel) ids.push_back({pixel, pixel % 3});
-    PathBatch batch(*scene, options);
-    std::vector<PathResult> whole(ids.size());
-    batch.trace(ids, whole);
     std::vector<PathState> paths;
     std::vector<std::uint32_t> all;
-    for (const PathId id : ids) {
-        const Sampler sampler(options.sampler, options.seed, id.pixel, id.sample);
+    for (const PathId id : ids_) {
+        const Sampler sampler(options_.sampler, options_.seed, id.pixel, id.sample);
         all.push_back(std::uint32_t(all.size()));
-        paths.emplace_back(*scene, sampler, id, sampler.pair(film_pair));
+        paths.emplace_back(*scene_, sampler, id, sampler.pair(film_pair));
     }
     GateByNumber gate;
-    batch.resume(paths, all, &gate);
+    batch_.resume(paths, all, &gate);
     ASSERT_GT(gate.stopped.size(), 100u);
-    std::vector<bool> stopped(ids.size());
+    std::vector<bool> stopped(ids_.size());
     for (const std::uint32_t i : gate.stopped) {
         SCOPED_TRACE(fmt::format("path {}", i));
         stopped[i] = true;
-        PathResult before = loom::testing::states_of(*scene, options, ids[i])[i % 6].result;
+        PathResult before = loom::testing::states_of(*scene_, options_, ids_[i])[i % 6].result;
         ++before.n_rays;
         expect_same(paths[i].result, before);
     }
-    batch.resume(paths, gate.stopped);
-    for (std::size_t i = 0; i < ids.size(); ++i) {
+    batch_.resume(paths, gate.stopped);
+    for (std::size_t i = 0; i < ids_.size(); ++i) {
         SCOPED_TRACE(fmt::format("path {}", i));
-        whole[i].n_rays += stopped[i];
-        expect_same(paths[i].result, whole[i]);
+        whole_[i].n_rays += stopped[i];
+        expect_same(paths[i].result, whole_[i]);
     }
 }
 
