@@ -149,7 +149,7 @@ std::vector<double> box_means(const std::vector<double>& values, std::uint32_t w
 
 OldPart old_part_of(const Image& image, Image base) {
     OldPart part{std::move(base), {}, {}, std::vector<float>(image.n_pixels()), 0};
-    std::vector<double> of_difference(image.n_pixels()), of_fresh(image.n_pixels()), least(image.n_pixels(), 1);
+    std::vector<double> of_difference(image.n_pixels()), of_fresh(image.n_pixels()), lost(image.n_pixels());
     // Variance of as many old paths as there are in the difference.
     const double n_per_pair =
         double(part.base.samples) /
@@ -164,15 +164,16 @@ OldPart old_part_of(const Image& image, Image base) {
             const double w = double(part.weight[c][i]), v = double(old_var[i]);
             of_difference[i] += std::max(double(var[i]) - w * w * v, 0.0);
             of_fresh[i] += v * n_per_pair;
-            least[i] = std::min(least[i], w);
+            lost[i] = std::max(lost[i], 1 - w);
         }
     }
     const int radius = FilterParameters{}.window_radius;
+    const std::vector<double> lost_around = box_means(lost, image.width, image.height, radius);
     of_difference = box_means(of_difference, image.width, image.height, radius);
     of_fresh = box_means(of_fresh, image.width, image.height, radius);
     for (std::size_t i = 0; i < part.share_of_sum.size(); ++i) {
         const double ratio = of_difference[i] > 0 ? of_difference[i] / of_fresh[i] : 0;
-        part.share_of_sum[i] = float(std::clamp(std::max(1 - least[i], ratio), 0.0, 1.0));
+        part.share_of_sum[i] = float(std::clamp(std::max({lost[i], 2 * lost_around[i], ratio}), 0.0, 1.0));
         part.mean_share += double(part.share_of_sum[i]) / double(image.n_pixels());
     }
     return part;

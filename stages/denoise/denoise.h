@@ -55,8 +55,10 @@ Prepared prepare(const Image& image);
 struct OldPart {
     Image base;
     std::vector<float> weight[3], denoised[3];  // denoised: of the base; empty: not yet
-    /// By pixel: share of the image denoised as a whole, the greater of 1 - weight and of the variance of the difference over
-    /// that of as many old paths, both means over the filter's window.
+    /// By pixel: share of the image denoised as a whole, the greatest of 1 - weight, twice its mean over the filter's window,
+    /// and the variance of the difference over that of as many old paths, both means over the window. At the border of where
+    /// the old image has no weight, half of the window shows what it does not know: there the difference has an edge that
+    /// no feature explains, and a light that moved away would leave its outline.
     std::vector<float> share_of_sum;
     double mean_share = 0;
 

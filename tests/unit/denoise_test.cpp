@@ -499,6 +499,34 @@ TEST(Prepare, an_island_of_one_finite_pixel_is_enough) {
     EXPECT_THROW(prepare(image_of(s)), InputError);
 }
 
+// The old image has no weight on the left, and the difference no noise: what is denoised as a whole ends a window's radius to
+// the right. Detected mutation: the share by the pixel's own weight alone, which leaves the outline of a light that moved away.
+TEST(OldPart, is_left_out_around_what_it_does_not_know) {
+    constexpr std::uint32_t width = 64, height = 24, border = 24;
+    Image base, image;
+    for (Image* one : {&base, &image}) {
+        one->width = width, one->height = height;
+        for (const char* channel : {"R", "G", "B", "VarMean.R", "VarMean.G", "VarMean.B"}) one->add(channel);
+        for (const char* channel : {"VarMean.R", "VarMean.G", "VarMean.B"}) std::ranges::fill(one->add(channel), 0.01f);
+    }
+    base.samples = image.samples = 64;
+    image.ledger.resize(2);
+    image.ledger[1].samples = 8;
+    for (const char* channel : {"Weight.R", "Weight.G", "Weight.B"}) {
+        const auto weight = image.add(channel);
+        for (std::size_t i = 0; i < weight.size(); ++i) weight[i] = i % width < border ? 0.0f : 1.0f;
+    }
+    const OldPart part = old_part_of(image, base);
+    const auto share = [&](std::uint32_t x) { return part.share_of_sum[10 * width + x]; };
+    const auto radius = std::uint32_t(FilterParameters{}.window_radius);
+    EXPECT_EQ(share(0), 1);
+    EXPECT_EQ(share(border - 1), 1);
+    EXPECT_GT(share(border), 0.9f);
+    EXPECT_GT(share(border + 1), share(border + 2));
+    EXPECT_GT(share(border + radius - 1), 0);
+    EXPECT_LT(share(border + 2 * radius), 1e-3f);
+}
+
 TEST(Oidn, a_wrong_place_is_an_error) {
     std::string missing;
     EXPECT_THROW(Oidn::load("/no/such/folder", missing), InputError);
