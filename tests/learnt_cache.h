@@ -16,4 +16,13 @@ inline RadianceCache learnt_cache(const Scene& scene, const PathOptions& path, s
     return learn::learn(inputs, {});
 }
 
+/// A cache of points whose values are those of another, changed.
+template <class Of>
+RadianceCache with_values(RadianceCache cache, Of&& value) {
+    std::vector<float> E(cache.points.E.begin(), cache.points.E.end());
+    for (float& e : E) e = value(e);
+    cache.points.E = E;
+    return cache;
+}
+
 }  // namespace loom::testing

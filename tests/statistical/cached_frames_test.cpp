@@ -96,11 +96,7 @@ TEST(CachedFramesMean, HasTheEmissionThatTheCameraSees) {
 // A cache that is wrong by half: what is seen of the ball does not know of it; with the mask left out all of it leaks in.
 TEST(CachedFramesMean, WithoutTheMaskTheCacheLeaksIntoWhatMoves) {
     const Walk walk({{"x", "0.1"}, {"y", "0.7"}, {"eye", "0.1, 0.9, 1.1"}});  // the ball fills tiles
-    RadianceCache cache = walk.learnt(64);
-    std::vector<float> E(cache.points.E.begin(), cache.points.E.end());
-    for (float& e : E) e *= 1.5f;
-    cache.points.E = E;
-    const auto reader = make_cache_reader(std::move(cache));
+    const auto reader = make_cache_reader(testing::with_values(walk.learnt(64), [](float e) { return 1.5f * e; }));
     Image image;
     const Replicates fresh = trace_replicates(*walk.new_scene, options_of(*walk.new_scene), 64, 16),
                      masked = replicates_of(walk, *reader, 16, 64, true, &image),

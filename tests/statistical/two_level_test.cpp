@@ -111,23 +111,16 @@ void expect_unbiased(RadianceCache cache, double share, double bias) {
     ::testing::Test::RecordProperty("least_p", fmt::format("{:.3g}", least));
 }
 
-RadianceCache with_values(RadianceCache cache, const std::function<float(float)>& value) {
-    std::vector<float> E(cache.points.E.begin(), cache.points.E.end());
-    for (float& e : E) e = value(e);
-    cache.points.E = E;
-    return cache;
-}
-
 TEST(TwoLevelMean, IsThatOfPathTracing) {
     expect_unbiased(Room().learnt(), 0.25, 0.01);
 }
 
 TEST(TwoLevelMean, IsThatOfPathTracingWhenTheCacheIsThreeTimesTooBright) {
-    expect_unbiased(with_values(Room().learnt(), [](float e) { return 3 * e; }), 0.25, 0.02);
+    expect_unbiased(testing::with_values(Room().learnt(), [](float e) { return 3 * e; }), 0.25, 0.02);
 }
 
 TEST(TwoLevelMean, IsThatOfPathTracingWhenTheCacheIsConstant) {
-    expect_unbiased(with_values(Room().learnt(), [](float) { return 0.5f; }), 0.5, 0.02);
+    expect_unbiased(testing::with_values(Room().learnt(), [](float) { return 0.5f; }), 0.5, 0.02);
 }
 
 }  // namespace

@@ -40,10 +40,7 @@ class CachedFrames : public testing::FramesFolder {
     }
     /// Multiplies the values of a cache.
     static RadianceCache scaled(RadianceCache cache, float by) {
-        std::vector<float> E(cache.points.E.begin(), cache.points.E.end());
-        for (float& e : E) e *= by;
-        cache.points.E = E;
-        return cache;
+        return testing::with_values(std::move(cache), [&](float e) { return e * by; });
     }
     void write_cache(const RadianceCache& cache, const std::string& name = "c.h5") const {
         write_radiance_cache(cache, at(name), Sync::no);

@@ -94,10 +94,7 @@ struct Covered {
 
 Covered covered_by(const ScenePair& scenes, const EditReach& reach, const CameraRays& camera, int threads) {
     const Sensor& sensor = scenes.new_scene.sensor;
-    FilmBox film;
-    for (const Obstacles* places : {&reach.old_places, &reach.new_places})
-        for (const Box3f& box : places->boxes()) film.add(sensor, box);
-    film.finish(sensor);
+    const FilmBox film = film_of_changes(sensor, reach);
     if (film.empty()) return {};
     Covered covered{film.left(), film.top(), film.width(), film.height(), {}};
     covered.share.resize(std::size_t(covered.width) * covered.height);

@@ -7,6 +7,7 @@
 #include <cstdint>
 #include <optional>
 
+#include "stages/core/edit/edit_reach.h"
 #include "stages/core/math/box.h"
 #include "stages/core/scene/sensor.h"
 
@@ -48,5 +49,14 @@ struct FilmBox {
     std::uint32_t width() const { return std::uint32_t(hi[0] - lo[0]); }
     std::uint32_t height() const { return std::uint32_t(hi[1] - lo[1]); }
 };
+
+/// Where the camera may see shapes that moved, were removed or added.
+inline FilmBox film_of_changes(const Sensor& sensor, const EditReach& reach) {
+    FilmBox film;
+    for (const Obstacles* places : {&reach.old_places, &reach.new_places})
+        for (const Box3f& box : places->boxes()) film.add(sensor, box);
+    film.finish(sensor);
+    return film;
+}
 
 }  // namespace loom::residual

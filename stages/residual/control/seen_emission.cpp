@@ -67,13 +67,9 @@ SeenEmission::SeenEmission(const ScenePair& scenes, const EditReach& reach, std:
     add_emitters(scenes.old_scene, sensor, film);
     add_emitters(scenes.new_scene, sensor, film);
     film.finish(sensor);
-    if (!reach.any_emitter && !reach.any_relit && reach.everything.empty()) {  // what moves may hide an emitter
-        FilmBox moved;
-        for (const Obstacles* places : {&reach.old_places, &reach.new_places})
-            for (const Box3f& box : places->boxes()) moved.add(sensor, box);
-        moved.finish(sensor);
-        film.intersect(moved);
-    }
+    // What moves may hide an emitter.
+    if (!reach.any_emitter && !reach.any_relit && reach.everything.empty())
+        film.intersect(film_of_changes(sensor, reach));
     estimate(&scenes.old_scene, scenes.new_scene, film, seed, samples, threads);
 }
 
@@ -115,12 +111,11 @@ void SeenEmission::estimate(const Scene* old_scene, const Scene& new_scene, cons
         index_[pixel] = std::int32_t(chosen.size());
         chosen.push_back(pixel);
     }
-    n_chosen_ = chosen.size();
 
     // Estimate.
     const std::uint64_t n_rays = std::clamp(rays_per_path * samples, fewest_rays, most_rays) / n_sets;
-    pairs_.resize(n_chosen_);
-    parallel_chunks(n_chosen_, 16, threads, [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
+    pairs_.resize(chosen.size());
+    parallel_chunks(chosen.size(), 16, threads, [&](std::uint64_t, std::uint64_t begin, std::uint64_t end) {
         for (std::uint64_t i = begin; i < end; ++i)
             for (std::uint64_t set = 0; set < n_sets; ++set) {
                 const RayPairs rays{old_scene, new_scene, SamplerKind::sobol,
@@ -137,7 +132,7 @@ void SeenEmission::estimate(const Scene* old_scene, const Scene& new_scene, cons
                                                   double(sum[1][c]) / double(n_rays));
             }
     });
-    n_rays_ = (n * n_pilot + n_chosen_ * n_rays * n_sets) * (old_scene ? 2 : 1);
+    n_rays_ = (n * n_pilot + chosen.size() * n_rays * n_sets) * (old_scene ? 2 : 1);
 }
 
 void SeenEmission::add_to(Image& image) const {

@@ -31,8 +31,8 @@ class SeenEmission {
     /// Of one scene, which is the new one; nothing is seen in the old one.
     SeenEmission(const Scene& scene, std::uint64_t seed, std::uint64_t samples, int threads);
 
-    bool empty() const { return n_chosen_ == 0; }
-    std::uint64_t n_pixels() const { return n_chosen_; }
+    bool empty() const { return pairs_.empty(); }
+    std::uint64_t n_pixels() const { return pairs_.size(); }
     std::uint64_t n_rays() const { return n_rays_; }
     /// Whether the paths of a pixel must do without the emission that their camera rays find.
     bool has(std::uint64_t pixel) const { return !index_.empty() && index_[pixel] >= 0; }
@@ -47,7 +47,7 @@ class SeenEmission {
 
     std::vector<std::int32_t> index_;  // [pixel] in pairs_; -1: not chosen
     std::vector<std::array<PairMoments, 3>> pairs_;
-    std::uint64_t n_chosen_ = 0, n_rays_ = 0;
+    std::uint64_t n_rays_ = 0;
 };
 
 /// Emission of the surface that a camera ray hits first; 0 where there is none, for the sky too.
