@@ -29,7 +29,7 @@ $(call view,h5) &: $(cache_work)/static.hash $(cache_work)/views.parameters $(tr
 $(call view,clusters.h5) &: $(call view,h5) $(cluster)
 	$(LAUNCH) $(cluster) $(call view,h5) --scene $(scene_parameters) --static $(call quote,$(FRAMES))$(absent) --k $(cache_k)$(threads) \
 		-o $(cache_work)/%.clusters.h5
-$(call view,radiance.h5): $(cache_work)/%.radiance.h5: $(cache_work)/%.h5 $(cache_work)/%.clusters.h5 $(refine)
+$(call view,radiance.h5): $(cache_work)/%.radiance.h5: $(cache_work)/%.h5 $(cache_work)/%.clusters.h5 $(refine) | $(call view,clusters.h5)
 	$(LAUNCH) $(refine) $(cache_work)/$*.h5 $(cache_work)/$*.clusters.h5 -o $@$(threads)
 $(eval $(call parameter,$(cache_work)/learn.parameters,$(CACHE)))
 $(cache): $(call view,radiance.h5) $(cache_work)/learn.parameters $(learn)

@@ -170,7 +170,7 @@ $(eval $(call parameter,$(OUT)/method.parameters,$(way)$(if $(hybrid),$(hybrid_p
 # $(call batch,GRAPH,STATE,NAMES): the hash of a frame is written when the frame is there.
 define batch
 $(3:%=$(OUT)/images/frame-%.exr) &: $(if $(hybrid),$(base)/static.exr $(base)/graph-$(1).h5 $(residual),$(if $(CACHE),$(cache) $(residual),$(trace))) \
-		$(OUT)/method.parameters $(if $(filter missing,$(2)),FORCE)
+		$(OUT)/method.parameters $(if $(filter missing,$(2)),FORCE)$(if $(hybrid), | $(graphs:%=$(base)/graph-%.h5))
 	@mkdir -p $(OUT)/images && rm -f $(3:%=$(OUT)/images/frame-%.hash)
 	$(LAUNCH) $(call of_$(way),$(1)) --frames $(call quote,$(FRAMES))$(absent) \
 		--only $(call number,$(firstword $(3))):$(shell expr $(lastword $(3)) + 1):$(if $(hybrid),$(GRAPHS),1)$(threads) \

@@ -54,7 +54,7 @@ $(call in_pass,clusters.h5) &: $(graphs) $(graph_work)/cluster.parameters $(clus
 
 refine_parameters = --iterations $(ITERATIONS)$(if $(REFINE), $(REFINE))
 $(eval $(call parameter,$(graph_work)/refine.parameters,$(refine_parameters)))
-$(call in_pass,radiance.h5): $(graph_work)/%.radiance.h5: $(graph_work)/%.h5 $(graph_work)/%.clusters.h5 $(graph_work)/refine.parameters $(refine)
+$(call in_pass,radiance.h5): $(graph_work)/%.radiance.h5: $(graph_work)/%.h5 $(graph_work)/%.clusters.h5 $(graph_work)/refine.parameters $(refine) | $(call in_pass,clusters.h5)
 	$(LAUNCH) $(refine) $(filter %.h5,$^) $(refine_parameters) -o $@$(threads)
 
 gather_parameters = --estimates$(if $(GATHER), $(GATHER))

@@ -33,13 +33,17 @@ define batch
 $(foreach i,$(1),$(work)/pass-$(i).$(kind)) &: $(scene_stamp) $(work)/trace.parameters $(trace)
 	$(LAUNCH) $(trace) $(trace_parameters) --first-sample $(shell echo $$(($(firstword $(1)) * $(SPP)))) --passes $(words $(1))$(threads) \
 		-o $(work)/pass-%.$(kind)
+$(if $(filter-out $(kind),$(made)),$(call whole,$(1),$(made),$(kind)))
 endef
-# 0,1,2,3 4,5: comma-separated passes of each batch
+# $(call whole,PASSES,MADE,FROM): all files of the batch with the ending FROM are up to date before one of MADE is made, whose recipe may
+# remove its own. GNU make 4.3 makes several targets of one rule again when it meets the first that is old or missing.
+whole = $(1:%=$(work)/pass-%.$(2)): | $(1:%=$(work)/pass-%.$(3))
+# 0,1,2,3 4,5: comma-separated passes of each batch, which have the same files: what a killed make left stays.
 batches := $(shell i=0; was=; for i in $(numbers); do \
-	is=$$([ -e '$(work)'/pass-$$i.$(made) ] && echo there || echo missing); \
+	is=$$(for e in $(sort $(made) $(kind) clusters.h5); do [ ! -e $(call quote,$(work))/pass-$$i.$$e ] || printf ' %s' $$e; done); \
 	if [ $$i = 0 ]; then printf '%s' $$i; \
-	elif [ $$((i % $(BATCH))) = 0 ] || { [ $$is = missing ] && [ $$was = there ]; }; then printf ' %s' $$i; \
-	else printf ',%s' $$i; is=$$was; fi; was=$$is; done)
+	elif [ $$((i % $(BATCH))) = 0 ] || [ "$$is" != "$$was" ]; then printf ' %s' $$i; \
+	else printf ',%s' $$i; fi; was=$$is; done)
 $(foreach b,$(batches),$(eval $(call batch,$(subst $(comma),$(space),$(b)))))
 
 # $(eval $(cluster_passes)): rules of OUT/FOLDER/pass-I.clusters.h5. Clusters of a batch are made by one process, which reads
@@ -49,6 +53,7 @@ cluster_parameters = --scene $(scene_parameters) --k $(K)$(if $(CLUSTER), $(CLUS
 define clustered_batch
 $(1:%=$(work)/pass-%.clusters.h5) &: $(1:%=$(work)/pass-%.h5) $(work)/cluster.parameters $(cluster)
 	$(LAUNCH) $(cluster) $(1:%=$(work)/pass-%.h5) $(cluster_parameters) --seed $(firstword $(1)) -o $(work)/%.clusters.h5$(threads)
+$(call whole,$(1),radiance.h5,clusters.h5)
 endef
 define cluster_passes
 $(call parameter,$(work)/cluster.parameters,$(cluster_parameters))

@@ -6,6 +6,7 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <chrono>
 #include <cmath>
 #include <utility>
 
@@ -168,6 +169,31 @@ TEST_F(MakeImage, killed_stages_change_nothing) {
         EXPECT_TRUE(killed.code == 0 || !fs::exists(folder / "x/image.exr")) << seconds;
     }
     EXPECT_TRUE(undisturbed == bytes_of(image("x", variables)));
+}
+
+// A kill in the middle of a batch leaves some of its files out, or as they were before a parameter changed.
+TEST_F(MakeImage, goes_on_from_a_part_of_a_batch) {
+    const std::string variables = small + "SPP=1 PASSES=3";
+    const std::string undisturbed = bytes_of(image("whole", variables));
+    for (const std::string broken : {"clusters.h5", "h5"})
+        for (const bool old : {false, true}) {
+            const std::string out = broken + (old ? "-old" : "-missing");
+            fs::remove(image(out, variables + " KEEP=1"));
+            const fs::path passes = folder / out / "pathgraph";
+            for (const std::string pass : {"pass-0.", "pass-1.", "pass-2."}) {
+                for (const char* later : {"exr", "radiance.h5"}) fs::remove(passes / (pass + later));
+                if (broken == "h5") fs::remove(passes / (pass + "clusters.h5"));
+            }
+            const fs::path last = passes / ("pass-2." + broken);
+            if (old) {
+                fs::last_write_time(last, fs::last_write_time(last) - std::chrono::hours(1));
+            } else {
+                fs::remove(last);
+            }
+            EXPECT_TRUE(undisturbed == bytes_of(image(out, variables))) << out;
+            EXPECT_TRUE(up_to_date(out, variables)) << out;
+            EXPECT_FALSE(fs::exists(passes / "pass-0.h5")) << out;
+        }
 }
 
 TEST_F(MakeImage, killed_make_changes_nothing) {
