@@ -431,7 +431,7 @@ Ways check_paths(const Edited& edited, const PathOptions& options, bool misses =
     Ways ways;
     PathChanges changes;
     TouchedPaths(paths, reach).find(graph.n_pixels(), 2 * graph.n_pixels(), touched.data(), changes);
-    std::span<const std::uint32_t> again(changes.again);
+    auto again = changes.again.begin();
     for (const PathChange& change : changes.paths) {
         const std::uint64_t n = graph.paths.first_vertex[change.path + 1] - graph.paths.first_vertex[change.path];
         SCOPED_TRACE(fmt::format("path {} of {} vertices, cut at {}, {} light samples again{}", change.path, n,
@@ -439,9 +439,9 @@ Ways check_paths(const Edited& edited, const PathOptions& options, bool misses =
         PathPair pair;
         pair.first = first_hits.of(change.path);
         resumed.counts = {};
-        resumed.add(block, change, again.first(change.n_again), pair);
+        resumed.add(block, {{change}, {again, again + change.n_again}}, {&pair, 1});
         resumed.finish();
-        again = again.subspan(change.n_again);
+        again += change.n_again;
         const PathId id = paths.id(change.path);
         PathResult before, after;
         old_batch.trace({&id, 1}, {&before, 1});

@@ -173,14 +173,12 @@ class PairsOfScene {
             sums_[k].add(first_hits.of(first + k));
             if (weighs_old(begin_ + k)) keep(block, first + k);
         }
-        std::span<const std::uint32_t> again(changes_.again);
+        const std::size_t n_before = pairs_.size();
         for (const PathChange& change : changes_.paths) {
-            PathPair& pair = pairs_.emplace_back();
-            pair.first = first_hits.of(change.path);
-            resumed_.add(block, change, again.first(change.n_again), pair);
-            again = again.subspan(change.n_again);
+            pairs_.emplace_back().first = first_hits.of(change.path);
             touched_.push_back({pass, change.path});
         }
+        resumed_.add(block, changes_, std::span(pairs_).subspan(n_before));
     }
 
     /// Ends the pixels after their last sample.
@@ -201,16 +199,11 @@ class PairsOfScene {
     bool weighs_old(std::uint64_t pixel) const { return control_ && control_->pairs(pixel); }
     /// Computes what an untouched path brings, in both scenes.
     void keep(StoredBlock& block, std::size_t path) {
-        const PathGraph& graph = block.paths().graph();
         PathPair& pair = kept_.emplace_back();
-        if (const Spectrum* known = block.known_light(path)) {
+        if (const Spectrum* known = block.known_light(path))
             pair.before = *known;
-            return;
-        }
-        PathChange none;
-        none.path = path;
-        none.edge = first_row(graph.light_edges.vertex, graph.paths.first_vertex[path]);
-        resumed_.add(block, none, {}, pair);
+        else
+            resumed_.add_untouched(block, path, pair);
     }
 
     /// Traces some of the touched paths in the old scene as well; they must equal those of the graph.

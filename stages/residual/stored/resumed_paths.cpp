@@ -37,6 +37,31 @@ void ResumedPaths::add_light(Spectrum& sum, const Spectrum& light, std::uint32_t
         terms_.push_back({&sum, light, ray});
 }
 
+void ResumedPaths::ask_sky(Spectrum& sum, const Vector3f& d, const AskedSky& asked) {
+    LightQuery query;
+    query.kind = LightQuery::Kind::environment;
+    query.d = d;
+    skies_.push_back(query);
+    if (asked.of_old) old_skies_.push_back(query);
+    asked_skies_.push_back(asked);
+    asked_skies_.back().term = terms_.size();
+    terms_.push_back({&sum, {}, is_seen});
+}
+
+void ResumedPaths::look_up_skies() {
+    look_up_lights(scene_, skies_);
+    look_up_lights(old_scene_, old_skies_);
+    const LightQuery* old = old_skies_.data();
+    for (std::size_t i = 0; i < skies_.size(); ++i) {
+        const AskedSky& asked = asked_skies_[i];
+        terms_[asked.term].light = light_hit_contribution(asked.beta, asked.of_old ? (old++)->Le : skies_[i].Le,
+                                                          asked.density, asked.is_sampled ? skies_[i].pdf_w : 0.0f);
+    }
+    asked_skies_.clear();
+    skies_.clear();
+    old_skies_.clear();
+}
+
 std::uint32_t ResumedPaths::ask(const Ray& ray) {
     shadow_rays_.push_back(ray);
     return std::uint32_t(shadow_rays_.size() - 1);
@@ -61,13 +86,14 @@ ShadingPoint ResumedPaths::repainted(const ShadingPoint& here, std::uint32_t sha
 class ResumedPaths::Walk {
   public:
     Walk(ResumedPaths& owner, StoredBlock& block, const PathChange& change, std::span<const std::uint32_t> again,
-         PathPair& pair)
+         std::span<const LightQuery> lights, PathPair& pair)
         : owner_(owner),
           block_(block),
           paths_(block.paths()),
           g_(paths_.graph()),
           change_(change),
           again_(again),
+          lights_(lights),
           pair_(pair),
           first_(g_.paths.first_vertex[change.path]),
           last_(g_.paths.first_vertex[change.path + 1]),
@@ -152,12 +178,12 @@ class ResumedPaths::Walk {
         // Roulette depends on the throughput of the path.
         const bool other_survival = other_weight_ && roulette_at(owner_.options_, depth) == Roulette::throughput;
         const bool step_again = along_ && (repaint || other_survival) && depth != owner_.options_.max_depth;
-        if (ask_again) again_ = again_.subspan(1);
         if (along_) ++path_.result.n_vertices;
         Reached here{j, vertices_[j - first_], depth, ask_again, repaint, step_again};
         if (ask_again) {
-            here.lights.u = StoredBlock::u_light(here.vertex, sampler_, depth);
-            look_up_light(owner_.scene_, here.lights);
+            here.lights = lights_.front();
+            again_ = again_.subspan(1);
+            lights_ = lights_.subspan(1);
         }
         here.by_proposals = along_ && owner_.shares_sky_;
         here.shares_sky =
@@ -253,18 +279,11 @@ class ResumedPaths::Walk {
     /// Adds the sky's light along a ray that leaves the scene: of the new one, and of the old one where both have the new
     /// one's densities.
     void add_skies(Reached& here, const Vector3f& d) {
-        const Scene& scene = owner_.scene_;
-        const Lobe lobe = here.vertex.lobe;
-        LightQuery sky;
-        sky.kind = LightQuery::Kind::environment;
-        sky.d = d;
-        look_up_light(scene, sky);
-        const float pdf_nee = is_delta(lobe) ? 0.0f : sky.pdf_w;
-        if (along_ && !hides_sky(scene, path_.is_straight) && !is_black(sky.Le))
-            owner_.add_light(pair_.after, light_hit_contribution(path_.beta, sky.Le, path_.density, pdf_nee));
+        const bool is_sampled = !is_delta(here.vertex.lobe);
+        if (along_ && !hides_sky(owner_.scene_, path_.is_straight))
+            owner_.ask_sky(pair_.after, d, {0, path_.beta, path_.density, is_sampled, false});
         if (here.by_proposals && !hides_sky(owner_.old_scene_, old_is_straight_))
-            owner_.add_light(pair_.before, light_hit_contribution(beta_, environment(owner_.old_scene_, d),
-                                                                  g_.vertices.pdf_w[here.j], pdf_nee));
+            owner_.ask_sky(pair_.before, d, {0, beta_, g_.vertices.pdf_w[here.j], is_sampled, true});
     }
 
     /// Returns the direction in which the old path leaves a vertex.
@@ -327,6 +346,7 @@ class ResumedPaths::Walk {
     const PathGraph& g_;
     const PathChange& change_;
     std::span<const std::uint32_t> again_;  // vertices ahead
+    std::span<const LightQuery> lights_;    // theirs, looked up
     PathPair& pair_;
     std::size_t first_, last_;  // vertices
     std::size_t end_;           // from this vertex on the path in the new scene has no changes of its own
@@ -342,9 +362,43 @@ class ResumedPaths::Walk {
     bool old_is_straight_ = true;  // the old path has not been scattered; kept up where skies share samples
 };
 
-void ResumedPaths::add(StoredBlock& block, const PathChange& change, std::span<const std::uint32_t> again,
-                       PathPair& pair) {
-    Walk walk(*this, block, change, again, pair);
+void ResumedPaths::add(StoredBlock& block, const PathChanges& changes, std::span<PathPair> pairs) {
+    // All look-ups together, since tables of a sky are larger than caches.
+    lights_.clear();
+    const std::uint32_t* row = changes.again.data();
+    for (const PathChange& change : changes.paths) {
+        if (change.n_again == 0) continue;
+        const Sampler sampler = block.paths().sampler(change.path);
+        const std::span<StoredVertex> vertices = block.path(change.path, sampler);
+        const std::size_t first = block.paths().graph().paths.first_vertex[change.path];
+        for (std::uint32_t k = 0; k < change.n_again; ++k) {
+            const std::size_t place = *row++ - first;
+            lights_.emplace_back().u = StoredBlock::u_light(vertices[place], sampler, int(place) + 1);
+        }
+    }
+    look_up_lights(scene_, lights_);
+
+    std::span<const std::uint32_t> again(changes.again);
+    std::span<const LightQuery> lights(lights_);
+    for (std::size_t i = 0; i < changes.paths.size(); ++i) {
+        const std::size_t n = changes.paths[i].n_again;
+        follow(block, changes.paths[i], again.first(n), lights.first(n), pairs[i]);
+        again = again.subspan(n);
+        lights = lights.subspan(n);
+    }
+}
+
+void ResumedPaths::add_untouched(StoredBlock& block, std::size_t path, PathPair& pair) {
+    const PathGraph& graph = block.paths().graph();
+    PathChange none;
+    none.path = path;
+    none.edge = first_row(graph.light_edges.vertex, graph.paths.first_vertex[path]);
+    follow(block, none, {}, {}, pair);
+}
+
+void ResumedPaths::follow(StoredBlock& block, const PathChange& change, std::span<const std::uint32_t> again,
+                          std::span<const LightQuery> lights, PathPair& pair) {
+    Walk walk(*this, block, change, again, lights, pair);
     walk.follow();
     if (!walk.resumes()) return;
 
@@ -374,6 +428,7 @@ std::unique_ptr<bool[]> ResumedPaths::trace(const Scene& scene, std::vector<Ray>
 }
 
 void ResumedPaths::finish() {
+    look_up_skies();
     const auto blocked = trace(scene_, shadow_rays_), blocked_before = trace(old_scene_, old_shadow_rays_);
     for (const Term& term : terms_) {
         const bool is_dark = term.ray != is_seen &&

@@ -35,12 +35,13 @@ class ResumedPaths {
   public:
     ResumedPaths(const ScenePair& scenes, const EditReach& reach, const PathOptions& options);
 
-    /// Adds a touched path of a block.
-    /// in:      again  rows of the change's vertices
-    /// in, out: pair   first: of the old scene, then of the new one; this call or finish() fills the rest, so its
-    /// address must stay valid until then
-    void add(StoredBlock& block, const PathChange& change, std::span<const std::uint32_t> again, PathPair& pair);
-    /// Traces the shadow rays that add() has queued, and continues the paths that it has deferred.
+    /// Adds touched paths of a block.
+    /// in, out: pairs  [path] first: of the old scene, then of the new one; this call or finish() fills the rest, so
+    /// their addresses must stay valid until then
+    void add(StoredBlock& block, const PathChanges& changes, std::span<PathPair> pairs);
+    /// Computes what a path that is not touched brings in the old scene.
+    void add_untouched(StoredBlock& block, std::size_t path, PathPair& pair);
+    /// Looks up the skies and traces the shadow rays that add() has queued, and continues the paths that it has deferred.
     void finish();
 
     tracing::Counts counts;  // of the traced rays, repeated shadow rays included
@@ -56,6 +57,19 @@ class ResumedPaths {
         std::uint32_t ray;
     };
     void add_light(Spectrum& sum, const Spectrum& light, std::uint32_t ray = is_seen);
+    /// Light of a sky that a ray leads to, of a term whose `light` waits for it.
+    struct AskedSky {
+        std::size_t term;
+        Spectrum beta;
+        float density;    // of the ray, as of light_hit_contribution()
+        bool is_sampled;  // the new sky's light samples may have its direction
+        bool of_old;      // radiance of the old sky; the density of light samples is always the new one's
+    };
+    /// Adds the light of a sky in direction d.
+    void ask_sky(Spectrum& sum, const Vector3f& d, const AskedSky& asked);
+    void look_up_skies();
+    void follow(StoredBlock& block, const PathChange& change, std::span<const std::uint32_t> again,
+                std::span<const LightQuery> lights, PathPair& pair);
     /// Queue a shadow ray and return its number.
     std::uint32_t ask(const Ray& ray);
     std::uint32_t ask_old(const Ray& ray);
@@ -71,6 +85,9 @@ class ResumedPaths {
     std::vector<PathPair*> pairs_;   // pairs of these paths
     std::vector<Term> terms_;        // ordered by path; for a path, all terms from the first that waits for its ray
     std::size_t first_term_ = 0;     // of the path that is being added
+    std::vector<AskedSky> asked_skies_;
+    std::vector<LightQuery> skies_, old_skies_;  // [asked_skies_], [asked_skies_ that are of_old]
+    std::vector<LightQuery> lights_;             // [again]
     std::vector<Ray> shadow_rays_, old_shadow_rays_;
     std::vector<const Ray*> pointers_;
     std::vector<std::uint32_t> under_way_;
