@@ -17,7 +17,7 @@
 namespace loom::residual {
 namespace {
 
-/// A floor, a glossy and a diffuse ball under a sky.
+/// A floor, a glossy, a diffuse and a glass ball under a sky.
 std::string scene_text(const std::string& sky) {
     return R"(<scene version="3.0.0"><integrator type="path"><integer name="max_depth" value="4"/></integrator>
 <sensor type="perspective"><float name="fov" value="45"/><transform name="to_world"><lookat origin="0, 1.6, 6" target="0, 0.6, 0" up="0, 1, 0"/></transform>
@@ -25,6 +25,7 @@ std::string scene_text(const std::string& sky) {
 <shape type="rectangle"><transform name="to_world"><scale value="3"/><rotate x="1" angle="-90"/></transform><bsdf type="twosided"><bsdf type="diffuse"/></bsdf></shape>
 <shape type="sphere"><point name="center" x="-0.8" y="0.7" z="0"/><float name="radius" value="0.7"/><bsdf type="roughconductor"><float name="alpha" value="0.2"/></bsdf></shape>
 <shape type="sphere" id="ball"><point name="center" x="0.6" y="0.5" z="0.4"/><float name="radius" value="0.5"/><bsdf type="diffuse"/></shape>
+<shape type="sphere"><point name="center" x="-0.2" y="0.3" z="1.6"/><float name="radius" value="0.3"/><bsdf type="dielectric"/></shape>
 )" + sky + "</scene>";
 }
 std::string sun(double turbidity, double east, const std::string& more = "") {
