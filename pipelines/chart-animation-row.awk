@@ -13,7 +13,7 @@ $1 == "scene" || $1 == "method" { split("", at); for (i = 1; i <= NF; ++i) at[$i
     if (!(l in frames)) order[++n] = l
     ++frames[l]; noise = $at["reference_noise"]
     relmse[l] += $at["relmse"] - noise; trimmed[l] += $at["relmse_trimmed"] - noise
-    mse[l] += $at["mse"]
+    mse[l] += $at["mse_net"]
 }
 "shared_s" in at { own[l] += $at["render_s"]; base[l] = $at["shared_s"] }
 "flicker" in at {

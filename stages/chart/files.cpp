@@ -29,6 +29,7 @@ std::string words_for(const std::string& column) {
                                                           {"relmse_trimmed", "relMSE, 0.1 % trimmed"},
                                                           {"relmse_net", "relMSE less the reference's noise"},
                                                           {"mse", "MSE"},
+                                                          {"mse_net", "MSE less the reference's noise"},
                                                           {"rmse", "RMSE"},
                                                           {"mape", "MAPE"},
                                                           {"frames", "number of frames"},

@@ -7,6 +7,7 @@
 #include <filesystem>
 #include <limits>
 #include <map>
+#include <numeric>
 #include <optional>
 #include <tuple>
 
@@ -241,11 +242,15 @@ void finish(Loaded& loaded, const Picture& reference, const Options& options) {
         group.significance =
             test_means({loaded.rgb, var_mean}, reference.rgb, reference.var_mean, reference.width, reference.height);
     }
+    const double n = double(reference.var_mean.size()),  // 0: unknown
+        reference_mse = reference.scale * reference.scale *
+                        std::accumulate(reference.var_mean.begin(), reference.var_mean.end(), 0.0) / n;
     for (Measured& m : group.replicates) {
         m.bias2 = parts.bias2;
         m.variance = parts.variance;
         m.reference_noise = reference.var_mean.empty() ? unknown : parts.reference;
         m.relmse_net = m.relmse - m.reference_noise;
+        m.mse_net = m.mse - reference_mse;
         m.p_image = group.significance.p_image;
         m.p_tiles = group.significance.p_tiles;
     }
@@ -327,6 +332,7 @@ std::span<const Column> columns() {
         {"relmse", &Measured::relmse, false},
         {"relmse_trimmed", &Measured::relmse_trimmed, false},
         {"relmse_net", &Measured::relmse_net, false},
+        {"mse_net", &Measured::mse_net, false},
         {"mape", &Measured::mape, false},
         {"rmse", &Measured::rmse, false},
         {"psnr", &Measured::psnr, false},

@@ -40,7 +40,7 @@ struct Measured {
     std::string method, file;
     std::uint64_t samples = 0;  // per pixel; 0: not stored in the file
     std::uint64_t replicate = 0;
-    double mse, rmse, relmse, relmse_trimmed, relmse_net, mape, psnr, ssim;
+    double mse, rmse, relmse, relmse_trimmed, relmse_net, mse_net, mape, psnr, ssim;
     double corr_right, corr_down, corr_near;
     double bias2, variance, reference_noise, p_image, p_tiles;  // of the group
     double p_pixels, p_bins, z_rms;                             // of the group, of cubes

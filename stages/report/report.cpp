@@ -125,9 +125,11 @@ std::string cost_table(const Table& errors) {
 
 std::string words_for(const std::string& column) {
     static const std::map<std::string, std::string> words{
-        {"cpu_s", "CPU time"},        {"wall_s", "wall time"}, {"render_s", "render time"},
-        {"rays", "number of rays"},   {"relmse", "relMSE"},    {"relmse_trimmed", "trimmed relMSE"},
-        {"relmse_net", "net relMSE"}, {"mse", "MSE"},          {"mape", "MAPE"}};
+        {"cpu_s", "CPU time"},        {"wall_s", "wall time"},
+        {"render_s", "render time"},  {"rays", "number of rays"},
+        {"relmse", "relMSE"},         {"relmse_trimmed", "trimmed relMSE"},
+        {"relmse_net", "net relMSE"}, {"mse", "MSE"},
+        {"mse_net", "net MSE"},       {"mape", "MAPE"}};
     const auto at = words.find(column);
     return at == words.end() ? column : at->second;
 }

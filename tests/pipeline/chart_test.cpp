@@ -87,6 +87,11 @@ TEST_F(Compare, ReplicatesAndTheirFiles) {
     };
     EXPECT_GT(value(first, "reference_noise"), 0);
     EXPECT_NEAR(value(first, "relmse_net"), value(first, "relmse") - value(first, "reference_noise"), 1e-12);
+    const Image reference = read_image(folder / "pt3.exr");
+    double variance = 0;
+    for (const char* c : {"VarMean.R", "VarMean.G", "VarMean.B"})
+        for (const float v : reference.find(c)) variance += double(v) / double(3 * reference.n_pixels());
+    EXPECT_NEAR(value(first, "mse_net"), value(first, "mse") - variance, 1e-6 * variance);
     const std::string cost = bytes_of(folder / "pt1.exr.cost.json");
     EXPECT_EQ(value(first, "cpu_s"), std::stod(cost.substr(cost.find("\"cpu_s\": ") + 9)));
     // Reading the scene is part of it, and apart.
