@@ -3,7 +3,7 @@
 
 .DEFAULT_GOAL := demo
 .DELETE_ON_ERROR:
-pipelines := demo image edit edit-techniques edit-images transient derive animation chart chart-all chart-transient chart-edit-graph chart-edit-cost chart-animation report \
+pipelines := demo image edit edit-techniques edit-images transient derive fit animation chart chart-all chart-transient chart-edit-graph chart-edit-cost chart-animation report \
 	table table-edit table-derive choices peers peers-transient peers-derive
 .PHONY: $(pipelines) edit-pictures oidn format lint tools build stages test test-full stability asan bench clean help
 SHELL := /bin/sh
@@ -65,6 +65,9 @@ transient: stages ## cube of SCENE over time, OUT/cube.h5, with frames, streaks 
 
 derive: stages ## cube of SCENE and its derivatives by the parameters WRT, OUT/cube.h5
 	@$(MAKE) --no-print-directory -f pipelines/derive.mk derive
+
+fit: stages ## values of the parameters WRT that explain the cube MEASURED, OUT/fit.h5
+	@$(MAKE) --no-print-directory -f pipelines/fit.mk fit
 
 ##@ Charts and tables
 

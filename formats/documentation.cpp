@@ -5,6 +5,7 @@
 #include "formats/clusters.h"
 #include "formats/derivative.h"
 #include "formats/doppler.h"
+#include "formats/fit.h"
 #include "formats/gradient.h"
 #include "formats/image.h"
 #include "formats/path_graph.h"
@@ -59,7 +60,7 @@ std::string section() {
 std::string formats_markdown() {
     return std::string(preamble) + section<PathGraph>() + section<Clusters>() + section<Radiance>() +
            section<RadianceCache>() + section<TransientCube>() + section<Derivative>() + section<Gradient>() +
-           section<Doppler>() +
+           section<Doppler>() + section<Fit>() +
            fmt::format("\n## {} {}.{} (OpenEXR)\n\nfloat32, row 0 on top.\n\n{}", Image::format.name,
                        Image::format.major, Image::format.minor, image_markdown());
 }

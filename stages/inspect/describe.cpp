@@ -11,6 +11,7 @@
 
 #include "formats/chain.h"
 #include "formats/clusters.h"
+#include "formats/fit.h"
 #include "formats/gradient.h"
 #include "formats/image.h"
 #include "formats/io/cost.h"
@@ -280,6 +281,28 @@ std::string gradient_text(const Gradient& g) {
     return text;
 }
 
+bool is_fit(const Survey& survey) {
+    return survey.attribute("filetype") == Fit::format.name;
+}
+
+/// The values of a fit with their error bars, and its evaluations.
+std::string fit_text(const Fit& f) {
+    const std::size_t n = f.n_parameters();
+    const auto& p = f.parameters;
+    std::string text = fmt::format("{} by {}: {} after {} evaluations, {} starts from elsewhere\n", f.settings.loss,
+                                   f.settings.method, f.state.status, f.n_evaluations(), f.state.restarts);
+    for (std::size_t i = 0; i < n; ++i)
+        text += fmt::format("{} = {:.8g} +- {:.3g} {}, from {:.8g}\n", p.name[i], p.value[i],
+                            std::sqrt(std::max(p.covariance[i * n + i], 0.0)), p.unit[i], p.start[i]);
+    const auto& h = f.history;
+    text +=
+        fmt::format("{:>10} {:>6} {:>12} {:>9}  {}\n", "evaluation", "merged", "loss", "+-", fmt::join(p.name, " "));
+    for (std::size_t i = 0; i < f.n_evaluations(); ++i)
+        text += fmt::format("{:>10} {:>6} {:>12.5g} {:>9.2g}  {:.6g}{}\n", i + 1, h.merged_bins[i], h.loss[i],
+                            h.loss_sigma[i], fmt::join(h.value.row(i, n), " "), h.accepted[i] ? "" : " (taken back)");
+    return text;
+}
+
 bool is_radiance_cache(const Survey& survey) {
     return survey.attribute("filetype") == RadianceCache::format.name;
 }
@@ -487,6 +510,7 @@ std::string text_of(const Survey& survey, const std::string& file, const std::st
     if (is_transient_cube(file)) text += CubeFacts(file).text();
     if (is_radiance_cache(survey)) text += cache_text(read_radiance_cache(file));
     if (is_gradient(survey)) text += gradient_text(read_gradient(file));
+    if (is_fit(survey)) text += fit_text(read_fit(file));
     if (has_ledger(survey)) text += LedgerFacts(survey, file).text();
     std::size_t name_width = 7;
     for (const auto& d : survey.datasets) name_width = std::max(name_width, d.name.size());
