@@ -3,6 +3,9 @@
 #   evaluate the scene where the fit asks for it: trace two graphs of SPP samples each, derive their light by the
 #   parameters WRT, bin both;  a step of the fit (loom-fit);  and so on until it ends
 #
+# Beside it loss.svg, parameters.svg, fit.tsv, fitted.h5 (the cube of the last evaluation), and strips and streaks of the cubes at the
+# start, at the end and as measured.
+#
 # Evaluation N is OUT/fits/fit-N.h5, with the values of the next one in fit-N.values: a fit that is killed goes on, and one
 # with more MAX_EVALUATIONS as well. Its graphs and cubes go, but for those of the last (KEEP=1). Parameters are
 # prerequisites: as in still.mk.
@@ -63,10 +66,11 @@ trace := $(BUILD)/bin/loom-trace
 derive := $(BUILD)/bin/loom-derive
 bin := $(BUILD)/bin/loom-transient
 fit := $(BUILD)/bin/loom-fit
+merge := $(BUILD)/bin/loom-merge
 draw := $(BUILD)/bin/loom-frames
 threads = $(if $(THREADS), --threads $(THREADS))
 
-fit: $(OUT)/fit.h5 $(OUT)/loss.svg
+fit: $(OUT)/fit.h5 $(OUT)/loss.svg $(OUT)/start/strip.png $(OUT)/fitted/strip.png $(OUT)/measured/strip.png
 	@echo $<
 
 # What reaches a result. What is fitted starts from its value in DEFINES.
@@ -94,19 +98,29 @@ $(work)/fit-$(1).h5: $(if $(2),$(work)/fit-$(2).h5) $(work)/scene.stamp $(work)/
 			-o $(work)/derivative-$$$$i.h5$$(threads) && \
 		$(LAUNCH) $(bin) $(work)/graph-$$$$i.h5 --derivative $(work)/derivative-$$$$i.h5 $$(bin_parameters) -o $(work)/cube-$$$$i.h5$$(threads) || exit; \
 	done
+	$(LAUNCH) $(merge) $(work)/cube-0.h5 $(work)/cube-1.h5 -o $(work)/evaluated-$(1).h5
 	$(LAUNCH) $(fit) $$(call quote,$(MEASURED)) --cube $(work)/cube-0.h5 $(work)/cube-1.h5$(if $(2), --state $(work)/fit-$(2).h5) $$(fit_parameters) \
 		--max-evaluations $(MAX_EVALUATIONS) --values $(work)/fit-$(1).values -o $$@
-	$$(if $$(filter-out 0,$$(KEEP)),,rm -f $(work)/graph-?.h5 $(work)/derivative-?.h5 $(work)/cube-?.h5)
+	$$(if $$(filter-out 0,$$(KEEP)),,rm -f $(work)/graph-?.h5 $(work)/derivative-?.h5 $(work)/cube-?.h5)$(if $(filter-out 1,$(2)),; rm -f $(work)/evaluated-$(2).h5*)
 endef
 before :=
 $(foreach n,$(shell seq $(MAX_EVALUATIONS)),$(eval $(call evaluated,$(n),$(before)))$(eval before := $(n)))
 
 $(OUT)/fit.h5: FORCE
-	@n=1; while $(MAKE) --no-print-directory -f pipelines/fit.mk $(work)/fit-$$n.h5 && ! $(fit) --done --state $(work)/fit-$$n.h5; do \
+	@n=1; while $(MAKE) --no-print-directory -f pipelines/fit.mk $(work)/fit-$$n.h5 && ! $(fit) --done --max-evaluations $(MAX_EVALUATIONS) --state $(work)/fit-$$n.h5; do \
 		n=$$((n + 1)); [ $$n -le $(MAX_EVALUATIONS) ] || exit 1; done; \
-	$(fit) --done --state $(work)/fit-$$n.h5 && { cmp -s $(work)/fit-$$n.h5 $@ || { cp $(work)/fit-$$n.h5.cost.json $@.cost.json && cp $(work)/fit-$$n.h5 $@.made && mv $@.made $@; }; }
+	$(fit) --done --max-evaluations $(MAX_EVALUATIONS) --state $(work)/fit-$$n.h5 && { cmp -s $(work)/fit-$$n.h5 $@ || { cp $(work)/evaluated-$$n.h5 $(OUT)/fitted.h5 && cp $(work)/fit-$$n.h5.cost.json $@.cost.json && cp $(work)/fit-$$n.h5 $@.made && mv $@.made $@; }; }
 
 truth = $(call defines,--truth,$(TRUTH))
 $(eval $(call parameter,$(work)/charts.parameters,$(truth)))
 $(OUT)/loss.svg: $(OUT)/fit.h5 $(work)/charts.parameters
 	$(LAUNCH) $(fit) --state $<$(truth) --charts $@
+
+# Pictures of the cubes at the start, at the last evaluation, and as measured; of another program's file, none.
+$(OUT)/start/strip.png $(OUT)/fitted/strip.png: $(OUT)/%/strip.png: $(OUT)/fit.h5 $(draw)
+	@mkdir -p $(@D)
+	$(LAUNCH) $(draw) $(if $(filter start,$*),$(work)/evaluated-1.h5,$(OUT)/fitted.h5) -o $@
+$(OUT)/measured/strip.png: $(work)/measured.stamp $(draw)
+	@mkdir -p $(@D)
+	if $(inspect) --quiet --json $(call quote,$(MEASURED)) | grep -q '"filetype": "transient_cube"'; then \
+		$(LAUNCH) $(draw) $(call quote,$(MEASURED)) -o $@; else : >$@; fi

@@ -275,7 +275,7 @@ void declare(app::Command& command, Options& options) {
         "--charts", options.charts,
         "draw the fit of --state: loss.svg with this name, and beside it parameters.svg, both as PNG too, and fit.tsv");
     command.option("--truth", options.truth, "NAME=NUMBER: value to compare with, in charts and messages");
-    command.flag("--done", options.done, "exit 0 if the fit of --state has ended, else 1");
+    command.flag("--done", options.done, "exit 1 if the fit of --state goes on, within --max-evaluations, else 0");
     command.example("loom-fit measured.h5 --cube a.h5 b.h5 -o fit-1.h5 --values values.txt");
     command.example("loom-fit measured.h5 --cube a.h5 b.h5 --state fit-1.h5 -o fit-2.h5 --values values.txt");
 }
@@ -283,7 +283,10 @@ void declare(app::Command& command, Options& options) {
 int run(const Options& options, app::Report& report) {
     if (options.done) {
         if (options.state.empty()) throw InputError("--done: needs --state");
-        return read_fit(options.state).is_running() ? app::exit_no : app::exit_done;
+        const Fit fit = read_fit(options.state);
+        const bool goes_on =
+            fit.is_running() || (fit.state.status == "stopped" && fit.n_evaluations() < options.rules.max_evaluations);
+        return goes_on ? app::exit_no : app::exit_done;
     }
     if (!options.charts.empty()) return draw(options, report);
     if (options.measured.empty()) throw InputError("measured: missing (a transient cube)");
@@ -311,6 +314,8 @@ int run(const Options& options, app::Report& report) {
         if (fit.measured != measured_id.hash)
             throw InputError(
                 fmt::format("{}: is a fit to another measurement than {}", options.state, options.measured));
+        if (fit.state.status == "stopped" && fit.n_evaluations() < options.rules.max_evaluations)
+            fit.state.status = "running";
         if (!fit.is_running()) throw InputError(fmt::format("{}: has ended ({})", options.state, fit.state.status));
     }
     fit.measured = measured_id.hash;

@@ -45,7 +45,8 @@ TEST_F(MakeFit, finds_a_hidden_panel_and_goes_on_when_killed) {
     }
     EXPECT_EQ(fit.parameters.lower[1], 0.5);
     EXPECT_EQ(fit.parameters.upper[1], 2);
-    for (const char* file : {"x/loss.svg", "x/parameters.svg", "x/fit.tsv", "x/fits/fit-1.h5", "x/fits/fit-1.values"})
+    for (const char* file : {"x/loss.svg", "x/parameters.svg", "x/fit.tsv", "x/fits/fit-1.h5", "x/fits/fit-1.values",
+                             "x/start/streak-x.png", "x/fitted/strip.png", "x/measured/strip.png"})
         EXPECT_TRUE(fs::exists(folder / file)) << file;
     EXPECT_FALSE(fs::exists(folder / "x/fits/graph-0.h5"));
     EXPECT_NE(outcome.err.find("error bars"), std::string::npos);
@@ -58,6 +59,13 @@ TEST_F(MakeFit, finds_a_hidden_panel_and_goes_on_when_killed) {
     const Outcome rest = sh(make("y", "LOWER='z=.5' UPPER='z=2'"));
     EXPECT_EQ(rest.code, 0) << rest.err;
     EXPECT_TRUE(bytes_of(folder / "x/fit.h5") == bytes_of(folder / "y/fit.h5"));
+}
+
+TEST_F(MakeFit, goes_on_with_more_evaluations) {
+    EXPECT_EQ(sh(make("x", "MAX_EVALUATIONS=2 METHOD=adam SCALE='x=.1 z=.1'")).code, 0);
+    EXPECT_EQ(read_fit(folder / "x/fit.h5").state.status, "stopped");
+    EXPECT_EQ(sh(make("x", "MAX_EVALUATIONS=4 METHOD=adam SCALE='x=.1 z=.1'")).code, 0);
+    EXPECT_EQ(read_fit(folder / "x/fit.h5").n_evaluations(), 4u);
 }
 
 TEST_F(MakeFit, refuses_what_does_not_belong_together) {
