@@ -99,23 +99,10 @@ TEST(FitFile, RefusesWhatIsWrong) {
     }
 }
 
-// Any byte may be damaged, or the file cut: it is read or refused.
 TEST(FitFile, DamagedBytesDoNoHarm) {
     const ScratchFolder folder;
-    write_fit(tiny_fit(), folder / "f.h5", Sync::no);
-    const std::string bytes = testing::file_bytes(folder / "f.h5");
-    for (std::size_t i = 0; i < bytes.size(); i += 97) {
-        std::string damaged = bytes;
-        damaged[i] = char(damaged[i] ^ 0x5a);
-        for (const std::string_view text : {std::string_view(damaged), std::string_view(bytes).substr(0, i)}) {
-            testing::write_bytes(folder / "d.h5", text);
-            try {
-                (void)read_fit(folder / "d.h5");
-            } catch (const InputError& error) {
-                EXPECT_NE(std::string(error.what()).find("d.h5"), std::string::npos) << error.what();
-            }
-        }
-    }
+    write_fit(tiny_fit(), folder / "x.h5", Sync::no);
+    testing::read_damaged(folder / "x.h5", [](const auto& path) { (void)read_fit(path); });
 }
 
 }  // namespace

@@ -211,6 +211,23 @@ void write_bytes(const std::filesystem::path& path, std::string_view bytes) {
     std::ofstream(path, std::ios::binary) << bytes;
 }
 
+void read_damaged(const std::filesystem::path& file, const std::function<void(const std::filesystem::path&)>& read) {
+    const std::filesystem::path other = file.parent_path() / "damaged.h5";
+    const std::string bytes = file_bytes(file);
+    for (std::size_t i = 0; i < bytes.size(); i += 97) {
+        std::string damaged = bytes;
+        damaged[i] = char(damaged[i] ^ 0x5a);
+        for (const std::string_view text : {std::string_view(damaged), std::string_view(bytes).substr(0, i)}) {
+            write_bytes(other, text);
+            try {
+                read(other);
+            } catch (const InputError& error) {
+                EXPECT_NE(std::string(error.what()).find("damaged.h5"), std::string::npos) << error.what();
+            }
+        }
+    }
+}
+
 void write_nonfinite(const std::filesystem::path& path, const std::function<void()>& write) {
     EXPECT_THROW(write(), NonfiniteError);
     std::filesystem::rename(not_finite_name(path), path);

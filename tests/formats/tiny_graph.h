@@ -37,6 +37,8 @@ void write_bytes(const std::filesystem::path& path, std::string_view bytes);
 
 /// Runs a writer of `path` whose output has NaN or infinity, and moves the kept file to `path`.
 void write_nonfinite(const std::filesystem::path& path, const std::function<void()>& write);
+/// Reads a file with one byte damaged, or cut there, at every 97th byte: it is read, or refused with its name.
+void read_damaged(const std::filesystem::path& file, const std::function<void(const std::filesystem::path&)>& read);
 /// Returns the message of the InputError that `body` throws; "nothing was thrown" when it returns.
 std::string input_error_of(const std::function<void()>& body);
 
