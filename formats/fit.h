@@ -24,7 +24,7 @@ struct Fit {
 
     struct Settings {
         std::string method = "lm";     // or "adam", "gradient"
-        std::string loss = "squares";  // or "pyramid", "time-cdf"
+        std::string loss = "pyramid";  // or "squares", "time-cdf"
         Column<std::uint32_t> merged_bins;
     } settings;
 

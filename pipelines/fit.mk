@@ -21,7 +21,7 @@ SCENE ?= scenes/hidden.xml  ## scene file (Mitsuba XML); its transient_hdr_film 
 # MEASURED=  ## measured cube (.h5): of loom-transient, or any HDF5 file with mean and var_mean (required)
 # TRUTH=  ## values to compare the result with: TRUTH="x=.1 y=0"
 # METHOD=  ## lm, adam or gradient (lm)
-# LOSS=  ## squares, pyramid or time_cdf (squares)
+# LOSS=  ## squares, pyramid or time_cdf (pyramid)
 # LOWER=  ## smallest values: LOWER="x=-1 z=.2"
 # UPPER=  ## largest values
 # SCALE=  ## longest steps, and reach of starts from elsewhere (not limited)

@@ -142,7 +142,7 @@ void check_values(const TransientCube& cube, const std::string& file, const Fit&
         const double is = cube.parameters.value[i], wanted = fit.parameters.value[i];
         if (std::abs(is - wanted) > 1e-9 * std::max(std::abs(wanted), 1e-300))
             throw InputError(
-                fmt::format("{}: is of {}={}, but {} asks for {}", file, fit.parameters.name[i], is, state, wanted));
+                fmt::format("{}: is of {}={}, but {} needs {}", file, fit.parameters.name[i], is, state, wanted));
     }
 }
 
@@ -237,10 +237,9 @@ void add_evaluation(Fit& fit, const TransientCube& measured, std::span<const Tra
 void declare(app::Command& command, Options& options) {
     command.file("measured", options.measured,
                  "measured transient cube (.h5): of loom-transient, or any HDF5 file with mean and var_mean");
-    command.files(
-        "--cube", options.cubes,
-        "two cubes of the scene at the values that the fit asks for, of independent paths, with derivatives by "
-        "$parameters; without --state their values are the start");
+    command.files("--cube", options.cubes,
+                  "two cubes of the scene at the values that the fit needs, of independent paths, with derivatives by "
+                  "$parameters; without --state their values are the start");
     command.file("--state", options.state, "fit so far (.h5)");
     command.output("-o,--output", options.output, "fit with this evaluation (.h5)");
     command.output("--values", options.values, "text file of NAME=VALUE lines: where to evaluate the scene next");

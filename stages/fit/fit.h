@@ -21,7 +21,7 @@ struct Options {
     std::string measured, state, output, values;
     std::vector<std::string> cubes;
     Method method = Method::lm;
-    Loss loss = Loss::squares;
+    Loss loss = Loss::pyramid;
     std::string merge;  // list of numbers of bins; empty: default_merging()
     std::vector<std::string> lower, upper, scale, prior;
     Rules rules;

@@ -253,6 +253,7 @@ Fit begun(double t, double s, std::vector<std::uint32_t> merged, const std::stri
     Fit fit;
     constexpr double unbounded = std::numeric_limits<double>::max();
     fit.settings.method = method;
+    fit.settings.loss = "squares";
     fit.settings.merged_bins = std::move(merged);
     auto& p = fit.parameters;
     p.name = {"t", "s"}, p.unit = {"m", "1"};
