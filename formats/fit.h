@@ -30,14 +30,14 @@ struct Fit {
 
     struct Parameters {
         std::vector<std::string> name, unit;
-        Column<double> value, start, lower, upper, scale, prior_mean, prior_sigma, covariance;
+        Column<double> value, start, lower, upper, scale, prior_mean, prior_sigma, covariance, sigma_error;
     } parameters;
 
     /// A point with its equations, both means over near evaluations.
     struct Point {
         std::uint32_t evaluations = 0;
         double loss = 0, loss_variance = 0, expected_loss = 0, expected_variance = 0;
-        Column<double> value, gradient, normal, curvature, measured_noise, noise, scatter;
+        Column<double> value, gradient, normal, normal_variance, curvature, measured_noise, noise, scatter;
     };
     Point best;     // of the present run, at its present bins
     Point minimum;  // the lowest in which a run has ended, at the finest bins; empty: none
@@ -99,7 +99,9 @@ void Fit::fields(Self& f, Visitor& v) {
     v.field("parameters/prior_mean", p.prior_mean, 1, "parameter", unit, "mean of the Gaussian prior");
     v.field("parameters/prior_sigma", p.prior_sigma, 1, "parameter", unit, "its standard deviation; 0: no prior");
     v.grid("parameters/covariance", p.covariance, {n}, "parameter,parameter", "product of parameters/unit",
-           "covariance of the result by the noise of the measurement and of the last evaluation; 0: not known");
+           "covariance of the result by the noise of the measurement and of the last evaluations; 0: not known");
+    v.field("parameters/sigma_error", p.sigma_error, 1, "parameter", "1",
+            "relative standard error of its standard deviation by the noise of the derivatives, at most");
 
     const auto point = [&](const char* name, auto& b, Presence presence, const std::string& of) {
         const auto member = [&](const char* what) { return std::string(name) + "/" + what; };
@@ -119,6 +121,8 @@ void Fit::fields(Self& f, Visitor& v) {
         numbers("value", b.value, {}, "parameter", unit, "where it is");
         numbers("gradient", b.gradient, {}, "parameter", "1 / parameters/unit", "half the descent of the loss");
         numbers("normal", b.normal, {n}, "parameter,parameter", squared, "J^T W J without the noise of J");
+        numbers("normal_variance", b.normal_variance, {}, "parameter", squared,
+                "variance of the diagonal of normal, at most");
         numbers("curvature", b.curvature, {n}, "parameter,parameter", squared,
                 "J^T W J of the mean J: positive definite, too large by its noise");
         numbers("measured_noise", b.measured_noise, {n}, "parameter,parameter", squared,

@@ -109,7 +109,8 @@ Equations normal_equations(const TransientCube& measured, std::span<const Transi
     std::vector<double> m(n_values), a(n_values), b(n_values), weight(n_values), back(n_values), m_variance(n_bins);
     std::vector<std::vector<double>> j_a(n, std::vector<double>(n_values)), j_b = j_a,
                                                                             by_bins(n, std::vector<double>(n_bins));
-    std::vector<double> of_pixel(n), slope(n);  // J^T W (A - B) / 2, and the gradient
+    std::vector<double> of_pixel(n), slope(n),
+        diagonal(n);  // J^T W (A - B) / 2, gradient, diagonal of normal
     for (std::size_t h = 0; h < histograms.size(); ++h) {
         values_of(measured.radiance, h, m);
         values_of(evaluated[0].radiance, h, a);
@@ -123,7 +124,7 @@ Equations normal_equations(const TransientCube& measured, std::span<const Transi
             values_of(evaluated[1].derivative.bins.row(p, cube_size), h, j_b[p]);
         }
         if (h % histograms.n_channels() == 0)
-            std::fill(of_pixel.begin(), of_pixel.end(), 0.0), std::fill(slope.begin(), slope.end(), 0.0);
+            for (std::vector<double>* sums : {&of_pixel, &slope, &diagonal}) std::fill(sums->begin(), sums->end(), 0.0);
         for (std::size_t k = 0; k < n_values; ++k) {
             bool finite = std::isfinite(m[k] + a[k] + b[k] + var_a[k] + var_b[k] + var_m[k]);
             for (std::size_t p = 0; p < n; ++p) finite &= std::isfinite(j_a[p][k] + j_b[p][k]);
@@ -144,6 +145,7 @@ Equations normal_equations(const TransientCube& measured, std::span<const Transi
             out.expected_variance +=
                 w * w * (2 * var_m[k] * var_m[k] + var_m[k] * (var_a[k] + var_b[k]) + var_a[k] * var_b[k]);
             for (std::size_t p = 0; p < n; ++p) {
+                diagonal[p] += w * j_a[p][k] * j_b[p][k];
                 slope[p] += w * (j_a[p][k] * r_b + j_b[p][k] * r_a) / 2;
                 of_pixel[p] += w * (j_a[p][k] + j_b[p][k]) * (a[k] - b[k]) / 4;
                 for (std::size_t q = 0; q <= p; ++q) {
@@ -166,6 +168,7 @@ Equations normal_equations(const TransientCube& measured, std::span<const Transi
         if ((h + 1) % histograms.n_channels() != 0) continue;
         for (std::size_t p = 0; p < n; ++p) {
             out.gradient[p] += slope[p];
+            out.normal_variance[p] += diagonal[p] * diagonal[p];
             for (std::size_t q = 0; q <= p; ++q) {
                 out.noise[p * n + q] += of_pixel[p] * of_pixel[q];
                 out.scatter[p * n + q] += slope[p] * slope[q];
@@ -175,6 +178,10 @@ Equations normal_equations(const TransientCube& measured, std::span<const Transi
     out.n_pixels = histograms.width() * histograms.height();
     if (out.n_pixels > n)
         for (double& x : out.scatter) x *= double(out.n_pixels) / double(out.n_pixels - n);
+    for (std::size_t p = 0; p < n; ++p) {
+        const double sum = out.normal[p * n + p];
+        out.normal_variance[p] = std::max(out.normal_variance[p] - sum * sum / double(out.n_pixels), 0.0);
+    }
     for (std::size_t i = 0; i < n * n; ++i) out.noise[i] += out.measured_noise[i];
     for (Matrix* matrix : {&out.normal, &out.curvature, &out.measured_noise, &out.noise, &out.scatter})
         for (std::size_t p = 0; p < n; ++p)

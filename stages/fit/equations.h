@@ -22,6 +22,8 @@ namespace loom::fit {
 struct Equations {
     std::vector<double> gradient;
     Matrix normal, curvature;
+    /// Of the diagonal of `normal`, at most: from the scatter of the pixels' parts, which differ without noise too.
+    std::vector<double> normal_variance;
     /// Covariance of the gradient: by the noise of the measurement; and also of A and B, pixel by pixel, since bins of a pixel
     /// have paths in common.
     Matrix measured_noise, noise;
@@ -39,6 +41,7 @@ struct Equations {
         : gradient(n, 0.0),
           normal(n * n, 0.0),
           curvature(n * n, 0.0),
+          normal_variance(n, 0.0),
           measured_noise(n * n, 0.0),
           noise(n * n, 0.0),
           scatter(n * n, 0.0) {}

@@ -111,7 +111,7 @@ Fit begun(const TransientCube& cube) {
     auto& p = fit.parameters;
     p.name = cube.parameters.name, p.unit = cube.parameters.unit;
     p.value = values_of(cube.parameters.value), p.start = values_of(p.value);
-    p.covariance = Matrix(n * n, 0.0);
+    p.covariance = Matrix(n * n, 0.0), p.sigma_error = std::vector<double>(n, 0.0);
     fit.state.adam_mean = std::vector<double>(n, 0.0), fit.state.adam_square = std::vector<double>(n, 0.0);
     return fit;
 }
@@ -128,7 +128,7 @@ void check_cube(const TransientCube& cube, const std::string& file, const Transi
         throw InputError(
             fmt::format("{}: has no derivatives; run: loom-transient GRAPH --derivative DERIVATIVE", file));
     for (std::size_t i = 0; i < cube.n_parameters(); ++i)
-        if (const std::string& name = cube.parameters.name[i]; name.find_first_of(":/") != std::string::npos)
+        if (const std::string& name = cube.parameters.name[i]; name.find_first_of(":/=\n\r") != std::string::npos)
             throw InputError(fmt::format(
                 "{}: {} has no value that a scene could be given; fit a $parameter of the scene", file, name));
 }
@@ -346,6 +346,13 @@ int run(const Options& options, app::Report& report) {
     }
     write_fit(fit, options.output);
     write_cost_of(options.output, cost_of_fit(options, report.cost(plan)), {});
+    constexpr double large = 0.3;
+    for (std::size_t i = 0; i < fit.n_parameters() && !fit.is_running(); ++i)
+        if (const double error = fit.parameters.sigma_error[i]; error > large)
+            report.warn(
+                "{}: its error bar is uncertain by {:.0f} % for the noise of the derivatives: more samples, or a "
+                "larger --effort of loom-derive",
+                fit.parameters.name[i], 100 * error);
     report.done("{}{}", fit.is_running() ? "next: " : fit.state.status + ": ", in_words(fit));
     return app::exit_done;
 }

@@ -83,6 +83,7 @@ Numbers bounded_step(const Equations& eq, const Fit::Parameters& p, std::span<co
 Equations equations_of(const Fit::Point& point) {
     Equations eq(point.gradient.size());
     eq.gradient = of(point.gradient), eq.normal = of(point.normal), eq.curvature = of(point.curvature);
+    eq.normal_variance = of(point.normal_variance);
     eq.measured_noise = of(point.measured_noise), eq.noise = of(point.noise), eq.scatter = of(point.scatter);
     eq.loss = point.loss, eq.loss_variance = point.loss_variance;
     eq.expected_loss = point.expected_loss, eq.expected_variance = point.expected_variance;
@@ -94,6 +95,7 @@ Fit::Point point_of(const Equations& eq, Numbers value, std::uint32_t evaluation
     point.evaluations = evaluations;
     point.value = std::move(value);
     point.gradient = eq.gradient, point.normal = eq.normal, point.curvature = eq.curvature;
+    point.normal_variance = eq.normal_variance;
     point.measured_noise = eq.measured_noise, point.noise = eq.noise, point.scatter = eq.scatter;
     point.loss = eq.loss, point.loss_variance = eq.loss_variance;
     point.expected_loss = eq.expected_loss, point.expected_variance = eq.expected_variance;
@@ -112,6 +114,8 @@ Fit::Point mean_of(const Fit::Point& point, const Equations& here, std::span<con
     mean(at, value);
     mean(eq.gradient, here.gradient), mean(eq.normal, here.normal), mean(eq.curvature, here.curvature);
     mean(eq.measured_noise, here.measured_noise), mean(eq.noise, here.noise), mean(eq.scatter, here.scatter);
+    for (std::size_t i = 0; i < eq.normal_variance.size(); ++i)
+        eq.normal_variance[i] = old * old * eq.normal_variance[i] + now * now * here.normal_variance[i];
     eq.loss = old * eq.loss + now * here.loss;
     eq.loss_variance = old * old * eq.loss_variance + now * now * here.loss_variance;
     eq.expected_loss = old * eq.expected_loss + now * here.expected_loss;
@@ -161,7 +165,7 @@ void keep_minimum(Fit& fit) {
     fit.minimum = point_of(equations_of(fit.best), of(fit.best.value), fit.best.evaluations);
 }
 
-/// Ends the fit at the lowest minimum, improved by one step without damping, with its error bars.
+/// Ends the fit with error bars; lm at the lowest minimum, improved by one step without damping, others where they are.
 void end(Fit& fit, const char* status, std::size_t n_pixels) {
     if (is_finest(fit) || fit.minimum.value.empty()) keep_minimum(fit);
     const Equations eq = equations_of(fit.minimum);
@@ -171,9 +175,14 @@ void end(Fit& fit, const char* status, std::size_t n_pixels) {
     // The scatter of few pixels is too uncertain.
     const Matrix of_gradient = of_mean(eq, n_pixels >= 10 * n ? eq.scatter : eq.noise, fit.minimum.evaluations);
     fit.parameters.covariance = inverted ? sandwich(*inverted, of_gradient, n) : Matrix(n * n, 0.0);
+    Numbers sigma_error(n);
+    for (std::size_t i = 0; i < n; ++i)
+        sigma_error[i] = std::sqrt(eq.normal_variance[i]) / std::max(std::abs(eq.normal[i * n + i]), 1e-300);
+    fit.parameters.sigma_error = std::move(sigma_error);
+    fit.state.status = status;
+    if (fit.settings.method != "lm") return;
     const Numbers from = of(fit.minimum.value);
     move_to(fit, from, bounded_step(eq, fit.parameters, from, 0));
-    fit.state.status = status;
 }
 
 /// Whether the best point is a minimum that does not explain the measurement.

@@ -22,12 +22,13 @@ Fit tiny_fit() {
     p.value = {0.5, -1}, p.start = {0, 0};
     p.lower = {-1, -1e308}, p.upper = {1, 1e308};
     p.scale = {0, 2}, p.prior_mean = {0, 1}, p.prior_sigma = {0, 3};
-    p.covariance = Numbers(4, 5);
+    p.covariance = Numbers(4, 5), p.sigma_error = {0.1, 0.2};
     for (Fit::Point* point : {&f.best, &f.minimum}) {
         point->loss = 5;
         point->value = {0.4, -2}, point->gradient = {6, 7};
         point->normal = Numbers(4, 8), point->curvature = Numbers(4, 9);
-        point->measured_noise = Numbers(4, 9), point->noise = Numbers(4, 10), point->scatter = Numbers(4, 11);
+        point->normal_variance = {1, 2}, point->measured_noise = Numbers(4, 9), point->noise = Numbers(4, 10),
+        point->scatter = Numbers(4, 11);
     }
     f.state.level = 1, f.state.lambda = 1e-3;
     f.state.adam_mean = {0, 0}, f.state.adam_square = {0, 0};

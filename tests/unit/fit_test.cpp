@@ -206,12 +206,13 @@ TEST(Equations, HaveTheMeansWithoutNoise) {
             };
             const auto [at_truth, g0, n0] = exact(0);
             const auto [off_loss, off_g, off_normal] = exact(0.1);
-            Statistic l, g[2], normal[4], g_at_truth[2], expected, stated[2], smaller[2];
+            Statistic normal_variance, l, g[2], normal[4], g_at_truth[2], expected, stated[2], smaller[2];
             for (int replicate = 0; replicate < 600; ++replicate) {
                 const Equations eq = normal_equations(flash.measured(t + 0.1, s), flash.halves(t, s), transform);
                 l.add(eq.loss - eq.expected_loss);
                 for (std::size_t p = 0; p < 2; ++p) g[p].add(eq.gradient[p]);
                 for (std::size_t p = 0; p < 4; ++p) normal[p].add(eq.normal[p]);
+                normal_variance.add(eq.normal_variance[0]);
                 const Equations truth = normal_equations(flash.measured(t, s), flash.halves(t, s), transform);
                 expected.add(truth.loss - truth.expected_loss);
                 for (std::size_t p = 0; p < 2; ++p) {
@@ -233,6 +234,8 @@ TEST(Equations, HaveTheMeansWithoutNoise) {
             }
             for (std::size_t p = 0; p < 4; ++p)
                 EXPECT_NEAR(normal[p].mean(), off_normal[p], 4 * normal[p].error()) << p;
+            EXPECT_GT(normal_variance.mean(), 0.75 * normal[0].variance());
+            EXPECT_LT(std::sqrt(normal_variance.mean()), (loss == Loss::squares ? 0.1 : 0.3) * off_normal[0]);
             EXPECT_LT(normal[0].error(), (loss == Loss::squares ? 0.01 : 0.2) * off_normal[0]);
         }
 }
@@ -260,7 +263,7 @@ Fit begun(double t, double s, std::vector<std::uint32_t> merged, const std::stri
     p.value = {t, s}, p.start = {t, s};
     p.lower = {-unbounded, -unbounded}, p.upper = {unbounded, unbounded};
     p.scale = {0, 0}, p.prior_mean = {0, 0}, p.prior_sigma = {0, 0};
-    p.covariance = Numbers(4, 0.0);
+    p.covariance = Numbers(4, 0.0), p.sigma_error = Numbers(2, 0.0);
     fit.state.adam_mean = {0, 0}, fit.state.adam_square = {0, 0};
     return fit;
 }
