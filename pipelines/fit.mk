@@ -16,7 +16,7 @@
 .DEFAULT_GOAL := fit
 include pipelines/variables.mk
 
-SCENE ?= scenes/hidden.xml  ## scene file (Mitsuba XML); its transient_hdr_film sets the window
+SCENE ?= scenes/hidden.xml  ## scene file (Mitsuba XML); as wide and high as MEASURED
 # WRT=  ## $parameters of the scene to be fitted (required); they start from the scene's values, or those in DEFINES
 # MEASURED=  ## measured cube (.h5): of loom-transient, or any HDF5 file with mean and var_mean (required)
 # TRUTH=  ## values to compare the result with: TRUTH="x=.1 y=0"
@@ -28,7 +28,7 @@ SCENE ?= scenes/hidden.xml  ## scene file (Mitsuba XML); its transient_hdr_film 
 # FIT=  ## further options of loom-fit: FIT="--merge 4,2,1 --restarts 5 --prior x=0:0.1"
 MAX_EVALUATIONS ?= 40  ## evaluations after which the fit ends
 # SPP=  ## samples per pixel of each of the two graphs of an evaluation (64)
-# BINS=  ## number of bins (the film's)
+# BINS=  ## number of bins (with START, WIDTH, PULSE and LENGTH: those of MEASURED, or if one is given, of the film)
 # START=  ## start of the first bin, in UNIT (the film's)
 # WIDTH=  ## width of a bin, in UNIT (the film's)
 # UNIT=  ## unit of START, WIDTH and LENGTH: opl (units of the scene) or ns (opl)
@@ -79,8 +79,8 @@ at_start = $(call quote,$(SCENE))$(call defines,-D,$(DEFINES))$(sensor)
 at_values = $(call quote,$(SCENE))$(call defines,-D,$(fixed))$(sensor) "$$@"
 trace_parameters = --sampler independent --primitives --media$(if $(TRACE), $(TRACE)) --spp $(SPP) --passes 2
 derive_parameters = $(call defines,--wrt,$(WRT))$(if $(EFFORT), --effort $(EFFORT))$(if $(DERIVE), $(DERIVE))
-bin_parameters = $(strip $(if $(UNIT),--unit $(UNIT)) $(if $(BINS),--bins $(BINS)) $(if $(START),--start $(START)) \
-	$(if $(WIDTH),--width $(WIDTH)) $(if $(PULSE),--pulse $(PULSE)) $(if $(LENGTH),--pulse-length $(LENGTH)) $(TRANSIENT))
+bin_parameters = $(strip $(if $(UNIT),--unit $(UNIT)) $(if $(BINS)$(START)$(WIDTH)$(PULSE)$(LENGTH),$(if $(BINS),--bins $(BINS)) $(if $(START),--start $(START)) \
+	$(if $(WIDTH),--width $(WIDTH)) $(if $(PULSE),--pulse $(PULSE)) $(if $(LENGTH),--pulse-length $(LENGTH)),--like $(call quote,$(MEASURED))) $(TRANSIENT))
 fit_parameters = $(strip $(if $(METHOD),--method $(METHOD)) $(if $(LOSS),--loss $(subst _,-,$(LOSS))) $(call defines,--lower,$(LOWER)) \
 	$(call defines,--upper,$(UPPER)) $(call defines,--scale,$(SCALE)) $(FIT))$(if $(SEED), --seed $(SEED))
 $(eval $(call stamp,$(work)/scene.stamp,--scene $(call quote,$(SCENE))$(call defines,-D,$(DEFINES))$(sensor)))

@@ -19,6 +19,10 @@ namespace {
 
 constexpr std::uint32_t default_bins = 300;
 
+const std::vector<std::pair<std::string, Shape>> shapes{
+    {"film", Shape::film},         {"delta", Shape::delta}, {"box", Shape::box},   {"gaussian", Shape::gaussian},
+    {"expgauss", Shape::expgauss}, {"table", Shape::table}, {"sine", Shape::sine}, {"square", Shape::square}};
+
 /// Converts the user's values to optical path lengths, in units of the scene.
 class Lengths {
   public:
@@ -372,6 +376,32 @@ std::string plan_of(const TransientCubeHeader& header, double widened, bool shar
                        derivatives, derivatives.empty() ? "derivatives" : "nothing");
 }
 
+/// Returns options with the bins and the pulse of the cube `like`.
+Options as_like(Options options) {
+    const TransientCube cube = read_any_cube(options.like);
+    if (options.bins || options.start || options.width || options.gate || options.pulse != Shape::film ||
+        options.pulse_length != 0 || options.pulse_tail != 0 || options.period != 0)
+        throw InputError("--like: leave out --bins, --start, --width, --gate, --period and the options of the pulse");
+    const double unit = Lengths(options)(1);
+    const auto& t = cube.time;
+    options.bins = t.n_bins;
+    options.start = t.start_opl / unit, options.width = t.bin_width_opl / unit, options.gate = t.gate_opl / unit;
+    options.unwarp |= t.camera_segment == 0;
+    const auto& r = cube.response;
+    if (!r.pulse.empty()) {
+        const auto shape =
+            std::find_if(shapes.begin(), shapes.end(), [&](const auto& s) { return s.first == r.pulse; });
+        if (shape == shapes.end() || shape->second == Shape::table)
+            throw InputError(
+                fmt::format("--like {}: has a pulse by a table; give the options of the pulse", options.like));
+        options.pulse = shape->second;
+        options.pulse_length = r.length_opl / unit, options.pulse_tail = r.tail_opl / unit;
+        options.period = r.period_opl / unit;
+    }
+    options.like.clear();
+    return options;
+}
+
 }  // namespace
 
 void declare(app::Command& command, Options& options) {
@@ -398,6 +428,9 @@ void declare(app::Command& command, Options& options) {
                    {{"opl", Unit::opl}, {"ns", Unit::ns}});
     command.option("--metres-per-unit", options.metres_per_unit, "length of one unit of the scene",
                    app::Range<double>{1e-12, 1e12, "m"});
+    command.file(
+        "--like", options.like,
+        "cube (.h5), ours or any with mean and var_mean, whose bins and pulse are taken in place of the film's");
     command.option("--bins", options.bins, "number of bins (default: the film's, else 300)",
                    app::Range<std::uint32_t>{1, 1u << 24});
     command.option("--start", options.start,
@@ -411,14 +444,7 @@ void declare(app::Command& command, Options& options) {
     command.choice("--pulse", options.pulse,
                    "shape of the light in time: the film's, a delta, box or Gaussian pulse, a Gaussian with an "
                    "exponential tail, a table, or a modulation with --bins phases of one period",
-                   {{"film", Shape::film},
-                    {"delta", Shape::delta},
-                    {"box", Shape::box},
-                    {"gaussian", Shape::gaussian},
-                    {"expgauss", Shape::expgauss},
-                    {"table", Shape::table},
-                    {"sine", Shape::sine},
-                    {"square", Shape::square}});
+                   shapes);
     command.option("--pulse-length", options.pulse_length, "box: length; gaussian, expgauss: standard deviation",
                    app::Range<double>{0, 1e12});
     command.option("--pulse-tail", options.pulse_tail, "expgauss: mean delay of the exponential tail",
@@ -435,7 +461,8 @@ void declare(app::Command& command, Options& options) {
         "--pulse-length 0.1");
 }
 
-void run(const Options& options, app::Report& report) {
+void run(const Options& given, app::Report& report) {
+    const Options options = given.like.empty() ? given : as_like(given);
     if (options.output.empty()) throw InputError("--output: missing (an .h5 file)");
     if (!options.clusters.empty() && !options.derivatives.empty())
         throw InputError(
@@ -455,6 +482,7 @@ void run(const Options& options, app::Report& report) {
     const std::vector<Derivative> derivatives = read_all_derivatives(options, graphs, header);
     for (const auto* files : {&options.clusters, &options.derivatives})
         for (const std::string& file : *files) header.provenance.inputs.push_back(identify(file));
+    if (!given.like.empty()) header.provenance.inputs.push_back(identify(given.like));
     check_tal(options, graphs[0]);
 
     // Set the response: pulse and bins.

@@ -41,6 +41,7 @@ struct Options {
     std::string output;           // transient cube (.h5)
     std::string tal;              // also an NLOS capture for the TAL tools (.h5); empty: none
 
+    std::string like;  // cube whose bins and pulse are taken; empty: none
     // Lengths are in `unit`; unset options are those of the film.
     Unit unit = Unit::opl;
     double metres_per_unit = 1;

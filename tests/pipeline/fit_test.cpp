@@ -61,6 +61,17 @@ TEST_F(MakeFit, finds_a_hidden_panel_and_goes_on_when_killed) {
     EXPECT_TRUE(bytes_of(folder / "x/fit.h5") == bytes_of(folder / "y/fit.h5"));
 }
 
+// Bins and pulse are those of the measurement, whatever the film says.
+TEST_F(MakeFit, takes_the_bins_of_the_measurement) {
+    EXPECT_EQ(sh(stage("transient") + " " + in("graph.h5") +
+                 " --start 1.2 --width 0.03 --bins 70 --pulse gaussian --pulse-length 0.05 -o " + in("measured.h5"))
+                  .code,
+              0);
+    const Outcome outcome = sh(make("x", "MAX_EVALUATIONS=1"));
+    EXPECT_EQ(outcome.code, 0) << outcome.err;
+    EXPECT_EQ(read_fit(folder / "x/fit.h5").n_evaluations(), 1u);
+}
+
 TEST_F(MakeFit, goes_on_with_more_evaluations) {
     EXPECT_EQ(sh(make("x", "MAX_EVALUATIONS=2 METHOD=adam SCALE='x=.1 z=.1'")).code, 0);
     EXPECT_EQ(read_fit(folder / "x/fit.h5").state.status, "stopped");
