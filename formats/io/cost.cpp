@@ -1,5 +1,6 @@
 #include "formats/io/cost.h"
 
+#include <algorithm>
 #include <nlohmann/json.hpp>
 
 #include "formats/io/json_members.h"
@@ -27,6 +28,16 @@ void members(Self& cost, Visitor&& visit) {
 }
 
 }  // namespace
+
+void add(Cost& sum, const Cost& cost) {
+    sum.wall_s += cost.wall_s;
+    sum.cpu_s += cost.cpu_s;
+    sum.load_s += cost.load_s;
+    sum.rays += cost.rays;
+    sum.samples += cost.samples;
+    sum.bytes_written += cost.bytes_written;
+    sum.peak_memory_bytes = std::max(sum.peak_memory_bytes, cost.peak_memory_bytes);
+}
 
 std::string parent_of(const std::filesystem::path& output, const std::filesystem::path& input) {
     namespace fs = std::filesystem;

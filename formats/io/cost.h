@@ -21,6 +21,9 @@ struct Cost {
     bool operator==(const Cost&) const = default;
 };
 
+/// Adds times and work of another output; of the memory peaks the larger one stays.
+void add(Cost& sum, const Cost& cost);
+
 /// Returns an input's path relative to the output: "pt/pass-0.exr" for "out/pt/pass-0.exr", parent of "out/image.exr".
 std::string parent_of(const std::filesystem::path& output, const std::filesystem::path& input);
 

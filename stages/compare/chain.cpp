@@ -9,13 +9,7 @@ namespace {
 
 void add(StageCost& sum, const Cost& cost, std::uint64_t n_files) {
     sum.n_files += n_files;
-    sum.cost.wall_s += cost.wall_s;
-    sum.cost.cpu_s += cost.cpu_s;
-    sum.cost.load_s += cost.load_s;
-    sum.cost.rays += cost.rays;
-    sum.cost.samples += cost.samples;
-    sum.cost.bytes_written += cost.bytes_written;
-    sum.cost.peak_memory_bytes = std::max(sum.cost.peak_memory_bytes, cost.peak_memory_bytes);
+    loom::add(sum.cost, cost);
 }
 
 }  // namespace
