@@ -3,7 +3,7 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <tuple>
+#include <cmath>
 
 #include "formats/io/hdf5_format.h"
 
@@ -35,6 +35,10 @@ std::string Fit::problem() const {
             return fmt::format("parameters/{}: of {} is negative", p.scale[i] < 0 ? "scale" : "prior_sigma", p.name[i]);
     }
     return {};
+}
+
+double Fit::sigma(std::size_t parameter) const {
+    return std::sqrt(std::max(parameters.covariance[parameter * n_parameters() + parameter], 0.0));
 }
 
 void write_fit(const Fit& fit, const std::filesystem::path& path, Sync sync) {

@@ -30,14 +30,14 @@ struct Fit {
 
     struct Parameters {
         std::vector<std::string> name, unit;
-        Column<double> value, start, lower, upper, scale, prior_mean, prior_sigma, covariance, sigma_error;
+        CopiedColumn<double> value, start, lower, upper, scale, prior_mean, prior_sigma, covariance, sigma_error;
     } parameters;
 
     /// A point with its equations, both means over near evaluations.
     struct Point {
         std::uint32_t evaluations = 0;
         double loss = 0, loss_variance = 0, expected_loss = 0, expected_variance = 0;
-        Column<double> value, gradient, normal, normal_variance, curvature, measured_noise, noise, scatter;
+        CopiedColumn<double> value, gradient, normal, normal_variance, curvature, measured_noise, noise, scatter;
     };
     Point best;     // of the present run, at its present bins
     Point minimum;  // the lowest in which a run has ended, at the finest bins; empty: none
@@ -62,6 +62,8 @@ struct Fit {
     std::size_t n_parameters() const { return parameters.name.size(); }
     std::size_t n_evaluations() const { return history.loss.size(); }
     bool is_running() const { return state.status == "running"; }
+    /// Returns the error bar of a parameter; 0: not known.
+    double sigma(std::size_t parameter) const;
 
     /// Returns the first violated invariant beyond types, lengths and finite floats; empty: none.
     std::string problem() const;

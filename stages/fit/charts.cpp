@@ -3,7 +3,6 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <cmath>
 #include <string>
 
 #include "stages/core/plot/gnuplot.h"
@@ -50,8 +49,7 @@ void draw_charts(const Fit& fit, const std::vector<std::optional<double>>& truth
             merged);
     std::string results, values = fmt::format("set multiplot layout {},1\nunset key\n", n);
     for (std::size_t i = 0; i < n; ++i) {
-        const double sigma = std::sqrt(std::max(fit.parameters.covariance[i * n + i], 0.0));
-        results += fmt::format("$result{} << EOD\n{}\t{}\t{}\nEOD\n", i, end, fit.parameters.value[i], sigma);
+        results += fmt::format("$result{} << EOD\n{}\t{}\t{}\nEOD\n", i, end, fit.parameters.value[i], fit.sigma(i));
         values += fmt::format(
             "set ylabel {}\nplot {}'fit.tsv' using 1:(column({})) skip 1 with linespoints lc rgb '#3b6fb6' pt 7 ps "
             "0.5, "

@@ -5,7 +5,6 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <map>
 #include <utility>
 
 #include "formats/chain.h"
@@ -100,17 +99,13 @@ void set_parameters(Fit& fit, const Options& options) {
     p.prior_mean = std::move(mean), p.prior_sigma = std::move(sigma);
 }
 
-std::vector<double> values_of(const Column<double>& column) {
-    return {column.begin(), column.end()};
-}
-
 /// Begins a fit at the values of a cube.
 Fit begun(const TransientCube& cube) {
     Fit fit;
     const std::size_t n = cube.n_parameters();
     auto& p = fit.parameters;
     p.name = cube.parameters.name, p.unit = cube.parameters.unit;
-    p.value = values_of(cube.parameters.value), p.start = values_of(p.value);
+    p.value = p.start = cube.parameters.value;
     p.covariance = Matrix(n * n, 0.0), p.sigma_error = std::vector<double>(n, 0.0);
     fit.state.adam_mean = std::vector<double>(n, 0.0), fit.state.adam_square = std::vector<double>(n, 0.0);
     return fit;
@@ -161,8 +156,7 @@ int draw(const Options& options, app::Report& report) {
     }
     draw_charts(fit, truth, name.parent_path());
     for (std::size_t i = 0; i < fit.n_parameters(); ++i) {
-        const double sigma = std::sqrt(std::max(fit.parameters.covariance[i * fit.n_parameters() + i], 0.0)),
-                     error = truth[i] ? fit.parameters.value[i] - *truth[i] : 0;
+        const double sigma = fit.sigma(i), error = truth[i] ? fit.parameters.value[i] - *truth[i] : 0;
         if (truth[i] && sigma > 0)
             report.info("{}: off by {:.3g}, {:.2g} error bars", fit.parameters.name[i], error, std::abs(error) / sigma);
     }
@@ -170,32 +164,33 @@ int draw(const Options& options, app::Report& report) {
     return app::exit_done;
 }
 
-/// Returns the cost of the whole fit: of this step, of the fit before, and of all that its cubes are made of. The cubes' names are
-/// those of every evaluation, so that a chain of parents would count the last ones alone.
+/// Returns the cost of the whole fit: of this step, of the fit before, and of all that its cubes are made of. The cubes
+/// have the same names in every evaluation, so that a chain of parents would count the last ones alone.
 Cost cost_of_fit(const Options& options, Cost cost) {
-    const auto add = [&](const Cost& other) {
-        cost.cpu_s += other.cpu_s, cost.wall_s += other.wall_s, cost.load_s += other.load_s;
-        cost.rays += other.rays, cost.samples += other.samples;
-        cost.peak_memory_bytes = std::max(cost.peak_memory_bytes, other.peak_memory_bytes);
-    };
     std::vector<std::filesystem::path> counted;
     for (const std::string& cube : options.cubes) {
         if (!std::filesystem::exists(cost_path(cube))) continue;
         for (const ChainFile& part : read_chain(cube)) {
             if (std::find(counted.begin(), counted.end(), part.file) != counted.end()) continue;
             counted.push_back(part.file);
-            add(part.cost);
+            add(cost, part.cost);
         }
     }
-    if (!options.state.empty() && std::filesystem::exists(cost_path(options.state))) add(read_cost(options.state));
+    if (!options.state.empty() && std::filesystem::exists(cost_path(options.state)))
+        add(cost, read_cost(options.state));
     return cost;
+}
+
+/// Whether a fit goes on: one that the limit of evaluations has stopped does so below a larger limit.
+bool goes_on(const Fit& fit, const Rules& rules) {
+    return fit.is_running() || (fit.state.status == "stopped" && fit.n_evaluations() < rules.max_evaluations);
 }
 
 /// Returns values with their error bars.
 std::string in_words(const Fit& fit) {
     std::string out;
     for (std::size_t i = 0; i < fit.n_parameters(); ++i) {
-        const double sigma = std::sqrt(std::max(fit.parameters.covariance[i * fit.n_parameters() + i], 0.0));
+        const double sigma = fit.sigma(i);
         out += fmt::format("{}{} = {:.6g}", i > 0 ? ", " : "", fit.parameters.name[i], fit.parameters.value[i]);
         if (sigma > 0) out += fmt::format(" +- {:.2g}", sigma);
     }
@@ -212,17 +207,19 @@ std::vector<std::uint32_t> default_merging(std::size_t n_bins) {
     return out;
 }
 
-void add_evaluation(Fit& fit, const TransientCube& measured, std::span<const TransientCube, 2> evaluated,
-                    const Rules& rules) {
+std::size_t add_evaluation(Fit& fit, const TransientCube& measured, std::span<const TransientCube, 2> evaluated,
+                           const Rules& rules) {
     const Loss loss = by_name(losses, fit.settings.loss);
     std::vector<std::uint64_t> paths(fit.history.paths.begin(), fit.history.paths.end());
     std::uint64_t n = 0;
     for (const TransientCube& cube : evaluated) n += cube.n_pixels() * cube.film.samples_per_pixel;
     paths.push_back(n);
+    std::size_t n_ignored = 0;
     advance(
         fit,
         [&](std::uint32_t merged) {
             Equations eq = normal_equations(measured, evaluated, TimeTransform(loss, measured.time.n_bins, merged));
+            n_ignored = eq.n_ignored;
             const std::size_t n_parameters = eq.n_parameters();
             for (std::size_t i = 0; i < n_parameters; ++i)
                 if (!(eq.curvature[i * n_parameters + i] > 0))
@@ -232,6 +229,7 @@ void add_evaluation(Fit& fit, const TransientCube& measured, std::span<const Tra
         },
         rules);
     fit.history.paths = std::move(paths);
+    return n_ignored;
 }
 
 void declare(app::Command& command, Options& options) {
@@ -282,10 +280,7 @@ void declare(app::Command& command, Options& options) {
 int run(const Options& options, app::Report& report) {
     if (options.done) {
         if (options.state.empty()) throw InputError("--done: needs --state");
-        const Fit fit = read_fit(options.state);
-        const bool goes_on =
-            fit.is_running() || (fit.state.status == "stopped" && fit.n_evaluations() < options.rules.max_evaluations);
-        return goes_on ? app::exit_no : app::exit_done;
+        return goes_on(read_fit(options.state), options.rules) ? app::exit_no : app::exit_done;
     }
     if (!options.charts.empty()) return draw(options, report);
     if (options.measured.empty()) throw InputError("measured: missing (a transient cube)");
@@ -313,9 +308,9 @@ int run(const Options& options, app::Report& report) {
         if (fit.measured != measured_id.hash)
             throw InputError(
                 fmt::format("{}: is a fit to another measurement than {}", options.state, options.measured));
-        if (fit.state.status == "stopped" && fit.n_evaluations() < options.rules.max_evaluations)
-            fit.state.status = "running";
-        if (!fit.is_running()) throw InputError(fmt::format("{}: has ended ({})", options.state, fit.state.status));
+        if (!goes_on(fit, options.rules))
+            throw InputError(fmt::format("{}: has ended ({})", options.state, fit.state.status));
+        fit.state.status = "running";
     }
     fit.measured = measured_id.hash;
     fit.settings.method = name_of(methods, options.method);
@@ -332,7 +327,9 @@ int run(const Options& options, app::Report& report) {
         fit.settings.merged_bins[fit.state.level],
         fit.state.level + 1 == fit.settings.merged_bins.size() ? "coarser bins (done)" : "finer bins (later)");
     report.info("plan: {}", plan);
-    add_evaluation(fit, measured, cubes, options.rules);
+    const std::size_t n_ignored = add_evaluation(fit, measured, cubes, options.rules);
+    if (n_ignored > 0)
+        report.warn("{} values are NaN or infinite in one of the cubes; the fit leaves them out", n_ignored);
     fit.provenance = report.provenance(options.rules.seed, ids, plan);
     const std::size_t last = fit.n_evaluations() - 1;
     report.info("evaluation {}: loss {:.4g} +- {:.2g} (true values: {:.4g}), {}", last + 1, fit.history.loss[last],

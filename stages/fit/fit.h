@@ -35,8 +35,9 @@ std::vector<std::uint32_t> default_merging(std::size_t n_bins);
 
 /// Adds the evaluation in two cubes to a fit.
 /// in:      evaluated  at fit.parameters.value, with their derivatives
-void add_evaluation(Fit& fit, const TransientCube& measured, std::span<const TransientCube, 2> evaluated,
-                    const Rules& rules);
+/// out:     number of compared values that are not finite in one of the cubes, and left out
+std::size_t add_evaluation(Fit& fit, const TransientCube& measured, std::span<const TransientCube, 2> evaluated,
+                           const Rules& rules);
 
 void declare(app::Command& command, Options& options);
 /// Returns an exit code: with --done 1 for a fit that still runs.

@@ -131,11 +131,16 @@ Matrix of_mean(const Equations& eq, const Matrix& one, std::uint32_t evaluations
     return out;
 }
 
+/// Returns the inverse of `normal`, or where that is not positive definite of `curvature`, if it has one.
+std::optional<Matrix> inverse_normal(const Equations& eq) {
+    const auto inverted = inverse(eq.normal, eq.n_parameters());
+    return inverted ? inverted : inverse(eq.curvature, eq.n_parameters());
+}
+
 /// Returns the mean of step^T normal step over noise, at the minimum.
 double length2_of_noise(const Equations& eq, std::uint32_t evaluations) {
     const std::size_t n = eq.n_parameters();
-    auto inverted = inverse(eq.normal, n);
-    if (!inverted) inverted = inverse(eq.curvature, n);
+    const auto inverted = inverse_normal(eq);
     if (!inverted) return double(n);
     const Matrix noise = of_mean(eq, eq.noise, evaluations);
     double trace = 0;
@@ -162,7 +167,7 @@ void start_level(Fit& fit, std::uint32_t level) {
 /// Keeps the best point if no run has ended in a lower one.
 void keep_minimum(Fit& fit) {
     if (!fit.minimum.value.empty() && fit.minimum.loss <= fit.best.loss) return;
-    fit.minimum = point_of(equations_of(fit.best), of(fit.best.value), fit.best.evaluations);
+    fit.minimum = fit.best;
 }
 
 /// Ends the fit with error bars; lm at the lowest minimum, improved by one step without damping, others where they are.
@@ -170,8 +175,7 @@ void end(Fit& fit, const char* status, std::size_t n_pixels) {
     if (is_finest(fit) || fit.minimum.value.empty()) keep_minimum(fit);
     const Equations eq = equations_of(fit.minimum);
     const std::size_t n = fit.n_parameters();
-    auto inverted = inverse(eq.normal, n);
-    if (!inverted) inverted = inverse(eq.curvature, n);
+    const auto inverted = inverse_normal(eq);
     // The scatter of few pixels is too uncertain.
     const Matrix of_gradient = of_mean(eq, n_pixels >= 10 * n ? eq.scatter : eq.noise, fit.minimum.evaluations);
     fit.parameters.covariance = inverted ? sandwich(*inverted, of_gradient, n) : Matrix(n * n, 0.0);

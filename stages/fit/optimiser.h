@@ -29,7 +29,8 @@ using EquationsOf = std::function<Equations(std::uint32_t merged_bins)>;
 ///
 ///   lm        Levenberg-Marquardt: (normal + lambda diag curvature) step = gradient; steps that make the loss larger by
 ///             more than noise are taken back. Where `normal` is not positive definite, `curvature` takes its place.
-///             Evaluations that differ within noise are averaged. Bins get finer once a step is shorter than the error bars, or after max_at_level evaluations.
+///             Evaluations that differ within noise are averaged. Bins get finer once a step is shorter than the error
+///             bars, or after max_at_level evaluations.
 ///   adam      [Kingma2015] on the gradient; `rate` falls to a tenth by the last evaluation
 ///   gradient  steepest descent in units of parameters/scale, by the length that the curvature makes best
 /// All keep to the bounds: a parameter at a bound that the step leads out of stays there.

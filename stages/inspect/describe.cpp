@@ -292,8 +292,8 @@ std::string fit_text(const Fit& f) {
     std::string text = fmt::format("{} by {}: {} after {} evaluations, {} starts from elsewhere\n", f.settings.loss,
                                    f.settings.method, f.state.status, f.n_evaluations(), f.state.restarts);
     for (std::size_t i = 0; i < n; ++i)
-        text += fmt::format("{} = {:.8g} +- {:.3g} {}, from {:.8g}\n", p.name[i], p.value[i],
-                            std::sqrt(std::max(p.covariance[i * n + i], 0.0)), p.unit[i], p.start[i]);
+        text += fmt::format("{} = {:.8g} +- {:.3g} {}, from {:.8g}\n", p.name[i], p.value[i], f.sigma(i), p.unit[i],
+                            p.start[i]);
     const auto& h = f.history;
     text +=
         fmt::format("{:>10} {:>6} {:>12} {:>9}  {}\n", "evaluation", "merged", "loss", "+-", fmt::join(p.name, " "));

@@ -1,9 +1,9 @@
 // loom-fit: what losses compare, the normal equations of noisy halves, and fits of a model with a closed form.
 //
-// Detected mutations: a residual with the Jacobian of its own half (gradient and `normal` off by 20 and more standard errors), the
-// loss of one half, noise of the measurement or of the evaluations left out of the covariance, the noise of an evaluation counted whole where several are averaged, and that of the measurement once for each
-// of them, three equal channels counted thrice, steps that are never taken back, bounds and priors
-// ignored, no starts from elsewhere.
+// Detected mutations: a residual with the Jacobian of its own half (gradient and `normal` off by 20 and more standard
+// errors), the loss of one half, noise of the measurement left out of the covariance, that of an evaluation counted whole
+// where several are averaged, that of the measurement once for each of them, three equal channels counted thrice, steps
+// that are never taken back, bounds and priors ignored, no starts from elsewhere.
 
 #include "stages/fit/fit.h"
 
@@ -240,18 +240,6 @@ TEST(Equations, HaveTheMeansWithoutNoise) {
         }
 }
 
-TEST(Equations, IgnoreWhatIsNotFinite) {
-    Flash flash;
-    TransientCube measured = flash.measured(20, 1);
-    std::vector<float> values(measured.radiance.begin(), measured.radiance.end());
-    values[5] = std::numeric_limits<float>::quiet_NaN();
-    measured.radiance = std::move(values);
-    const Equations eq = normal_equations(measured, flash.halves(20, 1), TimeTransform(Loss::squares, flash.n_bins, 1));
-    EXPECT_EQ(eq.n_ignored, 1u);
-    EXPECT_EQ(eq.n_values, flash.width * flash.n_bins * 3 - 1);
-    EXPECT_TRUE(std::isfinite(eq.loss + eq.gradient[0] + eq.gradient[1] + eq.noise[0]));
-}
-
 Fit begun(double t, double s, std::vector<std::uint32_t> merged, const std::string& method = "lm") {
     Fit fit;
     constexpr double unbounded = std::numeric_limits<double>::max();
@@ -266,6 +254,20 @@ Fit begun(double t, double s, std::vector<std::uint32_t> merged, const std::stri
     p.covariance = Numbers(4, 0.0), p.sigma_error = Numbers(2, 0.0);
     fit.state.adam_mean = {0, 0}, fit.state.adam_square = {0, 0};
     return fit;
+}
+
+TEST(Equations, IgnoreWhatIsNotFinite) {
+    Flash flash;
+    TransientCube measured = flash.measured(20, 1);
+    std::vector<float> values(measured.radiance.begin(), measured.radiance.end());
+    values[5] = std::numeric_limits<float>::quiet_NaN();
+    measured.radiance = std::move(values);
+    const Equations eq = normal_equations(measured, flash.halves(20, 1), TimeTransform(Loss::squares, flash.n_bins, 1));
+    EXPECT_EQ(eq.n_ignored, 1u);
+    EXPECT_EQ(eq.n_values, flash.width * flash.n_bins * 3 - 1);
+    EXPECT_TRUE(std::isfinite(eq.loss + eq.gradient[0] + eq.gradient[1] + eq.noise[0]));
+    Fit fit = begun(20, 1, {1});
+    EXPECT_EQ(add_evaluation(fit, measured, flash.halves(20, 1), {}), 1u);
 }
 
 void run_to_end(Fit& fit, Flash& flash, const TransientCube& measured, const Rules& rules) {
